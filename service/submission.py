@@ -55,7 +55,7 @@ class _Open:
         self.version = version
         self.ids = [job.id for job in jobs]
         self.queries = _from_queries(jobs)
-        self._wrenches = unpacked(job.wrench for job in jobs)
+        self._wrenches = unpacked((job.wrench for job in jobs), len(scale))
         self._scaled = self._wrenches / scale
 
     @cached_property
@@ -171,7 +171,9 @@ class Submission:
             for job in self._ledger.jobs(name, "failed", limit=MOST_FAILED)
             if job.fingerprint == component.fingerprint
         ]
-        both = (unpacked(job.wrench for job in jobs), np.array(failed).reshape(-1, 6))
+        inputs = len(component.space.inputs)
+        open_ones = unpacked((job.wrench for job in jobs), inputs)
+        both = open_ones, np.array(failed).reshape(-1, inputs)
         return np.concatenate(both)
 
     def solvable(self, name: str) -> Component:

@@ -144,7 +144,10 @@ class Workspace:
 
     def row_table(self, name: str, seq: int) -> ServedTable:
         """Return a table of the row that a solve has just given, which answers its wrench."""
-        rows, newest = table_rows((self.ledger.row(seq),)), self.tables.surrogate(name)
+        rows, newest = (
+            table_rows(self.library[name], (self.ledger.row(seq),)),
+            self.tables.surrogate(name),
+        )
         return row_table(self.library[name], rows, self.solver_error(name), newest)
 
     def unbuilt_rows(self, name: str, wrenches: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -154,7 +157,7 @@ class Workspace:
         """
         component, after = self.library[name], self.tables.surrogate(name).version
         changes = self.ledger.row_changes(name, after, MOST_UNBUILT)
-        rows = table_rows(own_rows(component, changes.rows))
+        rows = table_rows(component, own_rows(component, changes.rows))
         if not len(rows):
             return np.zeros(len(wrenches), dtype=np.int64)
         places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from .table.rows import Floats, LoadRange, Rows
-from .table.space import DEFAULT, Space
+from .table.space import PER_INTERFACE
 
 _MOST_BY_SQUARE = 1.0
 """Of the share at small loads, at the full range: up to it growth follows the load's square,
@@ -52,10 +52,11 @@ class SolverError:
         If it is not of that form.
     """
 
-    def __init__(self, values: Mapping[str, Any], space: Space = DEFAULT) -> None:
+    def __init__(self, values: Mapping[str, Any]) -> None:
         self.values = dict(values)
-        n, m = len(space.inputs), len(space.outputs)
-        loads, self._space = _numbers(values.get("loads"), (n,), "loads"), space
+        n = len(values.get("loads") or ())
+        m = PER_INTERFACE * max(n // PER_INTERFACE, 1)  # further inputs are fewer than six
+        loads = _numbers(values.get("loads"), (n,), "loads")
         self.mesh = None if values.get("mesh") is None else _numbers(values["mesh"], (m, n), "mesh")
         linearity = values.get("linearity")
         self.linearity = None if linearity is None else _numbers(linearity, (m,), "linearity")
@@ -97,9 +98,9 @@ class SolverError:
         return self._matrix, self._square, self._one_over, stiffness, np.array([asks])
 
     @classmethod
-    def read(cls, values: Mapping[str, Any] | None, space: Space = DEFAULT) -> SolverError | None:
+    def read(cls, values: Mapping[str, Any] | None) -> SolverError | None:
         """Return it from what was stored; None of nothing."""
-        return None if values is None else cls(values, space)
+        return None if values is None else cls(values)
 
     def grown(self, rows: Rows, load_range: LoadRange | None = None) -> SolverError:
         """Return this with what solved rows tell of the discretisation error beyond small loads.
@@ -135,7 +136,7 @@ class SolverError:
         beyond = np.maximum(lacking - size @ self.mesh.T, 0.0)
         growth = (beyond / (part * part)[:, None]).max(axis=0, initial=0.0)
         growth = np.maximum(growth, self.growth)
-        return SolverError({**self.values, "mesh_growth": growth.tolist()}, self._space)
+        return SolverError({**self.values, "mesh_growth": growth.tolist()})
 
     def share(self, wrench: Floats) -> Floats:
         """Return the whole share of an error bar at a wrench (6,), N and N·m: (6,), m and rad."""

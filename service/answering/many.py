@@ -15,7 +15,6 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placed
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.answer import six
 from wrenchbook.surrogate.table.rows import why_beyond
 
 Places = NDArray[np.intp]
@@ -72,7 +71,7 @@ def _answered(workspace: Workspace, name: str, batch: BatchQuery) -> BatchOutcom
 def answered_many(name: str, table: ServedTable, batch: BatchQuery) -> BatchOutcome:
     """Answer by a table as it is."""
     started = perf_counter_ns()
-    how = six(batch.tolerance), batch.method
+    how = table.limits(batch.tolerance), batch.method
     answers = table.packed.batch(batch.wrenches, *how)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     method = table.packed.answers_by(batch.method)
@@ -95,7 +94,7 @@ def refuse_thin(batch: BatchQuery, table: ServedTable, thin: Places) -> None:
     """
     if batch.on_thin == "reject":
         first = batch.wrenches[thin[0]].tolist()
-        reason = table.packed.answer(first, six(batch.tolerance), batch.method).reason
+        reason = table.packed.answer(first, table.limits(batch.tolerance), batch.method).reason
         raise NotCoveredError(
             f"{len(thin)} of {len(batch.wrenches)} wrenches are not covered, the first is number "
             f"{thin[0]}: {reason}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
@@ -160,9 +159,9 @@ def _take_row(
 ) -> None:
     """Put a row's answer in the place of the table's estimate of one wrench."""
     table, wrench = workspace.row_table(outcome.component, seq), batch.wrenches[index, None]
-    found = table.packed.batch(wrench, six(batch.tolerance))
+    found = table.packed.batch(wrench, table.limits(batch.tolerance))
     outcome.displacements[index], outcome.errors[index] = found.outputs[0], found.errors[0]
     outcome.coverage[index] = found.coverage[0]
     if outcome.derivatives is not None:
-        tangents = table.packed.derivatives(wrench, six(batch.tolerance))
+        tangents = table.packed.derivatives(wrench, table.limits(batch.tolerance))
         outcome.derivatives[index] = tangents[0]

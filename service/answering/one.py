@@ -23,7 +23,6 @@ from wrenchbook.service.submission import Placed
 from wrenchbook.service.tables.rows import others_in_words
 from wrenchbook.service.tables.served import ROW, ROW_DETAIL, ServedTable
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.answer import six
 from wrenchbook.surrogate.kernel.explain import explain
 from wrenchbook.surrogate.kernel.replies import Reply
 from wrenchbook.surrogate.rig_error import error_of_a_reading
@@ -135,7 +134,7 @@ async def answered(name: str, table: ServedTable, query: Query) -> Outcome:
         outcome = _from_table(name, table, query)
     else:
         outcome = await run_in_threadpool(_from_table, name, table, query)
-    request = query.wrench, six(query.tolerance), query.method
+    request = query.wrench, table.limits(query.tolerance), query.method
     if query.derivatives:
         outcome.derivative = table.packed.derivative(*request)
     if query.detail:
@@ -147,7 +146,7 @@ async def answered(name: str, table: ServedTable, query: Query) -> Outcome:
 
 def tell_parts(workspace: Workspace, table: ServedTable, query: Query, outcome: Outcome) -> None:
     """Add the parts whose sum an answer's error bar is."""
-    found = table.packed.answer(query.wrench, six(query.tolerance), query.method)
+    found = table.packed.answer(query.wrench, table.limits(query.tolerance), query.method)
     solver, shares = table.solver_error, {}
     if solver is not None:
         shares["mesh"] = found.discretisation
@@ -214,7 +213,7 @@ def _split(bars: Bars | None) -> dict[str, Any] | None:
 def _from_table(name: str, table: ServedTable, query: Query) -> Outcome:
     """Answer by the table as it is."""
     started = perf_counter_ns()
-    found = table.packed.answer(query.wrench, six(query.tolerance), query.method)
+    found = table.packed.answer(query.wrench, table.limits(query.tolerance), query.method)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     source, reason = "table" if found.outputs else None, found.reason
     if found.row is not None:
@@ -308,7 +307,7 @@ def _by_row(workspace: Workspace, query: Query, outcome: Outcome, seq: int) -> O
     table, query = workspace.row_table(outcome.component, seq), query._replace(method=None)
     found = _from_table(outcome.component, table, query)
     if query.derivatives:
-        found.derivative = table.packed.derivative(query.wrench, six(query.tolerance))
+        found.derivative = table.packed.derivative(query.wrench, table.limits(query.tolerance))
     if query.detail:
         tell_parts(workspace, table, query, found)
         found.axes, found.method_detail = [], ROW_DETAIL

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from wrenchbook.service.ledger import rows, states
 from wrenchbook.service.ledger.connections import Database
-from wrenchbook.service.ledger.packing import pack6, unpack6
+from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
 from wrenchbook.service.ledger.records import STATUSES, JobRecord, OpenJob, Status, UnknownJobError
 from wrenchbook.service.ledger.schema import Connection
 
@@ -208,7 +208,9 @@ class Jobs(Database):
             for marks, part in rows.in_parts(wrenches):
                 tail = f"WHERE component = ? AND fingerprint = ? AND wrench IN ({marks})"
                 same = _select(db, tail, (component, fingerprint, *part))
-                found |= {pack6(job.wrench): job for job in same if not lacks_its_row(db, job)}
+                found |= {
+                    pack_vector(job.wrench): job for job in same if not lacks_its_row(db, job)
+                }
         return found
 
     def running(self) -> list[JobRecord]:
@@ -314,6 +316,6 @@ def _job(*record: object) -> JobRecord:
     fields = list(record)
     wrench, error = fields[3], fields[12]
     assert isinstance(wrench, bytes)
-    fields[3] = unpack6(wrench)
+    fields[3] = unpack_vector(wrench)
     fields[12] = json.loads(error) if isinstance(error, str) else None
     return JobRecord(*fields)  # pyright: ignore[reportArgumentType]

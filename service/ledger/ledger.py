@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from wrenchbook.service.ledger import jobs, rows, states
 from wrenchbook.service.ledger.imports import ImportTable
-from wrenchbook.service.ledger.packing import pack6
+from wrenchbook.service.ledger.packing import pack_vector
 from wrenchbook.service.ledger.recordings import Recordings
 from wrenchbook.service.ledger.records import (
     Beat,
@@ -54,7 +54,7 @@ class Ledger(jobs.Jobs, TableRows, ImportTable, Recordings):
         LedgerUnavailableError
             If the job could not be written; it is then not accepted.
         """
-        key = pack6(wrench)
+        key = pack_vector(wrench)
         with self.reading() as db:
             found = jobs.find_same(db, component, fingerprint, key)
             gone = found is not None and jobs.lacks_its_row(db, found)
@@ -80,7 +80,7 @@ class Ledger(jobs.Jobs, TableRows, ImportTable, Recordings):
         asked_by: str = "",
     ) -> list[JobRecord]:
         """Accept jobs in one transaction, all or none; one job a wrench, in their order."""
-        keys = [pack6(wrench) for wrench in wrenches]
+        keys = [pack_vector(wrench) for wrench in wrenches]
         return self.accept_chosen(
             component,
             fingerprint,

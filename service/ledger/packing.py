@@ -10,17 +10,16 @@ from hashlib import blake2b
 
 import numpy as np
 
-from wrenchbook.service.ledger.records import Matrix6, NewRow, Vector6
+from wrenchbook.service.ledger.records import Matrix, NewRow, Vector
 
 PackedRow = tuple[object, ...]
 _NAN = np.float64(np.nan)
-_WRENCH_BYTES = 6 * 8
-_SIX = struct.Struct("<6d")
-_THIRTY_SIX = struct.Struct("<36d")
+LEAST = 6
+"""Numbers of a wrench or displacement: six an interface, and further inputs."""
 
 
-def pack6(values: Sequence[float], name: str = "wrench", *, partial: bool = False) -> bytes:
-    """Return the canonical bytes of six finite floats: little-endian float64, no minus zero.
+def pack_vector(values: Sequence[float], name: str = "wrench", *, partial: bool = False) -> bytes:
+    """Return the canonical bytes of finite floats: little-endian float64, no minus zero.
 
     Parameters
     ----------
@@ -30,41 +29,42 @@ def pack6(values: Sequence[float], name: str = "wrench", *, partial: bool = Fals
     Raises
     ------
     ValueError
-        If there are not six numbers or one is not finite.
+        If there are fewer than six numbers or one is not finite.
     """
-    if len(values) != 6:
-        raise ValueError(f"{name} needs 6 numbers, got {len(values)}")
+    if len(values) < LEAST:
+        raise ValueError(f"{name} needs 6 numbers or more, got {len(values)}")
     # One NaN for all: equal rows must have equal bytes.
     floats = [math.nan if value != value else float(value) + 0.0 for value in values]
     known = [value for value in floats if value == value] if partial else floats
     if not known or not all(map(math.isfinite, known)):
         raise ValueError(f"{name} must be finite, got {floats}")
-    return _SIX.pack(*floats)
+    return struct.pack(f"<{len(floats)}d", *floats)
 
 
-def unpack6(packed: bytes) -> Vector6:
-    """Return the six floats of `pack6`."""
-    return _SIX.unpack(packed)
+def unpack_vector(packed: bytes) -> Vector:
+    """Return the floats of `pack_vector`."""
+    return struct.unpack(f"<{len(packed) // 8}d", packed)
 
 
-def pack36(matrix: Sequence[Sequence[float]]) -> bytes:
-    """Return the bytes of a 6x6 matrix by rows; raises ValueError as `pack6` does."""
-    if len(matrix) != 6:
-        raise ValueError(f"compliance needs 6 rows, got {len(matrix)}")
-    return b"".join(pack6(line, "compliance row") for line in matrix)
+def pack_matrix(matrix: Sequence[Sequence[float]]) -> bytes:
+    """Return the bytes of a matrix by rows; raises ValueError as `pack_vector` does."""
+    if len(matrix) < LEAST or len(set(map(len, matrix))) > 1:
+        raise ValueError(f"compliance needs 6 rows or more of one length, got {len(matrix)}")
+    return b"".join(pack_vector(line, "compliance row") for line in matrix)
 
 
-def unpack36(packed: bytes) -> Matrix6:
-    """Return the six rows of `pack36`."""
-    flat = _THIRTY_SIX.unpack(packed)
-    return tuple(flat[start : start + 6] for start in range(0, 36, 6))
+def unpack_matrix(packed: bytes, rows: int) -> Matrix:
+    """Return the rows of `pack_matrix`, of which there are so many."""
+    flat = unpack_vector(packed)
+    width = len(flat) // rows
+    return tuple(flat[start : start + width] for start in range(0, len(flat), width))
 
 
 def content_key(*parts: bytes) -> bytes:
     """Return 16 bytes that are the same only for the same parts."""
     digest = blake2b(digest_size=16)
     for part in parts:
-        digest.update(len(part).to_bytes(4, "little"))
+        digest.update(_length(len(part)))
         digest.update(part)
     return digest.digest()
 
@@ -77,18 +77,20 @@ def seal(key: bytes, compliance: bytes | None, origin: str) -> bytes:
 def row_values(
     component: str, fingerprint: str, row: NewRow, job: int | None, now: float
 ) -> PackedRow:
-    """Return a row's values in the order of `rows.CONTENT`; raises ValueError as `pack6` does.
+    """Return a row's values in the order of `rows.CONTENT`; raises ValueError as `pack_vector` does.
 
     Only a measured row, of no job, may have NaN for outputs that were not measured.
     """
     fingerprint = fingerprint if row.fingerprint is None else row.fingerprint
-    wrench = pack6(row.wrench)
+    wrench = pack_vector(row.wrench)
     measured = job is None and row.source != "fea"
-    displacement = pack6(row.displacement, "displacement", partial=measured)
-    compliance = None if row.compliance is None else pack36(row.compliance)
+    displacement = pack_vector(row.displacement, "displacement", partial=measured)
+    compliance = None if row.compliance is None else pack_matrix(row.compliance)
     # An output whose uncertainty is not known is NaN, which is not 0: exact.
     uncertainty = (
-        None if row.uncertainty is None else pack6(row.uncertainty, "uncertainty", partial=True)
+        None
+        if row.uncertainty is None
+        else pack_vector(row.uncertainty, "uncertainty", partial=True)
     )
     content = (component, fingerprint, row.source, wrench, displacement)
     key = row_key(*content, uncertainty)
@@ -114,15 +116,16 @@ def row_key(
 def packed(wrenches: np.ndarray) -> list[bytes]:
     """Return each wrench as the ledger packs it: little-endian, no minus zero.
 
-    The wrenches have shape (n, 6), N and N·m.
+    The wrenches have shape (n, inputs), N and N·m.
     """
-    block = (np.asarray(wrenches, dtype="<f8") + 0.0).tobytes()
-    return [block[at : at + _WRENCH_BYTES] for at in range(0, len(block), _WRENCH_BYTES)]
+    whole = np.asarray(wrenches, dtype="<f8") + 0.0
+    block, width = whole.tobytes(), 8 * whole.shape[1]
+    return [block[at : at + width] for at in range(0, len(block), width)]
 
 
-def unpacked(wrenches: Iterable[bytes]) -> np.ndarray:
-    """Return packed wrenches as an array of shape (n, 6), N and N·m."""
-    return np.frombuffer(b"".join(wrenches), dtype="<f8").reshape(-1, 6).astype(float)
+def unpacked(wrenches: Iterable[bytes], inputs: int = LEAST) -> np.ndarray:
+    """Return packed wrenches as an array of shape (n, inputs), N and N·m."""
+    return np.frombuffer(b"".join(wrenches), dtype="<f8").reshape(-1, inputs).astype(float)
 
 
 def packed_columns(
@@ -137,8 +140,8 @@ def packed_columns(
     ----------
     component : str
     columns : tuple of ndarray
-        Wrench (n, 6), N and N·m, finite; displacement (n, 6), m and rad, NaN where not measured;
-        uncertainty (n, 6), NaN where not known; compliance (n, 6, 6), NaN where not known.
+        Of i inputs and m outputs: wrench (n, i), N and N·m, finite; displacement (n, m), m and rad,
+        NaN where not measured; uncertainty (n, m) and compliance (n, m, i), NaN where not known.
     texts : tuple of sequences of str
         Source, fingerprint and note of each row.
     now : float
@@ -147,18 +150,19 @@ def packed_columns(
     wrench, displacement, uncertainty, compliance = columns
     count = len(wrench)
     wrenches, moves = _bytes(wrench), _bytes(displacement)
-    flat = compliance.reshape(count, 36)
+    flat = compliance.reshape(count, -1) if count else compliance.reshape(0, 1)
     bars = _known(uncertainty, np.asarray(np.isfinite(uncertainty).any(axis=1)))
     tangents = _known(flat, np.asarray(np.isfinite(flat).all(axis=1)))
     name, lengths = _part(component.encode()), _Lengths()
+    of_load, of_move = (_length(8 * column.shape[1]) for column in (wrench, displacement))
     made = []
     for place in range(count):
         source, fingerprint, note = (column[place] for column in texts)
         load, move, bar = wrenches[place], moves[place], bars[place]
         digest = blake2b(name, digest_size=16)
         digest.update(lengths[fingerprint] + lengths[source])
-        digest.update(_SIX_LENGTH + load + _SIX_LENGTH + move)
-        digest.update(_SIX_LENGTH + bar if bar else _NONE)
+        digest.update(of_load + load + of_move + move)
+        digest.update(of_move + bar if bar else _NONE)
         key = digest.digest()
         tangent = tangents[place]
         mark = seal(key, tangent, note)
@@ -170,10 +174,14 @@ def packed_columns(
 
 def _part(content: bytes) -> bytes:
     """Return what `content_key` hashes for one part."""
-    return len(content).to_bytes(4, "little") + content
+    return _length(len(content)) + content
 
 
-_SIX_LENGTH, _NONE = (48).to_bytes(4, "little"), _part(b"")
+def _length(size: int) -> bytes:
+    return size.to_bytes(4, "little")
+
+
+_NONE = _part(b"")
 
 
 class _Lengths(dict[str, bytes]):

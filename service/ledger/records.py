@@ -8,8 +8,8 @@ Status = Literal["waiting", "running", "done", "failed", "cancelled"]
 STATUSES: tuple[Status, ...] = ("waiting", "running", "done", "failed", "cancelled")
 FINAL: frozenset[Status] = frozenset({"done", "failed", "cancelled"})
 
-Vector6 = tuple[float, ...]
-Matrix6 = tuple[Vector6, ...]
+Vector = tuple[float, ...]
+Matrix = tuple[Vector, ...]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class JobRecord:
     id: int
     component: str
     fingerprint: str
-    wrench: Vector6
+    wrench: Vector
     status: Status
     priority: int
     attempt: int
@@ -147,10 +147,10 @@ class LedgerRow:
     component: str
     fingerprint: str
     source: str
-    wrench: Vector6
-    displacement: Vector6
-    compliance: Matrix6 | None
-    uncertainty: Vector6 | None
+    wrench: Vector
+    displacement: Vector
+    compliance: Matrix | None
+    uncertainty: Vector | None
     job: int | None
     created: float
     origin: str

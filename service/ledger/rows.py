@@ -14,8 +14,8 @@ from wrenchbook.service.ledger.packing import (
     row_key,
     row_values,
     seal,
-    unpack6,
-    unpack36,
+    unpack_matrix,
+    unpack_vector,
 )
 from wrenchbook.service.ledger.records import (
     DamagedRowError,
@@ -256,15 +256,16 @@ def _row(seq: int, *fields: Any) -> LedgerRow:
     written = row_key(component, fingerprint, source, wrench, displacement, uncertainty)
     if written != key or seal(key, compliance, origin) != mark:
         raise ValueError(f"row {seq} is not as it was written")
+    moved = unpack_vector(displacement)
     return LedgerRow(
         seq,
         component,
         fingerprint,
         source,
-        unpack6(wrench),
-        unpack6(displacement),
-        None if compliance is None else unpack36(compliance),
-        None if uncertainty is None else unpack6(uncertainty),
+        unpack_vector(wrench),
+        moved,
+        None if compliance is None else unpack_matrix(compliance, len(moved)),
+        None if uncertainty is None else unpack_vector(uncertainty),
         job,
         created,
         origin,

@@ -172,4 +172,19 @@ SCRIPTS = (
     "ALTER TABLE imports ADD COLUMN rig TEXT NOT NULL DEFAULT ''",
     # Probable systematic errors of an import's rows, as JSON, each with the keys of its rows.
     "ALTER TABLE imports ADD COLUMN findings TEXT NOT NULL DEFAULT '[]'",
+    # Wrenches and displacements of several interfaces and further inputs are longer. A CHECK is
+    # text of the schema alone, changed as sqlite.org/lang_altertable.html, section 7, has it.
+    """
+    PRAGMA writable_schema = ON;
+    UPDATE sqlite_schema SET sql = replace(replace(replace(replace(replace(sql,
+        'length(wrench) = 48', 'length(wrench) >= 48 AND length(wrench) % 8 = 0'),
+        'length(displacement) = 48', 'length(displacement) >= 48'),
+        'length(uncertainty) = 48', 'length(uncertainty) = length(displacement)'),
+        'length(compliance) = 288', 'length(compliance) * 8 = length(displacement) * length(wrench)'),
+        'length(scale) = 48', 'length(scale) >= 48')
+        WHERE type = 'table' AND name IN ('jobs', 'rows', 'gatherings', 'recorded', 'extremes');
+    UPDATE sqlite_schema SET sql = replace(sql, 'place BETWEEN 0 AND 11', 'place >= 0')
+        WHERE name = 'extremes';
+    PRAGMA writable_schema = RESET
+    """,
 )

@@ -18,6 +18,7 @@ from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, read_bundle
 from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.service.contract import MOMENT_POINT
 from wrenchbook.surrogate.table.rows import LoadRange, Tolerance, acting
+from wrenchbook.surrogate.table.space import PER_INTERFACE, Space, space_of
 
 HANGING = (
     "relative to the unloaded part without its weight, the geometry of its mesh: at zero load it "
@@ -38,7 +39,7 @@ class Component:
     stamp : tuple
         How these files were when they were read: see `file_stamp`.
     idle : tuple of int
-        Which of the six loads act on a freedom of the interface that is locked.
+        Which of the loads act on a freedom of an interface that is locked.
     yield_strengths : mapping
         By a material's region, Pa; of those whose bundle has one.
     """
@@ -76,7 +77,13 @@ class Component:
         """
         if not self.idle:
             return self.load_range
-        return LoadRange(self.acting(self.load_range.low), self.acting(self.load_range.high))
+        low, high = self.acting(self.load_range.low), self.acting(self.load_range.high)
+        return LoadRange(low, high, self.space)
+
+    @property
+    def space(self) -> Space:
+        """The inputs and outputs of its table."""
+        return self.load_range.space
 
     def is_as_read(self) -> bool:
         """Return whether no file has changed since; takes microseconds."""
@@ -143,7 +150,7 @@ class LibraryUnavailableError(OSError):
 
 def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     """Return the component that a checked bundle describes."""
-    limit, locked = bundle.tolerance, bundle.interface.locked if bundle.interface else ()
+    limit = bundle.tolerance
     named = [bundle.mesh.file] if bundle.mesh else []
     named += [bundle.deck.file, *bundle.deck.files] if bundle.deck else []
     files = (bundle.folder / FILE_NAME, *(path for path in named if path))
@@ -155,13 +162,20 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
         has_fea=bundle.has_fea,
         linear=bundle.analysis is not None and not bundle.analysis.nonlinear,
         load_range=LoadRange(
-            np.asarray(bundle.range.low, dtype=float), np.asarray(bundle.range.high, dtype=float)
+            np.asarray(bundle.range.low, dtype=float),
+            np.asarray(bundle.range.high, dtype=float),
+            space_of([one.name for one in bundle.interfaces] or [""]),
         ),
         tolerance=Tolerance(limit.translation, limit.rotation) if limit else None,
         shipped=shipped,
         files=files,
         stamp=file_stamp(files),
-        idle=tuple(load for load, freedom in enumerate(FREEDOMS) if freedom in locked),
+        idle=tuple(
+            PER_INTERFACE * number + load
+            for number, one in enumerate(bundle.interfaces)
+            for load, freedom in enumerate(FREEDOMS)
+            if freedom in one.locked
+        ),
         yield_strengths={
             material.region: material.yield_strength
             for material in bundle.materials

@@ -310,11 +310,12 @@ def _of_another_setup(ledger: Ledger, component: Component) -> list[DataFinding]
 
 def _whole_table(ledger: Ledger, component: Component) -> tuple[Rows, int]:
     """Return all rows that the ledger has of a component, and its newest change."""
-    rows, after = Rows.empty(), 0
+    rows, after = Rows.empty(component.space), 0
     while True:
         row_changes = ledger.row_changes(component.name, after)
         rows, after = (
-            without(rows, row_changes.gone) + table_rows(own_rows(component, row_changes.rows)),
+            without(rows, row_changes.gone)
+            + table_rows(component, own_rows(component, row_changes.rows)),
             row_changes.last_seq,
         )
         if row_changes.whole:

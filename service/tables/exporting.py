@@ -91,9 +91,11 @@ def export_table(
     check_units(request)
     with ledger.table_at(component.name, request.version) as table:
         spans = ledger.import_spans(component.name)
-        pieces = (export_rows(own_rows(component, lot), spans) for lot in table.lots)
+        pieces = (
+            export_rows(component.space, own_rows(component, lot), spans) for lot in table.lots
+        )
         if request.format == "hdf5":
-            rows = joined_rows([export_rows([], []), *pieces])
+            rows = joined_rows([export_rows(component.space, [], []), *pieces])
             meta = table_meta(component, table.version, error)
             path.write_bytes(write_hdf5(rows, rows.seq, meta))
         else:

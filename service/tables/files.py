@@ -102,8 +102,8 @@ class TableFiles:
             if (meta.last_seq, meta.fingerprint) == (version, component.fingerprint):
                 return rows
         with self._ledger.table_at(component.name, version) as table:
-            parts = [table_rows(own_rows(component, lot)) for lot in table.lots]
-            return joined([Rows.empty(), *parts])
+            parts = [table_rows(component, own_rows(component, lot)) for lot in table.lots]
+            return joined([Rows.empty(component.space), *parts])
 
     def _sound(
         self, component: Component, read: Callable[[Path], tuple[T, TableMeta]]
@@ -143,7 +143,7 @@ class TableFiles:
         """
         found = self.read(component)
         if found is None:
-            return Rows.empty(), 0
+            return Rows.empty(component.space), 0
         rows, meta = found
         if self._is_of_ledger(meta):
             if meta.fingerprint == component.fingerprint:
@@ -151,7 +151,7 @@ class TableFiles:
             log.info("table %s is of another setup; reading the ledger", component.name)
         else:
             self._put_back(component.name, rows, meta)
-        return Rows.empty(), 0
+        return Rows.empty(component.space), 0
 
     def save(self, component: Component, rows: Rows, last_seq: int) -> None:
         """Write a component's rows, which are the ledger's up to `last_seq`.

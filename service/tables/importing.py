@@ -136,7 +136,7 @@ def copy_rows(ledger: Ledger, source: Component, target: Component, about: About
 
         def blocks() -> Iterator[list[PackedRow]]:
             for lot in table.lots:
-                rows = export_rows(own_rows(source, lot), ())
+                rows = export_rows(source.space, own_rows(source, lot), ())
                 columns = rows.wrench, rows.displacement, rows.uncertainty, rows.compliance
                 texts = rows.source, rows.fingerprint, rows.note
                 yield packed_columns(target.name, columns, texts, time.time())

@@ -235,7 +235,7 @@ class Tables(CurrentTables):
             row_changes = self._ledger.row_changes(component.name, after)
             if row_changes.gone:
                 fresh = [without(joined(fresh), row_changes.gone)]
-            fresh.append(table_rows(own_rows(component, row_changes.rows)))
+            fresh.append(table_rows(component, own_rows(component, row_changes.rows)))
             after = row_changes.last_seq
             if row_changes.whole:
                 return joined(fresh), after
@@ -244,7 +244,7 @@ class Tables(CurrentTables):
         """Return the rows of a component's file, for as long as the ledger cannot be read."""
         found = self._files.read(component)
         if found is None or found[1].fingerprint != component.fingerprint:
-            return Rows.empty(), 0
+            return Rows.empty(component.space), 0
         return found[0], found[1].last_seq
 
     def _take_up(self, name: str) -> None:

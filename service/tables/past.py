@@ -100,7 +100,7 @@ class PastTables:
             return found
 
     def _built(self, component: Component, version: int) -> ServedTable:
-        pieces, count = [Rows.empty()], 0
+        pieces, count = [Rows.empty(component.space)], 0
         with self._ledger.table_at(component.name, version) as table:
             for lot in table.lots:
                 count += len(lot)
@@ -110,7 +110,7 @@ class PastTables:
                         "too many to be built for a question. Export it with table_version, import "
                         "it into a component of its own, and ask that"
                     )
-                pieces.append(table_rows(own_rows(component, lot)))
+                pieces.append(table_rows(component, own_rows(component, lot)))
         self._check_whole(component.name, version)
         origin = origin_of(self._ledger, component, version, self._errors)
         table = make(component, joined(pieces), version, errors=self._errors)

@@ -31,6 +31,7 @@ from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Floats, Rows
+from wrenchbook.surrogate.table.space import Space
 
 CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
@@ -66,17 +67,18 @@ class ExportRows:
 
 
 def export_rows(
-    rows: Sequence[LedgerRow], spans: Sequence[tuple[int, int, ImportRecord]]
+    space: Space, rows: Sequence[LedgerRow], spans: Sequence[tuple[int, int, ImportRecord]]
 ) -> ExportRows:
     """Return rows of the ledger as columns; `spans` are the imports' numbers, in order."""
-    unknown, no_tangent = (np.nan,) * 6, ((np.nan,) * 6,) * 6
+    n, m = len(space.inputs), len(space.outputs)
+    unknown, no_tangent = (np.nan,) * m, ((np.nan,) * n,) * m
     firsts = [first for first, _, _ in spans]
     return ExportRows(
         seq=[row.seq for row in rows],
-        wrench=np.array([row.wrench for row in rows]).reshape(-1, 6),
-        displacement=np.array([row.displacement for row in rows]).reshape(-1, 6),
-        uncertainty=np.array([row.uncertainty or unknown for row in rows]).reshape(-1, 6),
-        compliance=np.array([row.compliance or no_tangent for row in rows]).reshape(-1, 6, 6),
+        wrench=np.array([row.wrench for row in rows]).reshape(-1, n),
+        displacement=np.array([row.displacement for row in rows]).reshape(-1, m),
+        uncertainty=np.array([row.uncertainty or unknown for row in rows]).reshape(-1, m),
+        compliance=np.array([row.compliance or no_tangent for row in rows]).reshape(-1, m, n),
         source=[row.source for row in rows],
         note=[row.origin for row in rows],
         fingerprint=[row.fingerprint for row in rows],
@@ -146,9 +148,9 @@ def without(rows: Rows, removed: Iterable[int]) -> Rows:
     return rows.take(~np.isin(rows.seq, list(removed)))
 
 
-def table_rows(rows: Iterable[LedgerRow]) -> Rows:
-    """Return rows of the ledger as those of a table."""
-    return Rows.from_records(
+def table_rows(component: Component, rows: Iterable[LedgerRow]) -> Rows:
+    """Return rows of the ledger as those of a component's table."""
+    records = (
         {
             "seq": row.seq,
             "wrench": row.wrench,
@@ -160,6 +162,7 @@ def table_rows(rows: Iterable[LedgerRow]) -> Rows:
         }
         for row in rows
     )
+    return Rows.from_records(records, component.space)
 
 
 def count_others(ledger: Ledger, component: Component, table: ServedTable) -> None:
@@ -193,11 +196,10 @@ def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Fl
     ndarray, shape (k, 6), N and N·m
         In their order, loads on locked freedoms zero.
     """
-    distinct = dict.fromkeys(packed(component.acting(unpacked(others))))
-    if not distinct:
-        return np.empty((0, 6))
+    inputs = len(component.space.inputs)
+    distinct = dict.fromkeys(packed(component.acting(unpacked(others, inputs))))
     has = set(packed(component.acting(known)))
-    return unpacked(wrench for wrench in distinct if wrench not in has)
+    return unpacked((wrench for wrench in distinct if wrench not in has), inputs)
 
 
 def others_in_words(name: str, table: ServedTable) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.surrogate.answer import allowed_by
 from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kriging import Hyperparameters
@@ -19,6 +20,7 @@ from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.space import Space
 
 
 class TableBehindError(Exception):
@@ -106,7 +108,8 @@ class ServedTable:
         self.default: str = packed.words["groups"][0]["method"]
         self.needs_compliance = self.linear and not self.fit.complete
         self.bars_are_whole = bool(packed.arrays["solver/flags"][_WHOLE])
-        self.load_range = LoadRange(*packed.arrays["space/range"])
+        low, high = packed.arrays["space/range"]
+        self.load_range = LoadRange(low, high, Space.read(packed.words["space"]))
         self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
         limit = packed.arrays["space/tolerance"][[0, 3]].tolist()
         self.tolerance = Tolerance(*limit) if np.isfinite(limit).all() else None
@@ -144,6 +147,10 @@ class ServedTable:
             built.packed = self.packed
             return built
 
+    def limits(self, tolerance: Tolerance | None) -> tuple[float, ...] | None:
+        """Return the largest error of each output by a tolerance, (m,), m and rad."""
+        return None if tolerance is None else allowed_by(tolerance, self.load_range.space)
+
     @property
     def fit(self) -> ComplianceFit:
         """The compliance of the outputs that the fewest rows hold."""
@@ -157,7 +164,8 @@ class ServedTable:
     @property
     def steepest(self) -> Floats:
         """What each output moves over half the load range at most, (6,), m and rad."""
-        found, arrays = np.zeros(6), self.packed.arrays
+        arrays = self.packed.arrays
+        found = np.zeros(len(self.load_range.space.outputs))
         for group in range(len(self.packed.words["groups"])):
             own = arrays[f"g{group}/outputs"].astype(bool)
             found[own] = arrays[f"g{group}/row/steepest"][own]
@@ -170,7 +178,8 @@ class ServedTable:
         for group in range(len(self.packed.words["groups"])):
             if f"g{group}/kriging/rates" in arrays:
                 weight = float(arrays[f"g{group}/kriging/terms"][-1, -1])
-                return Hyperparameters(arrays[f"g{group}/kriging/rates"], weight)
+                groups = self.load_range.space.kriging_groups
+                return Hyperparameters(arrays[f"g{group}/kriging/rates"], weight, groups)
         return None
 
     def method_detail(self, method: str) -> str:
@@ -271,5 +280,5 @@ def in_memory(table: AnyTable, content: bytes) -> ServedTable:
 
 def empty_table(component: Component, errors: SolverErrors | None = None) -> ServedTable:
     """Return the table of a component without rows."""
-    table = make(component, Rows.empty(), 0, errors=errors)
+    table = make(component, Rows.empty(component.space), 0, errors=errors)
     return in_memory(table, packed_bytes(table, component.name, component.fingerprint))

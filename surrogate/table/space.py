@@ -24,6 +24,7 @@ InputKind = Literal["force", "moment", "scalar"]
 LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
 LOAD_UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
+PER_INTERFACE = len(LOADS)
 OUTPUT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 
@@ -162,7 +163,7 @@ def space_of(interfaces: Sequence[str] = ("",), scalars: Sequence[Input] = ()) -
     outputs: list[Output] = []
     for name in interfaces:
         front = f"{name}." if name else ""
-        for place in range(6):
+        for place in range(PER_INTERFACE):
             kind: InputKind = "force" if place < 3 else "moment"
             inputs.append(Input(front + LOADS[place], LOAD_UNITS[place], kind, name))
             outputs.append(Output(front + OUTPUTS[place], OUTPUT_UNITS[place], name))

@@ -7,9 +7,9 @@ import pytest
 
 from wrenchbook.service.ledger import BlockKeyError, Kept, Ledger, block_of, recordings
 from wrenchbook.service.ledger import versions as schema
-from wrenchbook.service.ledger.packing import pack6
+from wrenchbook.service.ledger.packing import pack_vector
 
-WRENCH = pack6((1.0, 2, 3, 4, 5, 6))
+WRENCH = pack_vector((1.0, 2, 3, 4, 5, 6))
 
 
 @pytest.fixture
