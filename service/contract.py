@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 WRENCH_NAMES: Final = ("fx", "fy", "fz", "mx", "my", "mz")
 DISPLACEMENT_NAMES: Final = ("ux", "uy", "uz", "rx", "ry", "rz")
@@ -26,5 +27,20 @@ CONTRACT: Final[dict[str, str]] = {
     "sign": "a hanging weight in a z-up frame gives a negative fz",
     "rotation_limit": "20 degrees; rows beyond it are refused",
 }
+
+
+def by_part(values: Sequence[float | None], interfaces: Sequence[str] = ()) -> dict[str, Any]:
+    """Return six numbers an interface as the wire has them.
+
+    Returns
+    -------
+    dict
+        ``{"translation": three, "rotation": three}``, m and rad; by the name of the interface where
+        names are given.
+    """
+    if interfaces:
+        return {name: by_part(values[6 * k : 6 * k + 6]) for k, name in enumerate(interfaces)}
+    return {"translation": values[:3], "rotation": values[3:]}
+
 
 CONTRACT_TEXT: Final = "\n\n".join(f"**{word}**: {meaning}." for word, meaning in CONTRACT.items())

@@ -42,7 +42,7 @@ def six(tolerance: Tolerance | None) -> tuple[float, ...] | None:
 
 
 def within_tolerance_many(bars: Floats, tolerance: Tolerance | None) -> list[bool | None] | None:
-    """Return whether total error bars (n, 6), m and rad, are within a tolerance, as the kernel.
+    """Return whether total error bars (n, m), m and rad, are within a tolerance, as the kernel.
 
     An output without an error bar, NaN, counts for nothing; None where no output has one, and as a
     whole without a tolerance.
@@ -50,7 +50,7 @@ def within_tolerance_many(bars: Floats, tolerance: Tolerance | None) -> list[boo
     if tolerance is None:
         return None
     unknown = np.isnan(bars)
-    within_all = np.all(unknown | (bars <= np.array(allowed_by(tolerance))), axis=1)
+    within_all = np.all(unknown | (bars <= np.resize(allowed_by(tolerance), bars.shape[1])), axis=1)
     none_known = np.all(unknown, axis=1)
     pairs = zip(none_known.tolist(), within_all.tolist(), strict=True)
     return [None if blank else within for blank, within in pairs]

@@ -17,6 +17,7 @@ from wrenchbook.service.answering.refusals import (
     SolveFailedError,
 )
 from wrenchbook.service.client.replies import EXACT, ROUNDED
+from wrenchbook.service.contract import by_part
 from wrenchbook.service.ledger import JobRecord
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placed
@@ -138,7 +139,8 @@ async def answered(name: str, table: ServedTable, query: Query) -> Outcome:
     if query.derivatives:
         outcome.derivative = table.packed.derivative(*request)
     if query.detail:
-        by_axes = outcome.method != ROW  # a row answers without the axes
+        # A row answers without the axes, which only one interface alone has.
+        by_axes = outcome.method != ROW and table.load_range.space.is_default
         outcome.axes = await run_in_threadpool(explain, table.packed, *request) if by_axes else []
         outcome.method_detail = table.method_detail(outcome.method or table.default)
     return outcome
@@ -153,10 +155,11 @@ def tell_parts(workspace: Workspace, table: ServedTable, query: Query, outcome: 
         if "linearity" in solver.values:
             shares["linearity"] = found.linearity
     has_fea = workspace.library.as_read(outcome.component).has_fea
-    outcome.error_parts = _error_parts(found.interpolation, solver, shares, has_fea=has_fea)
-    if outcome.error_parts is not None and any(found.measurement or ()):
-        outcome.error_parts["measurement"] = _split(found.measurement)
-    outcome.error_of_a_reading = _split(_of_a_reading(table, found))
+    parts = _error_parts(found.interpolation, solver, shares, table.interfaces, has_fea=has_fea)
+    if parts is not None and any(found.measurement or ()):
+        parts["measurement"] = _split(found.measurement, table.interfaces)
+    outcome.error_parts = parts
+    outcome.error_of_a_reading = _split(_of_a_reading(table, found), table.interfaces)
 
 
 def _of_a_reading(table: ServedTable, found: Reply) -> Bars | None:
@@ -172,6 +175,7 @@ def _error_parts(
     table: Bars | None,
     solver: SolverError | None,
     shares: Mapping[str, Bars | None],
+    interfaces: Sequence[str],
     *,
     has_fea: bool,
 ) -> dict[str, Any] | None:
@@ -180,11 +184,13 @@ def _error_parts(
     Parameters
     ----------
     table
-        The table's own bars, six, m and rad; None where it has none.
+        The table's own bars, six an interface, m and rad; None where it has none.
     solver
         What the solver may be wrong by; None if unknown.
     shares
-        From `SolverError.parts`, six an entry, m and rad.
+        From `SolverError.parts`, six an interface an entry, m and rad.
+    interfaces
+        Their names where there are several.
     has_fea
         Whether rows come of a solver at all: measured tables have no share of one.
 
@@ -196,18 +202,18 @@ def _error_parts(
     """
     if table is None:
         return None
-    parts: dict[str, Any] = {"table": _split(table)}
+    parts: dict[str, Any] = {"table": _split(table, interfaces)}
     if not has_fea:
         return parts
     if solver is None:
         return parts | {"mesh": None, "mesh_basis": UNKNOWN}
-    parts |= {cause: _split(share) for cause, share in shares.items()}
+    parts |= {cause: _split(share, interfaces) for cause, share in shares.items()}
     words = {name: text for name, text in solver.values.items() if name.endswith("_basis")}
     return parts | words
 
 
-def _split(bars: Bars | None) -> dict[str, Any] | None:
-    return None if bars is None else {"translation": list(bars[:3]), "rotation": list(bars[3:])}
+def _split(bars: Bars | None, interfaces: Sequence[str]) -> dict[str, Any] | None:
+    return None if bars is None else by_part(list(bars), interfaces)
 
 
 def _from_table(name: str, table: ServedTable, query: Query) -> Outcome:
@@ -230,7 +236,7 @@ def _from_table(name: str, table: ServedTable, query: Query) -> Outcome:
         elapsed_us,
         reason,
     )
-    outcome.missing = found.missing
+    outcome.missing, outcome.interfaces = found.missing, table.interfaces
     if found.coverage != "covered" and table.other_wrenches:
         outcome.reason = also(reason, others_in_words(name, table))
     outcome.within_tolerance = found.within_tolerance
@@ -238,7 +244,8 @@ def _from_table(name: str, table: ServedTable, query: Query) -> Outcome:
 
 
 def _unanswered(name: str, table: ServedTable) -> Outcome:
-    return Outcome(name, None, None, "thin", None, None, table.version, 0.0)
+    interfaces = table.interfaces
+    return Outcome(name, None, None, "thin", None, None, table.version, 0.0, interfaces=interfaces)
 
 
 async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:

@@ -20,7 +20,8 @@ class Query(NamedTuple):
 
     Attributes
     ----------
-    wrench : tuple of 6 floats, N and N·m
+    wrench : tuple of floats
+        The component's inputs, SI: of one interface N and N·m.
     on_thin : str
         What to do where the table is not thick enough; ``solve`` does not ask the table at all.
     wait_s : float, s
@@ -49,7 +50,7 @@ class Query(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BatchQuery:
-    """Many questions at once; as `Query`, with ``wrenches`` of shape (n, 6), N and N·m."""
+    """Many questions at once; as `Query`, with ``wrenches`` of shape (n, inputs), SI."""
 
     wrenches: Floats
     on_thin: Wanted = "queue"
@@ -66,8 +67,8 @@ class Outcome:
 
     Attributes
     ----------
-    displacement, error : tuple of 6 floats or None, m and rad
-        None, as a whole or a number, where nothing is known.
+    displacement, error : tuple of floats or None, m and rad
+        Six an interface; None, as a whole or a number, where nothing is known.
     coverage : str
         "covered", "thin" or "outside".
     source : str or None
@@ -92,7 +93,7 @@ class Outcome:
         `Surrogate.explain`, if asked for.
     missing : tuple of str
         The outputs that no row of the table holds.
-    derivative : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None
+    derivative : ndarray, shape (outputs, inputs), SI, or None
         du/dw if asked for; NaN, or None as a whole, where it is not known.
     method_detail : str
         How the method answers, in words, if asked for.
@@ -102,6 +103,8 @@ class Outcome:
         What the bars are the sum of, by cause, if asked for.
     error_of_a_reading : dict or None
         The error bars of one more reading, if asked for; None where its noise is not known.
+    interfaces : tuple of str
+        Their names where there are several.
     """
 
     component: str
@@ -125,6 +128,7 @@ class Outcome:
     within_tolerance: bool | None = None
     error_parts: dict[str, Any] | None = None
     error_of_a_reading: dict[str, Any] | None = None
+    interfaces: tuple[str, ...] = ()
 
 
 def also(reason: str, more: str) -> str:
@@ -158,7 +162,7 @@ class BatchOutcome:
 
     Attributes
     ----------
-    displacements, errors : ndarray, shape (n, 6), m and rad
+    displacements, errors : ndarray, shape (n, outputs), m and rad
         NaN where nothing is known.
     coverage : ndarray of uint8, shape (n,)
         0 covered, 1 thin, 2 outside.
@@ -169,7 +173,7 @@ class BatchOutcome:
         Time the table took to answer, µs.
     method : str
         How the table answers.
-    derivatives : ndarray, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None
+    derivatives : ndarray, shape (n, outputs, inputs), SI, or None
         du/dw if asked for; NaN where it is not known.
     tolerance : Tolerance or None
         The limit of the error bars: the query's, else the component's own.

@@ -33,6 +33,7 @@ from wrenchbook.service.http.parsing import (
     VersionQuery,
     both_tolerances,
     checked,
+    even_rows,
     known_method,
     parsed_json,
     plain_rows,
@@ -41,7 +42,7 @@ from wrenchbook.service.http.parsing import (
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.sandbox import MIB, Limits, Part, run
 from wrenchbook.surrogate.table.rows import Tolerance
-from wrenchbook.surrogate.table.space import LOADS
+from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
 
 # A million wrenches as Python's lists and numbers are 400 MB, next to the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)
@@ -53,7 +54,6 @@ WAIT_S: Final = 60.0
 _places = asyncio.Semaphore(2)
 
 BINARY_TYPE: Final = "application/octet-stream"
-ROW_BYTES: Final = 6 * 8
 _Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 BINARY_BODY: Final = {
@@ -61,7 +61,8 @@ BINARY_BODY: Final = {
         "schema": {
             "type": "string",
             "format": "binary",
-            "description": "little-endian float64 (n, 6): force and moment, N and N·m",
+            "description": "little-endian float64 (n, 6): force and moment, N and N·m; of several "
+            "interfaces and further inputs their number, in the order of the component's inputs",
         }
     }
 }
@@ -72,16 +73,17 @@ BINARY_REPLY: Final = {
             "format": "binary",
             "description": "little-endian float64 (n, 13): displacement and error bar, m and rad; "
             "coverage 0 covered, 1 thin, 2 outside; NaN where nothing is known. With "
-            "derivatives=true then (n, 36): du/dw of each wrench, 6 x 6, an output a line. The "
-            "header Wrenchbook-Tolerance has the tolerance for whole bars, m and rad",
+            "derivatives=true then (n, 36): du/dw of each wrench, 6 x 6, an output a line (of n "
+            "inputs and m outputs 2m + 1 and m n numbers a wrench). The header "
+            "Wrenchbook-Tolerance has the tolerance for whole bars, m and rad",
         }
     }
 }
 _JSONS = Field(description="binary form: as in JSON")
 
 
-def read_batch_body(body: Spooled) -> BatchQuery:
-    """Return the batch that a JSON body is, whatever its size.
+def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> BatchQuery:
+    """Return the batch that a JSON body is, whatever its size, of wrenches of `inputs` numbers.
 
     Raises
     ------
@@ -91,21 +93,24 @@ def read_batch_body(body: Spooled) -> BatchQuery:
         If it takes too much to be read, or too many others are being read.
     """
     if body.path is None:
-        return batch_of(*batch_parts(body.content))
-    (part,) = run("wrenchbook.service.http.batch:parsed", body.path, None, LIMITS)
+        return batch_of(*batch_parts(body.content, inputs))
+    how = {"inputs": inputs}
+    (part,) = run("wrenchbook.service.http.batch:parsed", body.path, how, LIMITS)
     if refused := part.fields["refused"]:
         raise refusal(refused)
     return batch_of(part.fields["batch"], np.array(part.arrays["wrenches"]))
 
 
-def batch_parts(body: bytes) -> tuple[dict[str, Any], np.ndarray]:
-    """Return the checked fields of a JSON batch, and its wrenches, N and N·m (n, 6)."""
+def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[dict[str, Any], np.ndarray]:
+    """Return the checked fields of a JSON batch, and its wrenches, (n, inputs), SI."""
     _few_lists(body)
     fields = parsed_json(body)
-    return checked_batch(fields, plain_wrenches(fields))
+    return checked_batch(fields, plain_wrenches(fields, inputs=inputs), inputs)
 
 
-def checked_batch(fields: Any, wrenches: np.ndarray | None) -> tuple[dict[str, Any], np.ndarray]:
+def checked_batch(
+    fields: Any, wrenches: np.ndarray | None, inputs: int
+) -> tuple[dict[str, Any], np.ndarray]:
     """Check a batch's fields, as `batch_parts` does.
 
     Parameters
@@ -113,7 +118,7 @@ def checked_batch(fields: Any, wrenches: np.ndarray | None) -> tuple[dict[str, A
     fields : object
         As parsed from JSON.
     wrenches : array or None
-        Those in it, shape (n, 6), N and N·m, if they have been found to be in order.
+        Those in it, shape (n, inputs), SI, if they have been found to be in order.
     """
     if wrenches is not None:
         if len(wrenches) > MAX_BATCH:
@@ -121,13 +126,13 @@ def checked_batch(fields: Any, wrenches: np.ndarray | None) -> tuple[dict[str, A
         fields = {**fields, "wrenches": []}
     full = checked(BatchBody, fields)
     if wrenches is None:
-        wrenches = np.array(full.wrenches, dtype=float).reshape(-1, 6)
+        wrenches = even_rows(full.wrenches, inputs)
     known_method(full.method)
     return full.model_dump(exclude={"wrenches"}), wrenches + 0.0
 
 
 def batch_of(fields: dict[str, Any], wrenches: np.ndarray) -> BatchQuery:
-    """Return the query that a batch's parts are, see `batch_parts`; wrenches (n, 6), N and N·m."""
+    """Return the query that a batch's parts are, see `batch_parts`; wrenches (n, inputs), SI."""
     limit = fields["tolerance"]
     rest = {name: value for name, value in fields.items() if name != "tolerance"}
     return BatchQuery(wrenches, tolerance=Tolerance(**limit) if limit else None, **rest)
@@ -143,21 +148,21 @@ def _too_many() -> HttpProblemError:
     return bad_body([{"loc": "wrenches", "msg": f"at most {MAX_BATCH} wrenches a call"}])
 
 
-def parsed(path: Path) -> Iterator[Part]:
+def parsed(path: Path, inputs: int) -> Iterator[Part]:
     """Read a JSON batch in the child: its fields and its wrenches, or its refusal."""
     body = path.read_bytes()
     try:
-        fields, wrenches = in_pieces(body) or batch_parts(body)
+        fields, wrenches = in_pieces(body, inputs) or batch_parts(body, inputs)
     except HttpProblemError as error:
         yield Part({"refused": {"status": error.status, "body": error.body}})
     else:
         yield Part({"refused": None, "batch": fields}, {"wrenches": np.asarray(wrenches)})
 
 
-def in_pieces(body: bytes) -> tuple[dict[str, Any], np.ndarray] | None:
+def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[dict[str, Any], np.ndarray] | None:
     """Return what `batch_parts` does, from a body of which the parser sees a megabyte at a time.
 
-    The wrenches are of shape (n, 6), N and N·m.
+    The wrenches are of shape (n, inputs), SI.
 
     It takes nine times the text's memory at once. None if the body is not plain; `batch_parts` then
     finds what it is.
@@ -177,23 +182,23 @@ def in_pieces(body: bytes) -> tuple[dict[str, Any], np.ndarray] | None:
     blocks, place = [], start + 1
     while place < end:
         cut = body.find(b"]", min(place + PIECE, end - 1)) + 1
-        block = _rows(body[place:cut], first=not blocks)
+        block = _rows(body[place:cut], inputs, first=not blocks)
         if block is None:
             return None
         blocks.append(block)
         place = cut
-    return checked_batch(parsed_json(rest), np.concatenate(blocks))
+    return checked_batch(parsed_json(rest), np.concatenate(blocks), inputs)
 
 
-def _rows(text: bytes, *, first: bool) -> np.ndarray | None:
-    """Return some wrenches of a list as an array, (n, 6), N and N·m; None if they are not plain."""
+def _rows(text: bytes, inputs: int, *, first: bool) -> np.ndarray | None:
+    """Return some wrenches of a list as an array, (n, inputs), SI; None if they are not plain."""
     text = text.strip()
     if not first:
         if not text.startswith(b","):
             return None
         text = text[1:]
     try:
-        return plain_rows(orjson.loads(b"[" + text + b"]"))
+        return plain_rows(orjson.loads(b"[" + text + b"]"), inputs=inputs)
     except orjson.JSONDecodeError:
         return None
 
@@ -251,11 +256,11 @@ def is_binary(request: Request) -> bool:
     return kind == BINARY_TYPE
 
 
-def read_binary(body: bytes, options: dict[str, str]) -> BatchQuery:
-    """Read a binary batch and its query parameters."""
+def read_binary(body: bytes, options: dict[str, str], space: Space = DEFAULT) -> BatchQuery:
+    """Read a binary batch of a component with the inputs of `space`, and its query parameters."""
     full: BinaryOptions = checked(BinaryOptions, options)
     return BatchQuery(
-        read_wrenches(body),
+        read_wrenches(body, space=space),
         full.on_thin,
         full.wait_s,
         both_tolerances(full.translation, full.rotation),
@@ -265,25 +270,31 @@ def read_binary(body: bytes, options: dict[str, str]) -> BatchQuery:
     )
 
 
-def read_wrenches(body: bytes, most: int = MAX_BATCH, largest: float = LARGEST_LOAD) -> np.ndarray:
-    """Read little-endian float64 as wrenches, shape (n, 6), N and N·m.
+def read_wrenches(
+    body: bytes,
+    most: int = MAX_BATCH,
+    largest: float = LARGEST_LOAD,
+    space: Space = DEFAULT,
+) -> np.ndarray:
+    """Read little-endian float64 as wrenches, shape (n, inputs), SI.
 
     Raises
     ------
     HttpProblemError
         422, if they are no whole wrenches, more than `most`, or a number is not finite.
     """
-    if len(body) % ROW_BYTES:
-        message = f"{len(body)} bytes are no whole number of wrenches, {ROW_BYTES} bytes each"
+    inputs = len(space.inputs)
+    if len(body) % (8 * inputs):
+        message = f"{len(body)} bytes are no whole number of wrenches, {8 * inputs} bytes each"
         raise bad_body([{"loc": "body", "msg": message}])
-    if len(body) > most * ROW_BYTES:
+    if len(body) > most * 8 * inputs:
         raise bad_body([{"loc": "body", "msg": f"at most {most} wrenches a call"}])
-    wrenches = np.frombuffer(body, dtype="<f8").reshape(-1, 6).astype(float) + 0.0
+    wrenches = np.frombuffer(body, dtype="<f8").reshape(-1, inputs).astype(float) + 0.0
     bad = np.argwhere(~(np.isfinite(wrenches) & (np.abs(wrenches) <= largest)))
     if len(bad):
         row, load = bad[0].tolist()
         found = wrenches[row, load]
         why = f"beyond {largest:g}" if np.isfinite(found) else "not finite"
-        message = f"{LOADS[load]} is {found}, {why}"
+        message = f"{space.input_names[load]} is {found}, {why}"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches

@@ -12,7 +12,7 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Load = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LOAD, le=LARGEST_LOAD)]
 Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
-Wrench = Annotated[list[Load], Field(min_length=6, max_length=6)]
+Wrench = Annotated[list[Load], Field(description="six numbers an interface, further inputs")]
 # A list of a million mistakes takes gigabytes.
 Wrenches = Annotated[list[Wrench], FailFast()]
 Output = Literal["ux", "uy", "uz", "rx", "ry", "rz"]
@@ -52,17 +52,38 @@ class WrenchBody(Body):
 
     @model_validator(mode="after")
     def _one_is_given(self) -> WrenchBody:
-        if self.force is None and self.moment is None:
+        if self.is_empty():
             raise ValueError("give 'force', 'moment' or both, each a list of three numbers")
         return self
 
-    def wrench(self) -> tuple[float, ...]:
+    def is_empty(self) -> bool:
+        """Return whether nothing is given."""
+        return self.force is None and self.moment is None
+
+    def wrench(self) -> list[float]:
         """Return force then moment, zeros for what was not given."""
         zero = [0.0, 0.0, 0.0]
-        return tuple(map(float, (self.force or zero) + (self.moment or zero)))
+        return [number + 0.0 for number in (self.force or zero) + (self.moment or zero)]
 
 
-class DisplacementBody(WrenchBody):
+class LoadsBody(WrenchBody):
+    """The loads of a component: one wrench, or one an interface by its name; further inputs."""
+
+    loads: Annotated[
+        dict[str, WrenchBody],
+        Field(description="of a component with several interfaces: the wrench at each by its name"),
+    ] = {}
+    inputs: Annotated[
+        dict[str, Load],
+        Field(description="the further inputs of a component by name, all of them: temperature"),
+    ] = {}
+
+    def is_empty(self) -> bool:
+        """Return whether nothing is given."""
+        return super().is_empty() and not self.loads and not self.inputs
+
+
+class DisplacementBody(LoadsBody):
     """The main call's body."""
 
     on_thin: OnThin = "queue"
@@ -86,7 +107,7 @@ class BatchBody(Body):
     derivatives: Derivatives = False
 
 
-class SolveBody(WrenchBody):
+class SolveBody(LoadsBody):
     """DirectFEA: solve this wrench now, covered or not."""
 
     wait_s: Seconds = 0.0

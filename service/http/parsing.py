@@ -5,6 +5,7 @@ A mistake is a `HttpProblemError` of status 422 with the place of each mistake.
 
 from __future__ import annotations
 
+from itertools import chain
 from math import hypot
 from typing import Annotated, Any, Final, get_args
 
@@ -20,12 +21,14 @@ from wrenchbook.service.http.bodies import (
     BlockBody,
     Body,
     DisplacementBody,
+    LoadsBody,
     OnThin,
     SolveBody,
 )
 from wrenchbook.service.http.problems import bad_body, plain_errors
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
 _NUMBERS = frozenset({int, float})  # not bool, which is an int to isinstance
@@ -51,19 +54,19 @@ class VersionQuery(Body):
     ] = None
 
 
-def read_query(body: bytes) -> Query:
-    """Read the main call's body.
+def read_query(body: bytes, space: Space = DEFAULT) -> Query:
+    """Read the main call's body, of a component with the inputs of `space`.
 
     A body of only force, moment and on_thin, which is what a simulator sends in its loop, is
     checked here; anything else, and every mistake, goes through pydantic.
     """
     fields = parsed_json(body)
-    plain = _plain_query(fields)
+    plain = _plain_query(fields) if space.is_default else None
     if plain is not None:
         return plain
     full = checked(DisplacementBody, fields)
     return Query(
-        full.wrench(),
+        loads_of(full, space),
         full.on_thin,
         full.wait_s,
         _tolerance(full.tolerance),
@@ -82,20 +85,65 @@ def read_plain_query(body: bytes) -> Query | None:
         return None
 
 
-def read_solve(body: bytes) -> Query:
-    """Read DirectFEA's body."""
+def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
+    """Return the inputs of a component, shape (n,), SI: loads that are not given are zero.
+
+    Raises
+    ------
+    HttpProblemError
+        422, with each interface or input that is unknown, and each further input that is missing.
+    """
+    loads, mistakes = dict(body.loads), []
+    if body.force is not None or body.moment is not None:
+        loads = {space.interfaces[0]: body}
+        if body.loads:
+            mistakes.append({"loc": "force", "msg": "give either force and moment, or loads"})
+        elif space.several:
+            message = f"name its interface in loads: {' or '.join(space.several)}"
+            mistakes.append({"loc": "force", "msg": message})
+    known = ", ".join(filter(None, space.interfaces))
+    mistakes += [
+        {
+            "loc": f"loads.{name}",
+            "msg": f"no such interface; there is {known}"
+            if known
+            else "give force and moment: the component has one interface, without a name",
+        }
+        for name in loads
+        if name not in space.interfaces
+    ]
+    further = [one.name for one in space.scalars]
+    mistakes += [
+        {"loc": f"inputs.{name}", "msg": f"no such input; there is {', '.join(further) or 'none'}"}
+        for name in body.inputs
+        if name not in further
+    ]
+    mistakes += [
+        {"loc": f"inputs.{one.name}", "msg": f"missing; give its value in {one.unit}"}
+        for one in space.scalars
+        if one.name not in body.inputs
+    ]
+    if mistakes:
+        raise bad_body(mistakes)
+    zero = [0.0] * PER_INTERFACE
+    wrenches = [loads[name].wrench() if name in loads else zero for name in space.interfaces]
+    return (*chain.from_iterable(wrenches), *(body.inputs[name] + 0.0 for name in further))
+
+
+def read_solve(body: bytes, space: Space = DEFAULT) -> Query:
+    """Read DirectFEA's body, of a component with the inputs of `space`."""
     full = checked(SolveBody, parsed_json(body))
-    return Query(full.wrench(), "solve", full.wait_s, beyond_range=full.beyond_range)
+    return Query(loads_of(full, space), "solve", full.wait_s, beyond_range=full.beyond_range)
 
 
-def read_block(body: bytes) -> tuple[np.ndarray, BlockBody]:
-    """Read a block of wrenches for a recording or an envelope: shape (n, 6), N and N·m; its key."""
+def read_block(body: bytes, inputs: int = PER_INTERFACE) -> tuple[np.ndarray, BlockBody]:
+    """Read a block of wrenches for a recording or an envelope: shape (n, inputs), SI; its key."""
     fields = parsed_json(body)
-    wrenches = plain_wrenches(fields, np.inf)
+    wrenches = plain_wrenches(fields, np.inf, inputs)
     if wrenches is not None and len(wrenches) <= MAX_BLOCK:
         return wrenches + 0.0, checked(BlockBody, {**fields, "wrenches": []})
     full = checked(BlockBody, fields)
-    return np.array(full.wrenches, dtype=float).reshape(-1, 6) + 0.0, full
+    return even_rows(full.wrenches, inputs), full
 
 
 def known_method(method: str | None, where: str = "method") -> str | None:
@@ -165,24 +213,37 @@ def _plain_query(fields: Any) -> Query | None:
     return Query(tuple([number + 0.0 for number in numbers]), on_thin) if on_thin else None
 
 
-def plain_wrenches(fields: Any, largest: float = LARGEST_LOAD) -> np.ndarray | None:
-    """Return the batch as an array of shape (n, 6), or None if anything is unusual."""
-    return plain_rows(fields.get("wrenches"), largest) if isinstance(fields, dict) else None
+def plain_wrenches(
+    fields: Any, largest: float = LARGEST_LOAD, inputs: int = PER_INTERFACE
+) -> np.ndarray | None:
+    """Return the batch as an array of shape (n, inputs), or None if anything is unusual."""
+    return plain_rows(fields.get("wrenches"), largest, inputs) if isinstance(fields, dict) else None
 
 
-def plain_rows(rows: Any, largest: float = LARGEST_LOAD) -> np.ndarray | None:
-    """Return wrenches as an array, (n, 6), N and N·m; None if there is anything unusual in them."""
+def plain_rows(
+    rows: Any, largest: float = LARGEST_LOAD, inputs: int = PER_INTERFACE
+) -> np.ndarray | None:
+    """Return wrenches as an array, (n, inputs), SI; None if there is anything unusual in them."""
     if not isinstance(rows, list) or not rows:
         return None
     try:
         wrenches = np.array(rows)
     except ValueError:
         return None
-    if wrenches.dtype.kind not in "fi" or wrenches.ndim != 2 or wrenches.shape[1] != 6:
+    if wrenches.dtype.kind not in "fi" or wrenches.ndim != 2 or wrenches.shape[1] != inputs:
         return None
     wrenches = wrenches.astype(float)
     fine = np.isfinite(wrenches) & (np.abs(wrenches) <= largest)
     return wrenches if fine.all() else None
+
+
+def even_rows(wrenches: list[list[float]], inputs: int) -> np.ndarray:
+    """Return wrenches that pydantic has checked as an array, (n, inputs), SI; 422 if one is not."""
+    uneven = [place for place, one in enumerate(wrenches) if len(one) != inputs]
+    if uneven:
+        message = f"has {len(wrenches[uneven[0]])} numbers, and the component {inputs} inputs"
+        raise bad_body([{"loc": f"wrenches.{uneven[0]}", "msg": message}])
+    return np.array(wrenches, dtype=float).reshape(-1, inputs) + 0.0
 
 
 def _tolerance(body: Any) -> Tolerance | None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from starlette.responses import Response, StreamingResponse
 
 from wrenchbook.service.answering.queries import BatchOutcome, Outcome, QueuedWrench
+from wrenchbook.service.contract import by_part
 from wrenchbook.service.http.batch import BINARY_TYPE
 from wrenchbook.service.http.links import job_link
 from wrenchbook.surrogate.answer import within_tolerance_many
@@ -58,11 +59,17 @@ def plain_content(outcome: Outcome) -> bytes:
 def _fields(outcome: Outcome) -> dict[str, Any]:
     """Return the fields of every answer."""
     value, error = outcome.displacement, outcome.error
+    if outcome.interfaces:
+        moved: dict[str, Any] = {"interfaces": _by_interface(outcome)}
+    else:
+        moved = {
+            "translation": value[:3] if value else None,
+            "rotation": value[3:] if value else None,
+            "error": by_part(error) if error else None,
+        }
     fields: dict[str, Any] = {
         "component": outcome.component,
-        "translation": value[:3] if value else None,
-        "rotation": value[3:] if value else None,
-        "error": {"translation": error[:3], "rotation": error[3:]} if error else None,
+        **moved,
         "coverage": outcome.coverage,
         "within_tolerance": outcome.within_tolerance,
         "source": outcome.source,
@@ -79,6 +86,14 @@ def _fields(outcome: Outcome) -> dict[str, Any]:
     if outcome.notes:
         fields["notes"] = outcome.notes
     return fields
+
+
+def _by_interface(outcome: Outcome) -> dict[str, Any]:
+    """Return displacement and error bar of each interface."""
+    names, unknown = outcome.interfaces, {"translation": None, "rotation": None}
+    moved = by_part(outcome.displacement, names) if outcome.displacement else {}
+    errors = by_part(outcome.error, names) if outcome.error else {}
+    return {name: moved.get(name, unknown) | {"error": errors.get(name)} for name in names}
 
 
 def write_batch(outcome: BatchOutcome) -> Response:
@@ -129,10 +144,9 @@ def _pieces(outcome: BatchOutcome, fields: dict[str, Any]) -> Iterator[bytes]:
 
 
 def write_binary(outcome: BatchOutcome) -> Response:
-    """Answer a batch as little-endian float64 (n, 13), and (n, 36) with derivatives."""
-    block = np.empty((len(outcome.coverage), 13), dtype="<f8")
-    block[:, :6], block[:, 6:12] = outcome.displacements, outcome.errors
-    block[:, 12] = outcome.coverage
+    """Answer a batch as little-endian float64: displacements, errors, coverage; derivatives."""
+    columns = outcome.displacements, outcome.errors, outcome.coverage[:, None]
+    block = np.hstack(columns).astype("<f8")
     headers = {
         "Wrenchbook-Table-Version": str(outcome.table_version),
         "Wrenchbook-Method": outcome.method,

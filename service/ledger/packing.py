@@ -77,7 +77,7 @@ def seal(key: bytes, compliance: bytes | None, origin: str) -> bytes:
 def row_values(
     component: str, fingerprint: str, row: NewRow, job: int | None, now: float
 ) -> PackedRow:
-    """Return a row's values in the order of `rows.CONTENT`; raises ValueError as `pack_vector` does.
+    """Return a row's values in the order of `rows.CONTENT`; ValueError as of `pack_vector`.
 
     Only a measured row, of no job, may have NaN for outputs that were not measured.
     """

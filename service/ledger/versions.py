@@ -180,7 +180,8 @@ SCRIPTS = (
         'length(wrench) = 48', 'length(wrench) >= 48 AND length(wrench) % 8 = 0'),
         'length(displacement) = 48', 'length(displacement) >= 48'),
         'length(uncertainty) = 48', 'length(uncertainty) = length(displacement)'),
-        'length(compliance) = 288', 'length(compliance) * 8 = length(displacement) * length(wrench)'),
+        'length(compliance) = 288',
+        'length(compliance) * 8 = length(displacement) * length(wrench)'),
         'length(scale) = 48', 'length(scale) >= 48')
         WHERE type = 'table' AND name IN ('jobs', 'rows', 'gatherings', 'recorded', 'extremes');
     UPDATE sqlite_schema SET sql = replace(sql, 'place BETWEEN 0 AND 11', 'place >= 0')

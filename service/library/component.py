@@ -188,7 +188,7 @@ CHECK_FILE = "check.json"  # in a bundle: what its check found at the upload
 
 
 def interface_of(component: Component) -> dict[str, Any] | None:
-    """Return the interface of a component in SI; None if it has no finite-element setup.
+    """Return the interface of a component in SI; None of several, or without finite elements.
 
     Returns
     -------
@@ -198,7 +198,16 @@ def interface_of(component: Component) -> dict[str, Any] | None:
         ``moment``, in words. Of a component under its own weight also ``gravity`` (shape (3,),
         m/s^2, in the mesh's axes) and ``displacement``, what it is relative to, in words.
     """
-    return _interface(component.folder, component.fingerprint)
+    found = interfaces_of(component)
+    return next(iter(found.values())) if len(found) == 1 else None
+
+
+def interfaces_of(component: Component) -> Mapping[str, dict[str, Any]]:
+    """Return each interface of a component by its name; see `interface_of`.
+
+    Of several each has also ``held``: whether it is the reference of all displacements.
+    """
+    return _interfaces(component.folder, component.fingerprint)
 
 
 def warnings_of(folder: Path) -> list[dict[str, str]]:
@@ -229,24 +238,25 @@ def vibration_of(folder: Path) -> dict[str, Any] | None:
 
 
 @lru_cache(maxsize=256)
-def _interface(folder: Path, _fingerprint: str) -> dict[str, Any] | None:
+def _interfaces(folder: Path, _fingerprint: str) -> dict[str, dict[str, Any]]:
     """Read once for each fingerprint: reading a bundle hashes its mesh."""
-    bundle = read_bundle(folder)
-    interface, gravity = bundle.interface, bundle.analysis.gravity
-    if interface is None:
-        return None
-    point = interface.point
-    own_weight = {"gravity": list(gravity), "displacement": HANGING} if gravity else {}
+    bundle, report = read_bundle(folder), _report(folder)
+    gravity = bundle.analysis.gravity
+    own = {"gravity": list(gravity), "displacement": HANGING} if gravity else {}
+    checked = report.get("sections") or [report.get("section", {})]
+    points = [one.get("point") for one in checked] + [None] * len(bundle.interfaces)
     return {
-        "section": interface.section,
-        "point": _report(folder).get("section", {}).get("point")
-        if point is None
-        else point.tolist(),
-        "axes": interface.axes.tolist(),
-        "coupling": interface.coupling,
-        "locked": list(interface.locked),
-        "moment": f"about {MOMENT_POINT}",
-        **own_weight,
+        one.name: {
+            "section": one.section,
+            "point": point if one.point is None else one.point.tolist(),
+            "axes": one.axes.tolist(),
+            "coupling": one.coupling,
+            "locked": list(one.locked),
+            "moment": f"about {MOMENT_POINT}",
+            **own,
+            **({"held": one.held} if bundle.others else {}),
+        }
+        for one, point in zip(bundle.interfaces, points, strict=False)
     }
 
 

@@ -79,6 +79,8 @@ class ServedTable:
     bars_are_whole : bool
         Whether error bars have all their parts.
     load_range : LoadRange
+    interfaces : tuple of str
+        The names of the interfaces where there are several.
     tolerance : Tolerance or None, m and rad
     solver_error : SolverError or None
     other_rows, other_wrenches : int
@@ -111,6 +113,7 @@ class ServedTable:
         low, high = packed.arrays["space/range"]
         self.load_range = LoadRange(low, high, Space.read(packed.words["space"]))
         self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
+        self.interfaces = self.load_range.space.several
         limit = packed.arrays["space/tolerance"][[0, 3]].tolist()
         self.tolerance = Tolerance(*limit) if np.isfinite(limit).all() else None
         self.solver_error = SolverError.read(packed.words["solver_error"])

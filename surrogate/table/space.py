@@ -93,6 +93,16 @@ class Space:
         return tuple(dict.fromkeys(one.interface for one in self.outputs))
 
     @cached_property
+    def scalars(self) -> tuple[Input, ...]:
+        """The inputs that are no loads, which stand behind the loads."""
+        return tuple(one for one in self.inputs if one.kind == "scalar")
+
+    @cached_property
+    def several(self) -> tuple[str, ...]:
+        """The names of the interfaces; none where there is one."""
+        return self.interfaces if len(self.interfaces) > 1 else ()
+
+    @cached_property
     def is_rotation(self) -> NDArray[np.bool_]:
         """Which outputs are rotations, shape (m,)."""
         return np.array([one.unit == "rad" for one in self.outputs])

@@ -26,7 +26,13 @@ from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.http.schemas import Queued
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES
 from wrenchbook.service.library.catalogue import CatalogueCard
-from wrenchbook.service.library.component import Component, interface_of, vibration_of, warnings_of
+from wrenchbook.service.library.component import (
+    Component,
+    interface_of,
+    interfaces_of,
+    vibration_of,
+    warnings_of,
+)
 from wrenchbook.service.tables.rows import warning_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
@@ -183,6 +189,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
         "interface": interface_of(component),
+        **_space(component),
         "warnings": [
             *_warnings(component, own_error, known=table.bars_are_whole),
             *({"where": "rows", "message": one} for one in _of_rows(component, table)),
@@ -229,9 +236,29 @@ def _solver_error(component: Component, error: SolverError | None) -> dict[str, 
     return {**error.at_full_range(), **basis}
 
 
+def _range(component: Component) -> dict[str, Any]:
+    """Return the load range as requests have it: by interface where there are several."""
+    space = component.space
+    bounds = component.load_range.low.tolist(), component.load_range.high.tolist()
+    spans = [list(span) for span in zip(*bounds, strict=True)]
+    loads = {
+        name: {"force": spans[6 * k : 6 * k + 3], "moment": spans[6 * k + 3 : 6 * k + 6]}
+        for k, name in enumerate(space.interfaces)
+    }
+    further = {one.name: span for one, span in zip(space.scalars[::-1], spans[::-1], strict=False)}
+    inputs = {"inputs": dict(reversed(further.items()))} if further else {}
+    return ({"loads": loads} if space.several else next(iter(loads.values()))) | inputs
+
+
+def _space(component: Component) -> dict[str, Any]:
+    """Return the names and units of inputs and outputs where they are not those of one wrench."""
+    if component.space.is_default:
+        return {}
+    return {"interfaces": interfaces_of(component), "space": component.space.words()}
+
+
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
     table = workspace.tables.surrogate(component.name)
-    low, high = component.load_range.low.tolist(), component.load_range.high.tolist()
     limit = component.tolerance
     card = workspace.catalogue[component.name]
     solved = table.sources.get("fea", 0)
@@ -241,10 +268,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "has_fea": component.has_fea,
         "linear": component.linear,
         "shipped": component.shipped,
-        "range": {
-            "force": [list(span) for span in zip(low[:3], high[:3], strict=True)],
-            "moment": [list(span) for span in zip(low[3:], high[3:], strict=True)],
-        },
+        "range": _range(component),
         "tolerance": (
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),

@@ -43,6 +43,7 @@ from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import write_batch, write_binary, write_outcome
 from wrenchbook.service.http.schemas import Displacement, Displacements
 from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.table.space import Space
 
 Body = TypeVar("Body", bytes, Spooled)
 Asked = TypeVar("Asked", Query, BatchQuery)
@@ -103,8 +104,11 @@ async def displacement(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     scope, body = request.scope, await read_limited(request.receive)
     permission, version = permission_of(scope), version_of(scope["query_string"])
-    read = read_query if permission.allows("write") else partial(_asking, permission, read_query)
-    query: Query = scope.get(QUERY) or read(body)
+    read: Callable[[bytes], Query] = partial(
+        read_query, space=workspace.library.as_read(name).space
+    )
+    asking = read if permission.allows("write") else partial(_asking, permission, read)
+    query: Query = scope.get(QUERY) or asking(body)
     if version is None:
         outcome = await answer_or_submit(workspace, name, query)
     else:
@@ -124,10 +128,11 @@ async def displacement(name: str, request: Request) -> Response:
 async def displacements(name: str, request: Request) -> Response:
     binary, permission = is_binary(request), permission_of(request.scope)
     workspace: Workspace = request.app.state.workspace
-    read: Callable[[Spooled], BatchQuery] = read_batch_body
+    space = workspace.library.as_read(name).space
+    read: Callable[[Spooled], BatchQuery] = partial(read_batch_body, inputs=len(space.inputs))
     if binary:
         version, options = split_version(request.query_params)
-        read = partial(_read_binary, options=options)
+        read = partial(_read_binary, options=options, space=space)
     else:
         version = version_of(request.scope["query_string"])
     async with spooled(request.receive, MOST_BATCH_BYTES) as body:
@@ -148,8 +153,8 @@ async def _answered(
     return await answer_many_at(workspace, name, batch, version)
 
 
-def _read_binary(body: Spooled, options: dict[str, str]) -> BatchQuery:
-    return read_binary(body.read(), options)
+def _read_binary(body: Spooled, options: dict[str, str], space: Space) -> BatchQuery:
+    return read_binary(body.read(), options, space)
 
 
 @router.post(
@@ -160,6 +165,7 @@ def _read_binary(body: Spooled, options: dict[str, str]) -> BatchQuery:
     openapi_extra=takes(SolveBody),
 )
 async def solve(name: str, request: Request) -> Response:
-    query = read_solve(await read_limited(request.receive))
     workspace: Workspace = request.app.state.workspace
+    body = await read_limited(request.receive)
+    query = read_solve(body, workspace.library.as_read(name).space)
     return write_outcome(await answer_or_submit(workspace, name, query))

@@ -63,7 +63,7 @@ _QUEUED = answers(schemas.Started, "solves are queued", 202)
     openapi_extra=_BLOCK,
 )
 async def record(name: str, request: Request) -> Response:
-    wrenches, block = await _block(request)
+    wrenches, block = await _block(name, request)
     took = await run_in_threadpool(_store(request).record, name, wrenches, block)
     body = {**_took(name, len(wrenches), took), **_standing(took.tally)}
     return json_reply(body, 200 if took.known else 201)
@@ -101,7 +101,7 @@ async def start_of_recording(name: str, request: Request) -> Response:
     openapi_extra=_BLOCK,
 )
 async def widen(name: str, request: Request) -> Response:
-    wrenches, block = await _block(request)
+    wrenches, block = await _block(name, request)
     took = await run_in_threadpool(_store(request).widen, name, wrenches, block)
     envelope = await run_in_threadpool(_store(request).envelope, name)
     return json_reply({**_took(name, len(wrenches), took), **_box(envelope)})
@@ -174,16 +174,17 @@ def _store(request: Request) -> RecordingStore:
     return request.app.state.recording_store
 
 
-async def _block(request: Request) -> tuple[Floats, Block | None]:
-    """Return a block's wrenches, shape (n, 6), N and N·m, and its key if it has one."""
+async def _block(name: str, request: Request) -> tuple[Floats, Block | None]:
+    """Return a block's wrenches, shape (n, inputs), SI, and its key if it has one."""
+    space = request.app.state.workspace.library.as_read(name).space
     binary, body = is_binary(request), await read_limited(request.receive, MOST_BLOCK_BYTES)
     if binary:
         wrenches, key = (
-            read_wrenches(body, MAX_BLOCK, np.inf),
+            read_wrenches(body, MAX_BLOCK, np.inf, space),
             checked(BlockKey, dict(request.query_params)),
         )
     else:
-        wrenches, key = await run_in_threadpool(read_block, body)
+        wrenches, key = await run_in_threadpool(read_block, body, len(space.inputs))
     if key.client is None or key.sequence is None:
         return wrenches, None
     return wrenches, block_of(key.client, key.sequence, packed(wrenches))
