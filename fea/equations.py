@@ -19,7 +19,13 @@ Array = np.ndarray
 
 
 def system_of(component: ComponentModel, active: Array) -> System:
-    """Set up the equations in the first interface's frame, its origin at that interface's point."""
+    """Set up the equations in the first interface's frame, its origin at that interface's point.
+
+    Parameters
+    ----------
+    active
+        Numbers of the interfaces' motions that are not locked, shape (a,).
+    """
     mesh = component.mesh
     mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
     every = [*component.interfaces, *(one for one, _ in component.bushings)]
