@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from .replies import Displacement, Displacements
 from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
-from .wrenches import OnThin, Vector, many_wrenches, one_wrench, options
+from .wrenches import OnThin, Vector, loads_body, many_wrenches, options, wrench_of
 
 BINARY_FROM = 1000  # wrenches from which a batch is sent as float64, if not given
 
@@ -23,6 +24,11 @@ class DisplacementCalls:
     force, moment : array_like
         Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point, in
         the undeformed interface frame; or the whole wrench as the force alone, shape (6,).
+    loads : mapping, optional
+        Instead of force and moment, of a component with several interfaces: the wrench at each by
+        its name, shape (6,) or a mapping of ``force`` and ``moment``; zero where it is left out.
+    inputs : mapping, optional
+        The component's further inputs by name, such as ``temperature``, SI.
     on_thin : {"queue", "wait", "estimate", "reject"}
         Where the table is too thin: queue a solve and answer with the best estimate; wait for
         that solve; only estimate; refuse.
@@ -46,9 +52,11 @@ class DisplacementCalls:
     def displacement(
         self,
         name: str,
-        force: ArrayLike,
+        force: ArrayLike | None = None,
         moment: ArrayLike | None = None,
         *,
+        loads: Mapping[str, Any] | None = None,
+        inputs: Mapping[str, float] | None = None,
         on_thin: OnThin = "queue",
         wait_s: float | None = None,
         tolerance: Any = None,
@@ -77,7 +85,7 @@ class DisplacementCalls:
         ServerUnreachable, ServerTimeout
             See `Connection.call`.
         """
-        wrench = one_wrench(force, moment)
+        body = loads_body(force, moment, loads, inputs)
         chosen = options(
             on_thin=on_thin,
             wait_s=wait_s,
@@ -87,7 +95,7 @@ class DisplacementCalls:
             derivatives=derivatives or None,
             beyond_range=beyond_range or None,
         )
-        return (yield from _one(name, "displacement", wrench, chosen, table_version))
+        return (yield from _one(name, "displacement", body, chosen, table_version))
 
     @sync_and_async
     def displacements(
@@ -104,7 +112,7 @@ class DisplacementCalls:
         table_version: int | None = None,
         binary: bool | None = None,
     ) -> Call[Displacements]:
-        """Return the displacements under many wrenches, shape (n, 6), N and N·m, in one call.
+        """Return the displacements under many wrenches, shape (n, inputs), SI, in one call.
 
         Parameters are those of `DisplacementCalls`, errors those of `displacement`; with
         ``wait`` one `wait_s` is for all.
@@ -115,7 +123,7 @@ class DisplacementCalls:
             Whether to send and receive float64 instead of JSON, some twenty times as fast; from
             1000 wrenches on if not given. The answers then do not list the jobs they queued.
         """
-        block = many_wrenches(wrenches)
+        block = many_wrenches(wrenches, None)
         chosen = options(
             on_thin=on_thin,
             wait_s=wait_s,
@@ -137,9 +145,11 @@ class DisplacementCalls:
     def solve(
         self,
         name: str,
-        force: ArrayLike,
+        force: ArrayLike | None = None,
         moment: ArrayLike | None = None,
         *,
+        loads: Mapping[str, Any] | None = None,
+        inputs: Mapping[str, float] | None = None,
         wait_s: float | None = None,
         beyond_range: bool = False,
     ) -> Call[Displacement]:
@@ -163,25 +173,29 @@ class DisplacementCalls:
         ValueError, ProblemError, ServerUnreachable, ServerTimeout
             As in `displacement`.
         """
-        wrench = one_wrench(force, moment)
+        body = loads_body(force, moment, loads, inputs)
         chosen = options(wait_s=wait_s, beyond_range=beyond_range or None)
-        return (yield from _one(name, "solve", wrench, chosen))
+        return (yield from _one(name, "solve", body, chosen))
 
 
 def _one(
-    name: str, call: str, wrench: Vector, chosen: dict[str, Any], table_version: int | None = None
+    name: str,
+    call: str,
+    loads: dict[str, Any],
+    chosen: dict[str, Any],
+    table_version: int | None = None,
 ) -> Call[Displacement]:
-    """Send one wrench, shape (6,), N and N·m."""
-    body = {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()} | chosen
+    """Send the loads that `loads_body` returns."""
+    body = loads | chosen
     path, query = component_path(name, call), {"table_version": table_version}
     reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen), query=query)
-    return Displacement.read(name, wrench, reply.json())
+    return Displacement.read(name, wrench_of(loads), reply.json(), loads.get("loads"))
 
 
 def _binary_batch(
     name: str, block: Vector, chosen: dict[str, Any], table_version: int | None
 ) -> Request:
-    """Return the request of a batch, shape (n, 6), N and N·m, in its binary form."""
+    """Return the request of a batch, shape (n, inputs), SI, in its binary form."""
     tolerance = chosen.pop("tolerance", {})
     return Request(
         "POST",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -22,6 +22,7 @@ from .notebook import (
 )
 from .response import Response
 from .rotation import rotation_matrix
+from .wrenches import wrench_of
 
 Vector = NDArray[np.float64]
 
@@ -65,6 +66,9 @@ class Displacement:
     derivative : numpy.ndarray or None
         du/dw, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if it was requested
         and is known; NaN where an output is not.
+    interfaces : dict of str to Displacement
+        Of a component with several interfaces each one's own displacement by its name; the whole
+        has no translation and rotation then. Empty otherwise.
     raw : dict
         The reply as it came; with ``detail`` it has ``axes``.
     """
@@ -85,12 +89,25 @@ class Displacement:
     within_tolerance: bool | None = None
     derivative: Vector | None = None
     raw: dict[str, Any] = field(default_factory=dict, repr=False)
+    interfaces: Mapping[str, Displacement] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, component: str, wrench: Vector, body: Mapping[str, Any]) -> Self:
-        """Make one from the reply to `wrench`, shape (6,), N and N·m."""
+    def read(
+        cls,
+        component: str,
+        wrench: Vector,
+        body: Mapping[str, Any],
+        loads: Mapping[str, Any] | None = None,
+    ) -> Self:
+        """Make one from the reply to `wrench`, shape (6,), N and N·m, or to the wire's loads."""
         error = body.get("error") or {}
-        job = body.get("job")
+        job, shared = body.get("job"), {k: v for k, v in body.items() if k != "interfaces"}
+        parts = {
+            name: cls.read(component, wrench_of((loads or {}).get(name, {})), shared | part)
+            for name, part in body.get("interfaces", {}).items()
+        }
+        if parts:
+            wrench = np.concatenate([part.wrench for part in parts.values()])
         return cls(
             component=body.get("component") or component,
             wrench=wrench,
@@ -108,6 +125,7 @@ class Displacement:
             within_tolerance=body.get("within_tolerance"),
             derivative=_array(body.get("derivative")),
             raw=dict(body),
+            interfaces=parts,
         )
 
     @property
@@ -161,6 +179,11 @@ class Displacement:
         ValueError
             If nothing is known yet, or a shape is wrong.
         """
+        if self.interfaces:
+            name = next(iter(self.interfaces))
+            raise InvalidArgument(
+                f"{self.component} has several interfaces: take one, interfaces[{name!r}]"
+            )
         if self.translation is None or self.rotation is None:
             remedy = (
                 f"wait for job {self.job.id}" if self.job else self.reason or "no job is queued"
@@ -177,6 +200,10 @@ class Displacement:
         return rotated, point + orientation @ self.translation
 
     def _repr_html_(self) -> str:
+        if self.interfaces:
+            return "".join(
+                f"<p>{name}</p>{one._repr_html_()}" for name, one in self.interfaces.items()
+            )
         unknown = np.full(6, np.nan)
         moved, errors = self.vector, self.error_vector
         columns = (
@@ -203,9 +230,9 @@ class Displacements:
     component : str
         Its name.
     wrenches : numpy.ndarray
-        Shape (n, 6), N and N·m, of the request.
+        Shape (n, inputs), SI, of the request.
     displacements, errors : numpy.ndarray
-        Shape (n, 6), m and rad; NaN where it is not known.
+        Shape (n, outputs), m and rad; NaN where it is not known.
     coverage : numpy.ndarray
         Shape (n,), of ``covered``, ``thin``, ``outside``.
     jobs : dict of int to Job
@@ -223,8 +250,8 @@ class Displacements:
     within_tolerance : numpy.ndarray of bool or None
         Shape (n,): where the whole error bar is known and within the tolerance; None without one.
     derivatives : numpy.ndarray or None
-        du/dw, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if requested; NaN
-        where it is not known.
+        du/dw, shape (n, outputs, inputs), SI, a line an output, if requested; NaN where it is not
+        known.
     """
 
     component: str
@@ -265,11 +292,14 @@ class Displacements:
     def read_binary(cls, component: str, wrenches: Vector, reply: Response) -> Self:
         """Make one from the binary reply to `wrenches`, shape (n, 6), N and N·m.
 
-        The reply is float64, shape (n, 13): displacement and error bars, m and rad, then coverage
-        as 0, 1 or 2 for `COVERAGE`; with derivatives shape (n, 36) follows, du/dw.
+        The reply is float64, shape (n, 2 m + 1): displacement and error bars of m outputs, m and
+        rad, then coverage as 0, 1 or 2 for `COVERAGE`; with derivatives shape (n, m, inputs)
+        follows, du/dw.
         """
         numbers, count = np.frombuffer(reply.content, dtype="<f8").astype(float), len(wrenches)
-        block, rest = numbers[: 13 * count].reshape(count, 13), numbers[13 * count :]
+        m = int(reply.headers.get("Wrenchbook-Outputs", 6))
+        width = 2 * m + 1
+        block, rest = numbers[: width * count].reshape(count, width), numbers[width * count :]
         version, elapsed, jobs = (
             reply.headers.get(f"Wrenchbook-{name}")
             for name in ("Table-Version", "Elapsed-Us", "Jobs")
@@ -277,16 +307,16 @@ class Displacements:
         return cls(
             component=component,
             wrenches=wrenches,
-            displacements=block[:, :6],
-            errors=block[:, 6:12],
-            coverage=np.array(COVERAGE)[block[:, 12].astype(int)],
+            displacements=block[:, :m],
+            errors=block[:, m:-1],
+            coverage=np.array(COVERAGE)[block[:, -1].astype(int)],
             jobs={},
             no_job={},
             table_version=None if version is None else int(version),
             elapsed_us=None if elapsed is None else float(elapsed),
             method=reply.headers.get("Wrenchbook-Method"),
-            within_tolerance=_within(block[:, 6:12], reply.headers.get("Wrenchbook-Tolerance")),
-            derivatives=rest.reshape(count, 6, 6) if len(rest) else None,
+            within_tolerance=_within(block[:, m:-1], reply.headers.get("Wrenchbook-Tolerance")),
+            derivatives=rest.reshape(count, m, -1) if len(rest) else None,
             raw={"jobs_queued": int(jobs or 0)},
         )
 
@@ -308,9 +338,9 @@ class Displacements:
 
     def _columns(self) -> dict[str, Any]:
         return {
-            **named_columns(WRENCH_COLUMNS, self.wrenches),
-            **named_columns(DISPLACEMENT_COLUMNS, self.displacements),
-            **named_columns(ERROR_COLUMNS, self.errors),
+            **_named(WRENCH_COLUMNS, self.wrenches, "input"),
+            **_named(DISPLACEMENT_COLUMNS, self.displacements, "output"),
+            **_named(ERROR_COLUMNS, self.errors, "error of output"),
             "coverage": self.coverage,
         }
 
@@ -324,6 +354,13 @@ class Displacements:
     def covered(self) -> NDArray[np.bool_]:
         """Where the table covers the wrench: shape (n,), dimensionless."""
         return self.coverage == "covered"
+
+
+def _named(names: Sequence[str], block: Vector, word: str) -> dict[str, Any]:
+    """Return a block's columns, by their places where they are not those of one wrench."""
+    if block.shape[1] != len(names):
+        names = [f"{word} {place}" for place in range(block.shape[1])]
+    return named_columns(names, block)
 
 
 def _array(values: Any) -> Vector | None:
@@ -341,30 +378,33 @@ def judged(flags: Any) -> NDArray[np.bool_] | None:
 
 
 def _within(bars: Vector, tolerance: str | None) -> NDArray[np.bool_] | None:
-    """Return the same of error bars (n, 6), m and rad, and "translation, rotation", m and rad."""
+    """Return the same of error bars (n, m), m and rad, and "translation, rotation", m and rad."""
     if tolerance is None:
         return None
-    return bars_within(bars, np.repeat([float(one) for one in tolerance.split(",")], 3))
+    allowed = np.repeat([float(one) for one in tolerance.split(",")], 3)
+    return bars_within(bars, np.resize(allowed, bars.shape[1]))
 
 
 def bars_within(bars: Vector, allowed: ArrayLike) -> NDArray[np.bool_]:
-    """Return where error bars (n, 6), m and rad, are known and within the allowed ones (6,)."""
+    """Return where error bars (n, m), m and rad, are known and within the allowed ones (m,)."""
     unknown = np.isnan(bars)
     within = np.all(unknown | (bars <= np.asarray(allowed, dtype=float)), axis=1)
     return np.logical_and(within, ~np.all(unknown, axis=1))
 
 
 def _tangents(found: Any) -> Vector | None:
-    """Return shape (n, 6, 6) of a batch's derivatives, NaN for null, or None if there are none."""
+    """Return shape (n, m, inputs) of a batch's derivatives, NaN for null; None without any."""
     if found is None:
         return None
-    unknown = np.full((6, 6), np.nan)
+    shape = next((np.shape(one) for one in found if one is not None), (6, 6))
+    unknown = np.full(shape, np.nan)
     blocks = [unknown if one is None else np.array(one, dtype=float) for one in found]
-    return np.array(blocks).reshape(len(blocks), 6, 6)
+    return np.array(blocks).reshape(len(blocks), *shape)
 
 
 def _block(rows: Any, count: int) -> Vector:
-    """Return shape (n, 6); a row, or a number, that is null becomes NaN."""
-    unknown = (np.nan,) * 6
+    """Return shape (n, m); a row, or a number, that is null becomes NaN."""
+    outputs = next((len(row) for row in rows if row is not None), 6)
+    unknown = (np.nan,) * outputs
     block = np.array([unknown if row is None else row for row in rows], dtype=float)
-    return block.reshape(count, 6)
+    return block.reshape(count, outputs)

@@ -53,8 +53,68 @@ def one_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
     return wrench
 
 
-def many_wrenches(wrenches: ArrayLike) -> Vector:
-    """Return checked wrenches, shape (n, 6), N and N·m.
+def loads_body(
+    force: ArrayLike | None,
+    moment: ArrayLike | None,
+    loads: Mapping[str, Any] | None,
+    inputs: Mapping[str, float] | None,
+) -> dict[str, Any]:
+    """Return the checked loads of a call as the wire has them.
+
+    Parameters
+    ----------
+    force, moment : array_like, optional
+        Of `one_wrench`, for a component with one interface.
+    loads : mapping, optional
+        The wrench at each interface by its name: shape (6,), N and N·m, or a mapping of ``force``
+        and ``moment``, shape (3,) each.
+    inputs : mapping, optional
+        The further inputs by name, SI.
+
+    Raises
+    ------
+    ValueError
+        If there is a wrench and loads, if a shape is wrong or a number is not finite.
+    """
+    body: dict[str, Any] = {}
+    is_wrench = force is not None or moment is not None
+    if is_wrench and loads is not None:
+        raise InvalidArgument("give either force and moment, or loads by interface")
+    if is_wrench:
+        body = _parts(one_wrench(np.zeros(3) if force is None else force, moment))
+    elif loads is not None:
+        body["loads"] = {name: _parts(_wrench_of(one)) for name, one in loads.items()}
+    elif inputs is None:
+        raise InvalidArgument("give a force, a moment or loads")
+    for name, value in (inputs or {}).items():
+        number = _numbers(value, name)
+        if number.shape or not np.isfinite(number):
+            raise InvalidArgument(f"{name} must be one finite number, not {value!r}")
+        body.setdefault("inputs", {})[name] = number.item()
+    return body
+
+
+def wrench_of(body: Mapping[str, Any]) -> Vector:
+    """Return the wrench that `loads_body` gives for one interface, shape (6,), N and N·m."""
+    zero = [0.0] * 3
+    return np.array([*body.get("force", zero), *body.get("moment", zero)])
+
+
+def _wrench_of(load: Any) -> Vector:
+    if not isinstance(load, Mapping):
+        return one_wrench(load)
+    unknown = ", ".join(load.keys() - {"force", "moment"})
+    if unknown:
+        raise InvalidArgument(f"a load has force and moment, not {unknown}")
+    return one_wrench(load.get("force", np.zeros(3)), load.get("moment"))
+
+
+def _parts(wrench: Vector) -> dict[str, Any]:
+    return {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()}
+
+
+def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(NAMES)) -> Vector:
+    """Return checked wrenches, shape (n, inputs), SI; of any number of inputs if that is None.
 
     Raises
     ------
@@ -63,9 +123,10 @@ def many_wrenches(wrenches: ArrayLike) -> Vector:
     """
     block = _numbers(wrenches, "wrenches")
     if block.size == 0 and block.ndim <= 2:
-        return np.empty((0, 6))
-    if block.ndim != 2 or block.shape[1] != 6:
-        raise InvalidArgument(f"wrenches must have shape (n, 6), not {block.shape}")
+        return np.empty((0, inputs or len(NAMES)))
+    if block.ndim != 2 or block.shape[1] < len(NAMES) or inputs not in (None, block.shape[1]):
+        shape = f"(n, {inputs or 6})"
+        raise InvalidArgument(f"wrenches must have shape {shape}, not {block.shape}")
     _require_finite(block, "wrench {}: ")
     return block
 
@@ -140,6 +201,5 @@ def _require_finite(block: Vector, where: str) -> None:
     if not finite.all():
         bad = np.argwhere(~finite)
         row, column = bad[0].tolist()
-        raise InvalidArgument(
-            f"{where.format(row)}{NAMES[column]} is {block[row, column]}, not finite"
-        )
+        name = NAMES[column] if block.shape[1] == len(NAMES) else f"input {column}"
+        raise InvalidArgument(f"{where.format(row)}{name} is {block[row, column]}, not finite")

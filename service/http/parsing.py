@@ -5,7 +5,6 @@ A mistake is a `HttpProblemError` of status 422 with the place of each mistake.
 
 from __future__ import annotations
 
-from itertools import chain
 from math import hypot
 from typing import Annotated, Any, Final, get_args
 
@@ -28,7 +27,7 @@ from wrenchbook.service.http.bodies import (
 from wrenchbook.service.http.problems import bad_body, plain_errors
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.table.rows import Tolerance
-from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
+from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space, SpaceError
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
 _NUMBERS = frozenset({int, float})  # not bool, which is an int to isinstance
@@ -93,41 +92,17 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
     HttpProblemError
         422, with each interface or input that is unknown, and each further input that is missing.
     """
-    loads, mistakes = dict(body.loads), []
-    if body.force is not None or body.moment is not None:
-        loads = {space.interfaces[0]: body}
-        if body.loads:
-            mistakes.append({"loc": "force", "msg": "give either force and moment, or loads"})
-        elif space.several:
-            message = f"name its interface in loads: {' or '.join(space.several)}"
-            mistakes.append({"loc": "force", "msg": message})
-    known = ", ".join(filter(None, space.interfaces))
-    mistakes += [
-        {
-            "loc": f"loads.{name}",
-            "msg": f"no such interface; there is {known}"
-            if known
-            else "give force and moment: the component has one interface, without a name",
-        }
-        for name in loads
-        if name not in space.interfaces
-    ]
-    further = [one.name for one in space.scalars]
-    mistakes += [
-        {"loc": f"inputs.{name}", "msg": f"no such input; there is {', '.join(further) or 'none'}"}
-        for name in body.inputs
-        if name not in further
-    ]
-    mistakes += [
-        {"loc": f"inputs.{one.name}", "msg": f"missing; give its value in {one.unit}"}
-        for one in space.scalars
-        if one.name not in body.inputs
-    ]
-    if mistakes:
-        raise bad_body(mistakes)
-    zero = [0.0] * PER_INTERFACE
-    wrenches = [loads[name].wrench() if name in loads else zero for name in space.interfaces]
-    return (*chain.from_iterable(wrenches), *(body.inputs[name] + 0.0 for name in further))
+    loads = {name: one.wrench() for name, one in body.loads.items()}
+    if not super(LoadsBody, body).is_empty():
+        if loads or space.several:
+            names = " or ".join(space.several) or "one of both"
+            message = f"give force and moment of an interface in loads: {names}"
+            raise bad_body([{"loc": "force", "msg": message}])
+        loads = {space.interfaces[0]: body.wrench()}
+    try:
+        return space.vector(loads, {name: value + 0.0 for name, value in body.inputs.items()})
+    except SpaceError as error:
+        raise bad_body([{"loc": place, "msg": text} for place, text in error.mistakes]) from None
 
 
 def read_solve(body: bytes, space: Space = DEFAULT) -> Query:

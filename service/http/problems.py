@@ -40,6 +40,7 @@ from wrenchbook.service.library.catalogue import CatalogueError
 from wrenchbook.service.library.component import (
     ComponentExistsError,
     LibraryUnavailableError,
+    OneWrenchError,
     UnknownComponentError,
 )
 from wrenchbook.service.ops.logs import REQUEST_ID
@@ -55,6 +56,7 @@ _MOST_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
     ComponentExistsError: (409, "component-exists", "The name is taken"),
+    OneWrenchError: (409, "one-wrench", "The call takes one wrench alone"),
     CatalogueError: (507, "disk", "The library's notes cannot be written"),
     LibraryUnavailableError: (507, "disk", "The component cannot be written; nothing was added"),
     TableBehindError: (503, "table-behind", "The table is older than the ledger"),

@@ -15,6 +15,7 @@ from wrenchbook.service.contract import by_part
 from wrenchbook.service.http.batch import BINARY_TYPE
 from wrenchbook.service.http.links import job_link
 from wrenchbook.surrogate.answer import within_tolerance_many
+from wrenchbook.surrogate.table.space import OUTPUTS
 
 Floats = NDArray[np.float64]
 
@@ -153,6 +154,8 @@ def write_binary(outcome: BatchOutcome) -> Response:
         "Wrenchbook-Elapsed-Us": f"{outcome.elapsed_us:.1f}",
         "Wrenchbook-Jobs": str(len({one.job.id for one in outcome.jobs if one.job})),
     }
+    if outcome.displacements.shape[1] != len(OUTPUTS):
+        headers["Wrenchbook-Outputs"] = str(outcome.displacements.shape[1])
     if outcome.tolerance is not None:  # the block's form has no column for it
         limit = outcome.tolerance
         headers["Wrenchbook-Tolerance"] = f"{limit.translation!r}, {limit.rotation!r}"

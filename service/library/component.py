@@ -144,6 +144,22 @@ class BrokenComponentError(UnknownComponentError):
         )
 
 
+class OneWrenchError(ValueError):
+    """The call is for components whose only input is one wrench."""
+
+    def __init__(self, name: str, space: Space) -> None:
+        super().__init__(
+            f"{name!r} has the inputs {', '.join(space.input_names)}, and this call takes one "
+            f"wrench alone. Use POST /v1/components/{name}/displacement or .../displacements."
+        )
+
+
+def require_one_wrench(name: str, space: Space) -> None:
+    """Raise a OneWrenchError for a component of several interfaces or further inputs."""
+    if not space.is_default:
+        raise OneWrenchError(name, space)
+
+
 class LibraryUnavailableError(OSError):
     """The component could not be written to the disk; nothing was added."""
 

@@ -161,7 +161,7 @@ class ServedTable:
             self.packed.arrays[f"g0/fit/{name}"] for name in ("matrix", "bar", "known")
         )
         origin = self.summary["compliance"]["origin"]
-        offset = self.packed.arrays.get("g0/fit/offset", np.zeros(6))
+        offset = self.packed.arrays.get("g0/fit/offset", np.zeros(len(matrix)))
         return ComplianceFit(matrix, known.astype(bool), half_width, origin, offset)
 
     @property

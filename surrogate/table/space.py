@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any, Literal
 
 import numpy as np
@@ -26,6 +26,17 @@ LOAD_UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 PER_INTERFACE = len(LOADS)
 OUTPUT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+
+_UNNAMED = "the component has one interface, without a name: give its wrench as force and moment"
+
+
+class SpaceError(ValueError):
+    """Inputs that are not those of a space; `mistakes` has the place and the text of each."""
+
+    def __init__(self, mistakes: Sequence[tuple[str, str]]) -> None:
+        super().__init__("; ".join(f"{place}: {text}" for place, text in mistakes))
+        self.mistakes = mistakes
 
 
 @dataclass(frozen=True)
@@ -131,6 +142,42 @@ class Space:
             terms = [*own, *(one | other for one, other in pairs)]
         seen = [*(term | scalars for term in terms), set(range(len(self.inputs)))]
         return np.array([[float(k in term) for k in range(len(self.inputs))] for term in seen])
+
+    def vector(
+        self, loads: Mapping[str, Sequence[float]], further: Mapping[str, float]
+    ) -> tuple[float, ...]:
+        """Return inputs in their order, shape (n,), SI; loads that are not given are zero.
+
+        Parameters
+        ----------
+        loads : mapping
+            Six numbers an interface by its name, N and N·m.
+        further : mapping
+            The inputs that are no loads by name, all of them.
+
+        Raises
+        ------
+        SpaceError
+            If a name is unknown, or a further input is missing.
+        """
+        known = ", ".join(filter(None, self.interfaces))
+        names = [one.name for one in self.scalars]
+        no_interface = f"no such interface; there is {known}" if known else _UNNAMED
+        no_input = f"no such input; there is {', '.join(names) or 'none'}"
+        mistakes = [
+            *((f"loads.{name}", no_interface) for name in loads if name not in self.interfaces),
+            *((f"inputs.{name}", no_input) for name in further if name not in names),
+            *(
+                (f"inputs.{one.name}", f"missing; give its value in {one.unit}")
+                for one in self.scalars
+                if one.name not in further
+            ),
+        ]
+        if mistakes:
+            raise SpaceError(mistakes)
+        zero = (0.0,) * PER_INTERFACE
+        wrenches = (loads.get(name, zero) for name in self.interfaces)
+        return (*chain.from_iterable(wrenches), *(further[name] for name in names))
 
     def largest_of_kind(self, values: Floats) -> Floats:
         """Return, for each output, the largest of its kind, translations or rotations.

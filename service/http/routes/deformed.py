@@ -16,7 +16,7 @@ from wrenchbook.service.http.openapi import BYTES, answers, refused
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.library.component import interface_of
+from wrenchbook.service.library.component import interface_of, require_one_wrench
 from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(
@@ -52,6 +52,7 @@ async def deformed(
 ) -> Response:
     _require_known_names(request)
     await workspace.newest(name, CATCH_UP_S)
+    require_one_wrench(name, workspace.library.as_read(name).space)
     loads = np.array([fx, fy, fz, mx, my, mz])
     # On threads of its own, few: it reads files and multiplies large arrays.
     loop = asyncio.get_running_loop()

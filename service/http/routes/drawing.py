@@ -23,6 +23,7 @@ from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import COVERAGE, json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.arrival import surface_of
+from wrenchbook.service.library.component import require_one_wrench
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.rows import CLEAN, Rows
@@ -49,6 +50,7 @@ async def glance(name: str, workspace: Opened) -> Response:
 
 
 def _glance(name: str, table: ServedTable) -> dict[str, Any]:
+    require_one_wrench(name, table.load_range.space)
     axes = {axis.name: shares_of(table, grid_of(table.load_range, axis)) for axis in AXES}
     sample = sample_of(table.load_range)
     about = {"component": name, "table_version": table.version, "shares": COVERAGE}
@@ -83,6 +85,7 @@ async def drawing(
 def _rows(
     name: str, table: ServedTable, axis: str | None, along: str | None, most: int
 ) -> dict[str, Any]:
+    require_one_wrench(name, table.load_range.space)
     rows, drawn = table.rows, next((one for one in AXES if one.name == axis), None)
     loaded = _loaded(rows, table)
     chosen = np.arange(len(rows))
@@ -148,6 +151,7 @@ async def response(
 
 
 def _sweep(name: str, table: ServedTable, load: str, at: Any, points: int) -> dict[str, Any]:
+    require_one_wrench(name, table.load_range.space)
     wrenches = sweep_of(table.load_range, LOADS.index(load), at, points)
     found = table.packed.batch(wrenches)
     return {
