@@ -24,7 +24,6 @@ from wrenchbook.service.formats.table_rows import Array, ParsedTable, Problem, g
 from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows
-from wrenchbook.surrogate.table.space import Space
 
 MOST_UNPACKED = 1024 * 1024 * 1024
 MOST_TEXT = 131_072  # characters of one text: as the csv module
@@ -151,7 +150,9 @@ def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         for rows, notes in foreign_tables(path):
             if rows.space != columns.space:
-                report.mistakes.ruin(0, "file", _other_space(rows.space, columns.space))
+                names = ", ".join((*columns.wrench, *columns.displacement))
+                message = f"is a table of another component's inputs, outputs or units, not {names}"
+                report.mistakes.ruin(0, "file", message)
                 return
             piece = ParsedTable(
                 wrench=rows.wrench,
@@ -255,15 +256,6 @@ def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> byte
         path = Path(folder) / "table.h5"
         write_table(path, rows, meta, notes=[str(note) for note in getattr(table, "note", ())])
         return path.read_bytes()
-
-
-def _other_space(found: Space, own: Space) -> str:
-    """Return the message on a table of other inputs or outputs."""
-    return (
-        f"has rows of {', '.join(found.input_names)} and {', '.join(found.output_names)}; the "
-        f"component's are {', '.join(own.input_names)} and {', '.join(own.output_names)}, in the "
-        f"units {', '.join(one.unit for one in own.inputs)}"
-    )
 
 
 def _number_problems(piece: ParsedTable, columns: Columns) -> Iterator[Problem]:

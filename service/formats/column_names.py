@@ -12,7 +12,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
-from functools import cache, cached_property
+from functools import cache
+from itertools import product
 from typing import Any, Protocol
 
 import numpy as np
@@ -85,77 +86,39 @@ def split(label: str) -> tuple[str, str]:
     return match["name"], (match["a"] or match["b"] or "").strip()
 
 
-@dataclass(frozen=True)
 class Columns:
-    """The columns of numbers of a table, by the names of its space."""
+    """The columns of numbers of a table, by the names of its space.
 
-    space: Space
+    Attributes
+    ----------
+    wrench, loads, further : tuple of str
+        All inputs; of them the loads, and the others.
+    displacement, uncertainty, compliance : tuple of str
+        The outputs, the 95 % half width of each, the tangent of each over each input.
+    numbers : tuple of str
+        All of these.
+    most : int
+        Columns that a file may have.
+    """
 
-    @cached_property
-    def wrench(self) -> tuple[str, ...]:
-        """All inputs: loads and further ones."""
-        return self.space.input_names
-
-    @cached_property
-    def further(self) -> tuple[str, ...]:
-        """The inputs that are no loads."""
-        return tuple(one.name for one in self.space.inputs if one.kind == "scalar")
-
-    @cached_property
-    def loads(self) -> tuple[str, ...]:
-        """The inputs that are loads."""
-        return tuple(name for name in self.wrench if name not in self.further)
-
-    @cached_property
-    def displacement(self) -> tuple[str, ...]:
-        """The outputs."""
-        return self.space.output_names
-
-    @cached_property
-    def uncertainty(self) -> tuple[str, ...]:
-        """The 95 % half width of each output."""
-        return tuple(f"{name}_err" for name in self.displacement)
-
-    @cached_property
-    def compliance(self) -> tuple[str, ...]:
-        """The tangent of each output over each input."""
-        return tuple(f"d{output}/d{one}" for output in self.displacement for one in self.wrench)
-
-    @cached_property
-    def numbers(self) -> tuple[str, ...]:
-        """All of them."""
-        return (*self.wrench, *self.displacement, *self.uncertainty, *self.compliance)
-
-    @cached_property
-    def most(self) -> int:
-        """Columns that a file may have."""
-        return max(MOST_COLUMNS, 2 * len(self.numbers))
-
-    @cached_property
-    def _tangents(self) -> dict[str, tuple[Quantity, Quantity]]:
-        pairs = ((output, one) for output in self.displacement for one in self.wrench)
-        quantities = ((self.quantity(output), self.quantity(one)) for output, one in pairs)
-        return dict(zip(self.compliance, quantities, strict=True))
-
-    @cached_property
-    def _exact(self) -> dict[str, str]:
-        """The columns that have one spelling, by it."""
-        return {name.lower(): name for name in (*TEXTS, *self.compliance, *self.further)}
-
-    @cached_property
-    def _fronts(self) -> list[tuple[re.Pattern[str], str]]:
-        """What stands before a name, as a pattern and as written; the longest first."""
-        names = sorted(filter(None, self.space.interfaces), key=len, reverse=True)
-        return [(re.compile(rf"{re.escape(name)}{_GAP.pattern}", re.I), name) for name in names]
-
-    @cached_property
-    def _quantities(self) -> dict[str, Quantity]:
-        further = {
-            one.name: further_quantity(one.name, one.unit)
-            for one in self.space.inputs
-            if one.kind == "scalar"
-        }
-        return further | {TIME_COLUMN: TIME}
+    def __init__(self, space: Space) -> None:
+        scalars = {one.name: one.unit for one in space.inputs if one.kind == "scalar"}
+        self.space = space
+        self.wrench, self.displacement = space.input_names, space.output_names
+        self.loads = tuple(name for name in self.wrench if name not in scalars)
+        self.further = tuple(scalars)
+        self.uncertainty = tuple(f"{name}_err" for name in self.displacement)
+        pairs = product(self.displacement, self.wrench)
+        self._tangents = {f"d{output}/d{one}": (output, one) for output, one in pairs}
+        self.compliance = tuple(self._tangents)
+        self.numbers = (*self.wrench, *self.displacement, *self.uncertainty, *self.compliance)
+        self.most = max(MOST_COLUMNS, 2 * len(self.numbers))
+        # The columns that have one spelling.
+        self._exact = {name.lower(): name for name in (*TEXTS, *self.compliance, *scalars)}
+        self._quantities = {name: further_quantity(name, unit) for name, unit in scalars.items()}
+        self._quantities[TIME_COLUMN] = TIME
+        fronts = sorted(filter(None, space.interfaces), key=len, reverse=True)
+        self._fronts = [(re.compile(re.escape(one) + _GAP.pattern, re.I), one) for one in fronts]
 
     def quantity(self, name: str) -> Quantity:
         """Return the quantity of an input, displacement or uncertainty column."""
@@ -163,7 +126,8 @@ class Columns:
 
     def tangent(self, name: str) -> tuple[Quantity, Quantity]:
         """Return the quantities over and under the stroke of a tangent such as ``dux/dfx``."""
-        return self._tangents[name]
+        output, one = self._tangents[name]
+        return self.quantity(output), self.quantity(one)
 
     def readings(self, label: str) -> Iterator[tuple[str, str, Decimal]]:
         """Yield the meanings of a label: the name of a column, its unit as written, a factor.
@@ -180,40 +144,30 @@ class Columns:
         if name.lower() in self._exact:
             yield self._exact[name.lower()], unit, Decimal(1)
             return
-        yield from self._further_readings(name, unit)
-        if not self._fronts:
-            yield from _readings(name, unit)
-            return
-        front = next((one for one in self._fronts if one[0].match(name)), None)
-        for column, found, factor in _readings(front[0].sub("", name, 1) if front else name, unit):
-            if front and column != TIME_COLUMN:
-                yield f"{front[1]}.{column}", found, factor
-            elif not front and column == TIME_COLUMN:
-                yield column, found, factor
-
-    def _further_readings(self, name: str, unit: str) -> Iterator[tuple[str, str, Decimal]]:
-        """Yield the meanings of a synonym: ``T [degC]``."""
         joined = "".join(_GAP.split(name)).lower()
         for one in self.further:
             if joined in self.quantity(one).spellings:
                 yield one, unit, Decimal(1)
+        front = next((one for one in self._fronts if one[0].match(name)), (None, ""))
+        bare = front[0].sub("", name, 1) if front[0] else name
+        for column, found, factor in _readings(bare, unit):
+            if not self._fronts or (column == TIME_COLUMN and not front[1]):
+                yield column, found, factor
+            elif front[1] and column != TIME_COLUMN:
+                yield f"{front[1]}.{column}", found, factor
 
-    def interface_problem(self, label: str) -> str:
-        """Return what is wrong with the interface that a label of a load or output names."""
-        if not self._fronts:
-            return ""
-        there = ", ".join(self.space.interfaces)
-        try:
-            name = split(label)[0]
-        except UnitError:
+    def interface_problem(self, name: str) -> str:
+        """Return what is wrong with the interface in the name of a load or output, if anything."""
+        if not self._fronts or len(name) > MOST_LABEL:
             return ""
         front, _, rest = name.rpartition(".")
         column = next((one for one, _, _ in _readings(rest, "") if one != TIME_COLUMN), "")
         if not column:
             return ""
-        example = f"{self.space.interfaces[0]}.{column}"
         which = f"the component has no interface {front!r}" if front else "names no interface"
-        return f"{which}; there are {there}: write for example {example}"
+        there = self.space.interfaces
+        example = f"{there[0]}.{column}"
+        return f"{which}; there are {', '.join(there)}: write for example {example}"
 
     def factor(self, name: str, unit: str) -> Decimal:
         """Return the factor from a unit of the column `name` to that of the table; UnitError."""
@@ -231,7 +185,8 @@ class Columns:
 
     def zero(self, name: str, unit: str) -> Decimal:
         """Return the zero of a unit in that of the table: 273.15 of degC in K; mostly 0."""
-        return self._quantities[name].zero(unit) if name in self.further else Decimal(0)
+        scales = self.quantity(name).scales if name in self.further else ()
+        return next((zero for one, _, zero in scales if one == unit), Decimal(0))
 
     def examples(self, name: str) -> str:
         """Return the name of a column with units that it may have."""

@@ -20,13 +20,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from wrenchbook.service.formats.cells import decimal_mark, guard_formula, number_text
-from wrenchbook.service.formats.column_names import (
-    TEXTS,
-    TIME_COLUMN,
-    Columns,
-    Layout,
-    WritableRows,
-)
+from wrenchbook.service.formats.column_names import TEXTS, TIME_COLUMN, Layout, WritableRows
 from wrenchbook.service.formats.header import Header, read_head
 from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
 from wrenchbook.service.formats.preamble import Preamble, Record, delimiter_in
@@ -69,7 +63,7 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     """Yield the good rows of a CSV file piece by piece; `report` gets the mistakes."""
     try:
         encoding = _encoding(path)
-        delimiter = _delimiter(_lines(path, encoding), options.columns)
+        delimiter = _delimiter(_lines(path, encoding), options)
     except UnreadableFileError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
@@ -177,7 +171,7 @@ def _lines(path: Path, encoding: str) -> Iterator[str]:
             yield line
 
 
-def _delimiter(lines: Iterator[str], columns: Columns) -> str:
+def _delimiter(lines: Iterator[str], options: Options) -> str:
     """Return the delimiter from a ``sep=`` line, else from the header (see `delimiter_in`)."""
     for number, line in enumerate(lines, 1):
         _refuse_blank(number, number)
@@ -187,7 +181,7 @@ def _delimiter(lines: Iterator[str], columns: Columns) -> str:
         if _may_be_header(line):
             rest = (below for below in islice(lines, _MOST_HEAD) if _may_be_header(below))
             lines = chain([line], rest)
-            return delimiter_in(lines, lambda text: _IN_BRACKETS.sub("", text), columns)
+            return delimiter_in(lines, lambda text: _IN_BRACKETS.sub("", text), options.columns)
     return ","
 
 

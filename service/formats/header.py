@@ -19,13 +19,7 @@ from decimal import Decimal
 from itertools import chain
 
 from wrenchbook.service.formats.cells import is_number
-from wrenchbook.service.formats.column_names import (
-    ORIGIN,
-    TEXTS,
-    TIME_COLUMN,
-    Columns,
-    split,
-)
+from wrenchbook.service.formats.column_names import ORIGIN, TEXTS, TIME_COLUMN, Columns, split
 from wrenchbook.service.formats.options import FileMistake, Options
 from wrenchbook.service.formats.preamble import Preamble, Record, split_titles
 from wrenchbook.service.formats.units import UnitError, product, quotient
@@ -240,8 +234,9 @@ class _ColumnNames:
         meanings = self._columns.readings(label)
         if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
             raise problem
+        name, columns = _name(label), self._columns
         raise _UnknownColumnError(
-            self._columns.interface_problem(label) or _unknown(_name(label).lower(), self._columns)
+            columns.interface_problem(name) or _unknown(name.lower(), columns)
         )
 
 

@@ -20,10 +20,7 @@ from wrenchbook.service.formats.cells import (
     time_seconds,
     unguard_formula,
 )
-from wrenchbook.service.formats.column_names import (
-    TEXTS,
-    TIME_COLUMN,
-)
+from wrenchbook.service.formats.column_names import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import Header, HeaderColumn, read_head
 from wrenchbook.service.formats.options import FoundColumn, Mistakes, Options, ReadReport
 from wrenchbook.service.formats.preamble import Record

@@ -29,7 +29,7 @@ class Quantity:
     """A physical quantity: its name, the unit of arrays, units that messages offer.
 
     A further input of a component has its spellings as the name of a column, and the factor and
-    the zero of each unit in that of arrays.
+    the zero of each unit in that of arrays: 1 and 273.15 of degC in K.
     """
 
     name: str
@@ -37,10 +37,6 @@ class Quantity:
     examples: tuple[str, ...]
     spellings: tuple[str, ...] = ()
     scales: tuple[tuple[str, Decimal, Decimal], ...] = ()
-
-    def zero(self, unit: str) -> Decimal:
-        """Return the zero of a unit in that of arrays: 273.15 of degC in K."""
-        return next((zero for name, _, zero in self.scales if name == unit), Decimal(0))
 
 
 FORCE = Quantity("force", "N", ("N", "kN", "lbf", "kgf"))

@@ -26,8 +26,7 @@ ESTIMATE: Final = (
     "centre, zero load and the wrenches that reached the extremes"
 )
 
-MOST_CORNERS = 4096
-"""Corners of a box that are looked at: all up to 12 inputs; of 13 on some, chosen at random."""
+MOST_CORNERS = 4096  # of a box: all of 12 inputs; of more inputs some, chosen at random
 
 
 @dataclass(frozen=True)

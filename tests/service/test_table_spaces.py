@@ -20,6 +20,11 @@ from wrenchbook.service.formats import (
     write_xlsx,
 )
 from wrenchbook.service.formats.table_rows import ParsedTable
+from wrenchbook.service.ledger import About, Ledger, packed_columns
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
+from wrenchbook.service.tables.importing import ImportRequest, import_files
+from wrenchbook.service.tables.rows import export_rows
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Space, space_of
@@ -27,6 +32,8 @@ from wrenchbook.surrogate.table.space import DEFAULT, Input, Space, space_of
 WARM = Input("temperature", "degC", "scalar")
 LINK = space_of(["left", "right"], [WARM])
 LINK_RANGE = LoadRange(-10 * np.ones(13), np.array([10.0] * 12 + [80.0]), LINK)
+DEFAULT_RANGE = LoadRange(-np.ones(6), np.ones(6))
+COLUMNS = ("wrench", "displacement", "uncertainty", "compliance")
 HANGING = space_of([""], [Input(name, "m/s^2", "scalar") for name in ("ax", "ay", "az")])
 HANGING_RANGE = LoadRange(-20 * np.ones(9), 20 * np.ones(9), HANGING)
 
@@ -171,6 +178,11 @@ def test_a_header_with_a_mistake_is_refused_with_a_remedy(tmp_path, header, mess
     assert message in " ".join(one["message"] for one in found.report["errors"])
 
 
+def test_a_label_of_100_000_letters_is_refused_at_once(tmp_path):
+    found = read_text(tmp_path, f"{ZERO},{'_a' * 50_000}\n1,2,3,4\n", missing_loads="zero")
+    assert found.report["whole"]
+
+
 def test_loads_of_an_interface_without_columns_are_zero_only_if_the_sender_declares_it(tmp_path):
     left = LOADS.partition(",right")[0]
     text = f"{left},temperature [degC],left.ux [m]\n1,2,3,4,5,6,20,0.1\n"
@@ -226,3 +238,28 @@ def test_the_columns_of_one_interface_are_those_of_before():
     assert labels == layout(True, True, ()).labels()
     assert labels[:2] + labels[-1:] == ["fx [N]", "fy [N]", "drz/dmz [rad/(N*m)]"]
     assert len(labels) == 54
+
+
+FORMATS: list[ExportFormat] = ["csv", "json", "hdf5", "xlsx", "parquet"]
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_an_exported_table_of_a_link_is_imported_to_the_same_rows(tmp_path, form: ExportFormat):
+    link, copy = (
+        Component(name, name, tmp_path, "", False, True, LINK_RANGE, None, False)
+        for name in ("link", "copy")
+    )
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    columns = [getattr(table_of(LINK), name) for name in COLUMNS]
+    texts = ["rig"] * 3, [""] * 3, ["", "a", ""]
+    ledger.import_rows("link", iter([packed_columns("link", tuple(columns), texts, 0.0)]), About())
+    export_table(ledger, link, ExportRequest(form, {}), tmp_path / "table")
+    options = Options(load_range=DEFAULT_RANGE)
+    reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportRequest(), About())
+    assert (reply["errors"], reply["inserted"]) == ([], 3)
+    with ledger.table_at("copy") as table:
+        (lot,) = table.lots
+        again = export_rows(LINK, lot, ())
+    for name, column in zip(COLUMNS, columns, strict=True):
+        assert np.array_equal(getattr(again, name), column, equal_nan=True), name
+    ledger.close()
