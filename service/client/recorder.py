@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
-from .recording import KINDS, MOST_BLOCK, Kind, Started
-from .wrenches import one_wrench
+from .recording import KINDS, MOST_BLOCK, Kind, Started, checked_rows
+from .wrenches import NAMES, one_wrench
 
 BLOCK = 256
-WRENCH = 48  # bytes: six float64
 MOST_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
 FLUSH_S = 1.0  # a block that is not full is sent after this long: a slow loop is recorded too
 BACKOFF_S = (0.1, 5.0)  # between attempts while the server is away: doubled from, up to
@@ -47,6 +46,9 @@ class Recorder:
         LM_direct: every wrench is saved; LM_max: the extremes are.
     block : int
         Wrenches of a block, 1 to 10,000.
+    inputs : int
+        Numbers of a wrench: of several interfaces six each, then further inputs such as the
+        temperature, in the component's order.
 
     Attributes
     ----------
@@ -69,7 +71,12 @@ class Recorder:
     """
 
     def __init__(
-        self, client: Any, component: str, kind: Kind = "recording", block: int = BLOCK
+        self,
+        client: Any,
+        component: str,
+        kind: Kind = "recording",
+        block: int = BLOCK,
+        inputs: int = len(NAMES),
     ) -> None:
         if kind not in KINDS:
             raise InvalidArgument(f"kind must be one of {', '.join(KINDS)}, not {kind!r}")
@@ -78,7 +85,8 @@ class Recorder:
         self.component, self.recorded = component, 0
         self.kind: Kind = kind
         self.reply: dict[str, Any] = {}
-        self._client, self._size = client, block * WRENCH
+        self._client, self._width = client, 8 * inputs  # bytes
+        self._size = block * self._width
         self._key, self._sequence = secrets.token_hex(16), 0
         self._changed = threading.Condition()
         self._blocks: deque[bytes] = deque()  # full, oldest first
@@ -114,20 +122,21 @@ class Recorder:
         return None if self._trouble is None else str(self._trouble)
 
     def add(self, wrench: ArrayLike) -> None:
-        """Take one wrench, shape (6,), N and N·m; the server is not waited for.
+        """Take one wrench, shape (inputs,), N and N·m; the server is not waited for.
 
         Raises
         ------
         ValueError
-            If it is not six finite numbers; it was not taken.
+            If it is not so many finite numbers; it was not taken.
         RecorderError
             If the server refuses what is recorded, if 100,000 wrenches wait, or after `close`.
         """
-        if np.shape(wrench) != (6,):
-            raise InvalidArgument(
-                f"a wrench is six numbers, force then moment; this has shape {np.shape(wrench)}"
-            )
-        packed = one_wrench(wrench).astype("<f8").tobytes()
+        shape, default = np.shape(wrench), self._width == 8 * len(NAMES)
+        if shape != (self._width // 8,):
+            what = "six numbers, force then moment" if default else f"{self._width // 8} numbers"
+            raise InvalidArgument(f"a wrench is {what}; this has shape {shape}")
+        checked = one_wrench(wrench) if default else checked_rows(np.stack([wrench]))
+        packed = checked.astype("<f8").tobytes()
         with self._changed:
             self._check()
             if self._count >= MOST_PENDING:
@@ -145,10 +154,10 @@ class Recorder:
                 self._changed.notify_all()
 
     def unsent(self) -> NDArray[np.float64]:
-        """Return the wrenches not acknowledged, shape (n, 6), N and N·m, to keep elsewhere."""
+        """Return the wrenches not acknowledged, shape (n, inputs), N and N·m, to keep elsewhere."""
         with self._changed:
             packed = b"".join([*self._blocks, self._open])
-        return np.frombuffer(packed, dtype="<f8").reshape(-1, 6).astype(float)
+        return np.frombuffer(packed, dtype="<f8").reshape(-1, self._width // 8).astype(float)
 
     def flush(self, timeout_s: float = 30.0) -> None:
         """Wait until all that was added is on the server's disk.
@@ -238,8 +247,8 @@ class Recorder:
                 wait = BACKOFF_S[0]
                 with self._changed:
                     self._blocks.popleft()
-                    self._count -= len(block) // WRENCH
-                    self.recorded += len(block) // WRENCH
+                    self._count -= len(block) // self._width
+                    self.recorded += len(block) // self._width
                     self._sequence += 1
                     self.reply, self._trouble = reply, None
                     self._changed.notify_all()

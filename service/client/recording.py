@@ -10,9 +10,10 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .errors import InvalidArgument
 from .job import Job
 from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
-from .wrenches import many_wrenches, options, tolerance_body
+from .wrenches import NAMES, many_wrenches, options, tolerance_body
 
 Kind = Literal["recording", "envelope"]
 KINDS: tuple[Kind, ...] = ("recording", "envelope")
@@ -28,7 +29,7 @@ class Recording:
     Parameters
     ----------
     wrenches : numpy.ndarray
-        Shape (n, 6), N and N·m: those kept, in the order they came.
+        Shape (n, inputs), N and N·m: those kept, in the order they came.
     total, merged, thinned, outside : int
         Wrenches taken in since it was cleared; of them those within 1e-6 of the load range of one
         kept, those thinned out beyond 10,000, and those outside the load range.
@@ -68,13 +69,13 @@ class Envelope:
     Parameters
     ----------
     min, max : numpy.ndarray
-        Shape (6,), N and N·m; NaN before the first wrench.
+        Shape (inputs,), N and N·m; NaN before the first wrench.
     count : int
         Wrenches taken in since it was cleared.
     at_min, at_max : numpy.ndarray
-        Shape (6, 6), N and N·m: line i is the whole wrench at the least, the largest load i.
+        Shape (inputs, inputs): line i is the whole wrench at the least, the largest input i.
     displacement_bound : numpy.ndarray
-        Shape (6,), m and rad; NaN where nothing is known.
+        Shape (outputs,), m and rad; NaN where nothing is known.
     negligible : bool or None
         Whether that is within the tolerance; None if it is not known, see `reason`.
     bound : str
@@ -150,7 +151,7 @@ class RecordingCalls:
 
     @sync_and_async
     def record(self, name: str, wrenches: ArrayLike) -> Call[dict[str, Any]]:
-        """LM_direct: save wrenches, shape (n, 6), N and N·m, in a component's recording.
+        """LM_direct: save wrenches, shape (n, inputs), N and N·m, in a component's recording.
 
         Returns
         -------
@@ -204,7 +205,7 @@ class RecordingCalls:
 
     @sync_and_async
     def widen_envelope(self, name: str, wrenches: ArrayLike) -> Call[dict[str, Any]]:
-        """LM_max: widen a component's envelope by wrenches, shape (n, 6), N and N·m.
+        """LM_max: widen a component's envelope by wrenches, shape (n, inputs), N and N·m.
 
         Returns
         -------
@@ -247,7 +248,7 @@ class RecordingCalls:
     def send_block(
         self, name: str, kind: Kind, wrenches: bytes, client: str, sequence: int
     ) -> Call[dict[str, Any]]:
-        """Send a block of packed wrenches, little-endian float64 (n, 6), under its key.
+        """Send a block of packed wrenches, little-endian float64 (n, inputs), under its key.
 
         However often it is sent, it is taken in once. A refused connection is not tried again.
         """
@@ -262,8 +263,8 @@ def _block_request(
 
 
 def _send_blocks(name: str, kind: Kind, wrenches: ArrayLike) -> Call[dict[str, Any]]:
-    """Send wrenches, shape (n, 6), N and N·m, in as many blocks as it takes."""
-    block, client, reply = many_wrenches(wrenches), secrets.token_hex(16), {}
+    """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as it takes."""
+    block, client, reply = checked_rows(wrenches), secrets.token_hex(16), {}
     for sequence, start in enumerate(range(0, max(len(block), 1), MOST_BLOCK)):
         part = np.ascontiguousarray(block[start : start + MOST_BLOCK], dtype="<f8").tobytes()
         reply = (yield _block_request(name, kind, part, client, sequence, retry=True)).json()
@@ -274,5 +275,18 @@ def _start(name: str, call: str, body: dict[str, Any]) -> Call[Started]:
     return Started.read((yield json_request("POST", component_path(name, call), body)).json())
 
 
+def checked_rows(wrenches: ArrayLike) -> Vector:
+    """Return checked wrenches of six or more inputs, shape (n, inputs); see `many_wrenches`."""
+    try:
+        rows = np.array(wrenches, dtype=float)
+    except (TypeError, ValueError):
+        return many_wrenches(wrenches)
+    if rows.ndim != 2 or rows.shape[1] <= len(NAMES):
+        return many_wrenches(wrenches)
+    if not np.isfinite(rows).all():
+        raise InvalidArgument("a wrench has a number that is not finite")
+    return rows
+
+
 def _block(rows: Any) -> Vector:
-    return np.array(rows, dtype=float).reshape(-1, 6)
+    return np.array(rows, dtype=float).reshape(len(rows), -1 if rows else len(NAMES))

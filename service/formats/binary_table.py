@@ -16,9 +16,9 @@ import numpy as np
 from scipy.io import loadmat, whosmat
 
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.formats.column_names import DISPLACEMENT, Layout, WritableRows
+from wrenchbook.service.formats.column_names import Columns, Layout, WritableRows
 from wrenchbook.service.formats.options import MOST_ROWS, Options, ReadReport
-from wrenchbook.service.formats.preamble import MOST_COLUMNS, Record
+from wrenchbook.service.formats.preamble import Record
 from wrenchbook.service.formats.records import CellFormat, read_records
 from wrenchbook.service.formats.table_rows import Array, ParsedTable, Problem, good_rows
 from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, write_table
@@ -41,7 +41,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
 
     try:
         with parquet.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
-            names = _checked_names(file)
+            names = _checked_names(file, options.columns.most)
             index = tuple(name for name in names if name.startswith("__index_level_"))
             own = replace(options, ignore=(*options.ignore, *index))  # of a data frame
             records = _records(path, file)
@@ -76,13 +76,13 @@ def write_parquet(
             writer.write_table(arrow.Table.from_arrays(columns, schema=schema))
 
 
-def _checked_names(file: Any) -> list[str]:
+def _checked_names(file: Any, most: int) -> list[str]:
     """Return the names of the columns; raises ParquetBoundsError."""
     about, schema = file.metadata, file.schema_arrow
-    if about.num_rows > MOST_ROWS or len(schema) > MOST_COLUMNS:
+    if about.num_rows > MOST_ROWS or len(schema) > most:
         raise ParquetBoundsError(
             f"it has {about.num_rows} rows and {len(schema)} columns; send at most {MOST_ROWS:,} "
-            f"and {MOST_COLUMNS}"
+            f"and {most}"
         )
     size = sum(about.row_group(at).total_byte_size for at in range(about.num_row_groups))
     if size > MOST_UNPACKED:
@@ -143,11 +143,17 @@ def _cell(value: Any) -> str:
 
 def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of an HDF5 file piece by piece; `report` gets the mistakes."""
+    columns = options.columns
     if not is_table(path):
         yield from _read_columns(foreign_columns(path), options, report)
         return
     try:
         for rows, notes in foreign_tables(path):
+            if rows.space != columns.space:
+                names = ", ".join((*columns.wrench, *columns.displacement))
+                message = f"is a table of another component's inputs, outputs or units, not {names}"
+                report.mistakes.ruin(0, "file", message)
+                return
             piece = ParsedTable(
                 wrench=rows.wrench,
                 displacement=rows.displacement,
@@ -159,7 +165,7 @@ def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
                 row=np.arange(1, len(rows) + 1) + report.read,
             )
             good = np.ones(len(piece), dtype=bool)
-            for at, key, message in (*_number_problems(piece), *_text_problems(piece)):
+            for at, key, message in (*_number_problems(piece, columns), *_text_problems(piece)):
                 good[at] = False
                 report.mistakes.add(int(piece.row[at]), key, message)
             yield good_rows(piece, good, options, report)
@@ -183,19 +189,19 @@ def _read_columns(
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of columns with labels."""
     try:
-        records = _column_records(pieces)
+        records = _column_records(pieces, options.columns.most)
         yield from read_records(records, options, report, CellFormat(), lambda _cells, _header: "")
     except (ValueError, OSError) as error:
         report.mistakes.ruin(0, "file", str(error))
 
 
-def _column_records(pieces: Iterator[tuple[list[str], list[Array]]]) -> Iterator[Record]:
+def _column_records(pieces: Iterator[tuple[list[str], list[Array]]], most: int) -> Iterator[Record]:
     """Yield the header as record 0, then the rows."""
     row = 0
     for names, columns in pieces:
         if not row:
-            if len(names) > MOST_COLUMNS:
-                raise ValueError(f"has {len(names)} columns; a table has at most {MOST_COLUMNS}")
+            if len(names) > most:
+                raise ValueError(f"has {len(names)} columns; a table has at most {most}")
             yield 0, names
         for cells in zip(*(column.tolist() for column in columns), strict=True):
             row += 1
@@ -239,6 +245,7 @@ def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> byte
     rows = Rows.of(
         table.wrench,
         table.displacement,
+        meta.load_range.space,
         seq=np.array(seq, dtype=np.int64),
         uncertainty=table.uncertainty,
         compliance=table.compliance,
@@ -251,16 +258,20 @@ def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> byte
         return path.read_bytes()
 
 
-def _number_problems(piece: ParsedTable) -> Iterator[Problem]:
+def _number_problems(piece: ParsedTable, columns: Columns) -> Iterator[Problem]:
     """Yield wrong uncertainties and incomplete tangents."""
     bounds = piece.uncertainty
     for at, output in np.argwhere(np.isinf(bounds) | (bounds < 0.0)).tolist():
-        message = f"{bounds[at, output]}: an uncertainty of {DISPLACEMENT[output]} is 0 or more"
+        message = (
+            f"{bounds[at, output]}: an uncertainty of {columns.displacement[output]} is 0 or more"
+        )
         yield at, f"uncertainty[{output}]", message
-    tangents: Array = piece.compliance.reshape(-1, 36)
+    count = len(columns.compliance)
+    tangents: Array = piece.compliance.reshape(-1, count)
     broken = ~np.isfinite(tangents).all(axis=1) & ~np.isnan(tangents).all(axis=1)
     for at in np.flatnonzero(broken).tolist():
-        yield at, "compliance", "is not 36 finite numbers; a row has all 36 tangents or none (NaN)"
+        message = f"is not {count} finite numbers; a row has all {count} tangents or none (NaN)"
+        yield at, "compliance", message
 
 
 def _text_problems(piece: ParsedTable) -> Iterator[Problem]:

@@ -2,7 +2,8 @@
 
 A column has one name, one unit and many spellings: ``Fz [N]``, ``Force_z``, ``Fz/N``, ``uz_mm``. A
 spelling of two quantities (``Tx`` is a torque to a sensor, a translation to a tracker) needs a unit
-that tells which.
+that tells which. A component of several interfaces has their names before those of loads and
+displacements: ``left.Fx [N]``. Further inputs have the names of the component's space.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import cache
+from itertools import product
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,28 +27,24 @@ from wrenchbook.service.formats.units import (
     Quantity,
     UnitError,
     chosen_units,
+    further_quantity,
     in_unit,
     quotient,
     si_factor,
 )
+from wrenchbook.surrogate.table.space import DEFAULT, LOADS, OUTPUTS, Space
 
-WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-DISPLACEMENT = ("ux", "uy", "uz", "rx", "ry", "rz")
-UNCERTAINTY = tuple(f"{name}_err" for name in DISPLACEMENT)
-COMPLIANCE = tuple(f"d{output}/d{load}" for output in DISPLACEMENT for load in WRENCH)
+WRENCH, DISPLACEMENT = LOADS, OUTPUTS
 TEXTS = ("source", "note", "fingerprint")
-NUMBERS = (*WRENCH, *DISPLACEMENT, *UNCERTAINTY, *COMPLIANCE)
 TIME_COLUMN = "time"
+MOST_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
 MOST_LABEL = 200  # characters; a longer label is a title, and takes seconds to read
 ORIGIN = ("row", "when", "who")  # columns of an export that an import ignores
 
 COVERAGE_FACTOR = Decimal(2)
 """From a standard uncertainty to an interval of 95 %: k = 2 (JCGM 100:2008, G.6.6)."""
 
-_QUANTITY: dict[str, Quantity] = {
-    name: (FORCE, MOMENT, TRANSLATION, ROTATION, TRANSLATION, ROTATION)[index // 3]
-    for index, name in enumerate((*WRENCH, *DISPLACEMENT, *UNCERTAINTY))
-} | {TIME_COLUMN: TIME}
+_LETTERS = {"f": FORCE, "m": MOMENT, "u": TRANSLATION, "r": ROTATION}
 # The synonyms of column names; a direction follows.
 _SYNONYMS = {
     "f": ("f", "force", "kraft"),
@@ -68,17 +67,6 @@ _GAP = re.compile(r"[\s_./,-]+")
 _RATE = re.compile(r"(?i)(time|zeit)\s+\d+ - [^\[\]()]+")  # catman: Zeit  1 - Standardmessrate
 
 
-def quantity_of(name: str) -> Quantity:
-    """Return the quantity of a load, displacement or uncertainty column."""
-    return _QUANTITY[name]
-
-
-def tangent_quantities(name: str) -> tuple[Quantity, Quantity]:
-    """Return the quantities over and under the stroke of a tangent column such as ``dux/dfx``."""
-    output, load = name.split("/")
-    return _QUANTITY[output[1:]], _QUANTITY[load[1:]]
-
-
 def over(upper: str, lower: str) -> str:
     """Return the unit of a tangent column: ``mm/lbf``, ``mm/(lbf*in)``."""
     return f"{upper}/{lower}" if lower.isalpha() else f"{upper}/({lower})"
@@ -98,21 +86,124 @@ def split(label: str) -> tuple[str, str]:
     return match["name"], (match["a"] or match["b"] or "").strip()
 
 
-def readings(label: str) -> Iterator[tuple[str, str, Decimal]]:
-    """Yield the meanings of a label: the name of a column, its unit as written, a further factor.
+class Columns:
+    """The columns of numbers of a table, by the names of its space.
 
-    The unit is empty if the label has none. A label that begins with no name of a column, or is
-    longer than `MOST_LABEL`, has no meaning.
+    Attributes
+    ----------
+    wrench, loads, further : tuple of str
+        All inputs; of them the loads, and the others.
+    displacement, uncertainty, compliance : tuple of str
+        The outputs, the 95 % half width of each, the tangent of each over each input.
+    numbers : tuple of str
+        All of these.
+    most : int
+        Columns that a file may have.
     """
-    if len(label) > MOST_LABEL:
-        return
-    name, unit = split(label)
-    if _RATE.fullmatch(name):
-        yield TIME_COLUMN, unit, Decimal(1)
-        return
-    if name.lower() in (*TEXTS, *COMPLIANCE):
-        yield name.lower(), unit, Decimal(1)
-        return
+
+    def __init__(self, space: Space) -> None:
+        scalars = {one.name: one.unit for one in space.inputs if one.kind == "scalar"}
+        self.space = space
+        self.wrench, self.displacement = space.input_names, space.output_names
+        self.loads = tuple(name for name in self.wrench if name not in scalars)
+        self.further = tuple(scalars)
+        self.uncertainty = tuple(f"{name}_err" for name in self.displacement)
+        pairs = product(self.displacement, self.wrench)
+        self._tangents = {f"d{output}/d{one}": (output, one) for output, one in pairs}
+        self.compliance = tuple(self._tangents)
+        self.numbers = (*self.wrench, *self.displacement, *self.uncertainty, *self.compliance)
+        self.most = max(MOST_COLUMNS, 2 * len(self.numbers))
+        # The columns that have one spelling.
+        self._exact = {name.lower(): name for name in (*TEXTS, *self.compliance, *scalars)}
+        self._quantities = {name: further_quantity(name, unit) for name, unit in scalars.items()}
+        self._quantities[TIME_COLUMN] = TIME
+        fronts = sorted(filter(None, space.interfaces), key=len, reverse=True)
+        self._fronts = [(re.compile(re.escape(one) + _GAP.pattern, re.I), one) for one in fronts]
+
+    def quantity(self, name: str) -> Quantity:
+        """Return the quantity of an input, displacement or uncertainty column."""
+        return self._quantities.get(name) or _LETTERS[name.rpartition(".")[2][0]]
+
+    def tangent(self, name: str) -> tuple[Quantity, Quantity]:
+        """Return the quantities over and under the stroke of a tangent such as ``dux/dfx``."""
+        output, one = self._tangents[name]
+        return self.quantity(output), self.quantity(one)
+
+    def readings(self, label: str) -> Iterator[tuple[str, str, Decimal]]:
+        """Yield the meanings of a label: the name of a column, its unit as written, a factor.
+
+        The unit is empty if the label has none. A label that begins with no name of a column, or
+        is longer than `MOST_LABEL`, has no meaning.
+        """
+        if len(label) > MOST_LABEL:
+            return
+        name, unit = split(label)
+        if _RATE.fullmatch(name):
+            yield TIME_COLUMN, unit, Decimal(1)
+            return
+        if name.lower() in self._exact:
+            yield self._exact[name.lower()], unit, Decimal(1)
+            return
+        joined = "".join(_GAP.split(name)).lower()
+        for one in self.further:
+            if joined in self.quantity(one).spellings:
+                yield one, unit, Decimal(1)
+        front = next((one for one in self._fronts if one[0].match(name)), (None, ""))
+        bare = front[0].sub("", name, 1) if front[0] else name
+        for column, found, factor in _readings(bare, unit):
+            if not self._fronts or (column == TIME_COLUMN and not front[1]):
+                yield column, found, factor
+            elif front[1] and column != TIME_COLUMN:
+                yield f"{front[1]}.{column}", found, factor
+
+    def interface_problem(self, name: str) -> str:
+        """Return what is wrong with the interface in the name of a load or output, if anything."""
+        if not self._fronts or len(name) > MOST_LABEL:
+            return ""
+        front, _, rest = name.rpartition(".")
+        column = next((one for one, _, _ in _readings(rest, "") if one != TIME_COLUMN), "")
+        if not column:
+            return ""
+        which = f"the component has no interface {front!r}" if front else "names no interface"
+        there = self.space.interfaces
+        example = f"{there[0]}.{column}"
+        return f"{which}; there are {', '.join(there)}: write for example {example}"
+
+    def factor(self, name: str, unit: str) -> Decimal:
+        """Return the factor from a unit of the column `name` to that of the table; UnitError."""
+        if name in TEXTS:
+            return Decimal(1)
+        if name not in self._tangents:
+            return si_factor(unit, self.quantity(name))
+        upper, _, lower = unit.partition("/")
+        output, load = self.tangent(name)
+        lower = lower.strip().removeprefix("(").removesuffix(")")
+        if not lower:
+            example = self.examples(name)
+            raise UnitError(f"[{unit}] is not a unit over a unit; write for example {example}")
+        return quotient(si_factor(upper.strip(), output), si_factor(lower, load))
+
+    def zero(self, name: str, unit: str) -> Decimal:
+        """Return the zero of a unit in that of the table: 273.15 of degC in K; mostly 0."""
+        scales = self.quantity(name).scales if name in self.further else ()
+        return next((zero for one, _, zero in scales if one == unit), Decimal(0))
+
+    def examples(self, name: str) -> str:
+        """Return the name of a column with units that it may have."""
+        if name in self._tangents:
+            output, load = self.tangent(name)
+            return f"{name} [{over(output.si, load.si)}]"
+        return ", ".join(f"{name} [{unit}]" for unit in self.quantity(name).examples[:3])
+
+
+@cache
+def columns_of(space: Space = DEFAULT) -> Columns:
+    """Return the columns of a space."""
+    return Columns(space)
+
+
+def _readings(name: str, unit: str) -> Iterator[tuple[str, str, Decimal]]:
+    """Yield the meanings of a name of one interface; see `Columns.readings`."""
     for end in sorted({len(name), *(gap.start() for gap in _GAP.finditer(name))}, reverse=True):
         rest, last = _split_uncertainty(name[end:].lstrip(" _./,-"))
         found = sorted(_columns(name[:end] + last))
@@ -143,28 +234,6 @@ def _columns(name: str) -> set[tuple[str, Decimal]]:
     return {(f"{column}_err", factor) for column in of if column in DISPLACEMENT}
 
 
-def factor_of(name: str, unit: str) -> Decimal:
-    """Return the factor from a unit of the column `name` to SI; raises UnitError."""
-    if name in TEXTS:
-        return Decimal(1)
-    if name not in COMPLIANCE:
-        return si_factor(unit, _QUANTITY[name])
-    upper, _, lower = unit.partition("/")
-    output, load = tangent_quantities(name)
-    lower = lower.strip().removeprefix("(").removesuffix(")")
-    if not lower:
-        raise UnitError(f"[{unit}] is not a unit over a unit; write for example {examples(name)}")
-    return quotient(si_factor(upper.strip(), output), si_factor(lower, load))
-
-
-def examples(name: str) -> str:
-    """Return the name of a column with units that it may have."""
-    if name in COMPLIANCE:
-        output, load = tangent_quantities(name)
-        return f"{name} [{over(output.si, load.si)}]"
-    return ", ".join(f"{name} [{unit}]" for unit in _QUANTITY[name].examples[:3])
-
-
 class WritableRows(Protocol):
     """Rows that can be written: a `ParsedTable`, the rows of a surrogate, any of this form.
 
@@ -173,22 +242,22 @@ class WritableRows(Protocol):
 
     @property
     def wrench(self) -> np.ndarray:
-        """Shape (n, 6), N and N·m."""
+        """Shape (n, inputs), N and N·m."""
         ...
 
     @property
     def displacement(self) -> np.ndarray:
-        """Shape (n, 6), m and rad; NaN where not measured."""
+        """Shape (n, outputs), m and rad; NaN where not measured."""
         ...
 
     @property
     def uncertainty(self) -> np.ndarray:
-        """Shape (n, 6), m and rad; NaN where unknown."""
+        """Shape (n, outputs), m and rad; NaN where unknown."""
         ...
 
     @property
     def compliance(self) -> np.ndarray:
-        """Shape (n, 6, 6), m and rad over N and N·m; NaN where unknown."""
+        """Shape (n, outputs, inputs), m and rad over N and N·m; NaN where unknown."""
         ...
 
     @property
@@ -247,6 +316,7 @@ def layout(
     units: Mapping[str, str] | None = None,
     *,
     origin: bool = False,
+    space: Space = DEFAULT,
 ) -> Layout:
     """Return the columns of an export.
 
@@ -261,27 +331,34 @@ def layout(
         otherwise.
     origin : bool
         Whether number, time and sender of each row are columns.
+    space : Space
 
     Raises
     ------
     UnitError
         If a unit does not measure its quantity.
     """
-    chosen = chosen_units(units)
-    blocks = [("wrench", WRENCH), ("displacement", DISPLACEMENT)]
-    blocks += [("uncertainty", UNCERTAINTY)] if uncertainty else []
-    blocks += [("compliance", COMPLIANCE)] if compliance else []
+    chosen, columns = chosen_units(units), columns_of(space)
+    blocks = [("wrench", columns.wrench), ("displacement", columns.displacement)]
+    blocks += [("uncertainty", columns.uncertainty)] if uncertainty else []
+    blocks += [("compliance", columns.compliance)] if compliance else []
     numbers = tuple(
-        NumberColumn(name, block, index, *_export_unit(name, chosen))
+        NumberColumn(name, block, index, *_export_unit(name, columns, chosen))
         for block, names in blocks
         for index, name in enumerate(names)
     )
     return Layout(numbers, (*texts, *(ORIGIN if origin else ())))
 
 
-def _export_unit(name: str, chosen: Mapping[Quantity, tuple[str, Decimal]]) -> tuple[str, Decimal]:
-    """Return the unit that a column is written in, and its SI factor."""
-    if name not in COMPLIANCE:
-        return chosen[quantity_of(name)]
-    (upper, above), (lower, below) = (chosen[of] for of in tangent_quantities(name))
+def _export_unit(
+    name: str, columns: Columns, chosen: Mapping[Quantity, tuple[str, Decimal]]
+) -> tuple[str, Decimal]:
+    """Return the unit that a column is written in, and its factor to the table's."""
+
+    def unit_of(quantity: Quantity) -> tuple[str, Decimal]:
+        return chosen.get(quantity, (quantity.si, Decimal(1)))
+
+    if name not in columns.compliance:
+        return unit_of(columns.quantity(name))
+    (upper, above), (lower, below) = map(unit_of, columns.tangent(name))
     return over(upper, lower), quotient(above, below)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from wrenchbook.service.formats.cells import decimal_mark, guard_formula, number_text
-from wrenchbook.service.formats.column_names import NUMBERS, TIME_COLUMN, Layout, WritableRows
+from wrenchbook.service.formats.column_names import TEXTS, TIME_COLUMN, Layout, WritableRows
 from wrenchbook.service.formats.header import Header, read_head
 from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
 from wrenchbook.service.formats.preamble import Preamble, Record, delimiter_in
@@ -63,7 +63,7 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     """Yield the good rows of a CSV file piece by piece; `report` gets the mistakes."""
     try:
         encoding = _encoding(path)
-        delimiter = _delimiter(_lines(path, encoding))
+        delimiter = _delimiter(_lines(path, encoding), options)
     except UnreadableFileError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
@@ -171,7 +171,7 @@ def _lines(path: Path, encoding: str) -> Iterator[str]:
             yield line
 
 
-def _delimiter(lines: Iterator[str]) -> str:
+def _delimiter(lines: Iterator[str], options: Options) -> str:
     """Return the delimiter from a ``sep=`` line, else from the header (see `delimiter_in`)."""
     for number, line in enumerate(lines, 1):
         _refuse_blank(number, number)
@@ -180,7 +180,8 @@ def _delimiter(lines: Iterator[str]) -> str:
             return separator["mark"]
         if _may_be_header(line):
             rest = (below for below in islice(lines, _MOST_HEAD) if _may_be_header(below))
-            return delimiter_in(chain([line], rest), lambda text: _IN_BRACKETS.sub("", text))
+            lines = chain([line], rest)
+            return delimiter_in(lines, lambda text: _IN_BRACKETS.sub("", text), options.columns)
     return ","
 
 
@@ -270,7 +271,8 @@ def _holds_rows(cells: list[str], header: Header, delimiter: str) -> bool:
 
     A text of several lines leaves at most one such line, which holds the numbers of the row.
     """
-    places = [column.index for name, column in header.columns.items() if name in NUMBERS]
+    numeric = (name for name in header.columns if name not in (*TEXTS, TIME_COLUMN))
+    places = [header.columns[name].index for name in numeric]
     rows = 0
     for line in _LINE_END.split(delimiter.join(cells)):
         parts = [part.strip().replace(",", ".") for part in line.split(delimiter)]
@@ -301,7 +303,7 @@ def _marks(rows: TextRows, header: Header) -> tuple[set[str], tuple[int, str, st
     sure: set[str] = set()
     doubtful = None
     for name, column in header.columns.items():
-        if name not in NUMBERS and name != TIME_COLUMN:
+        if name in TEXTS:
             continue
         for line, cells in zip(rows.line, rows.cells, strict=True):
             text = cells[column.index].strip() if len(cells) > column.index else ""

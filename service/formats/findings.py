@@ -39,9 +39,10 @@ class FindingsSample:
     def findings(self, options: Options, known: Sequence[RigFinding] = ()) -> list[dict[str, Any]]:
         """Return findings as JSON-able values; `rows` are places in the file, as of mistakes.
 
-        `known` are those of the join of two logs; rows of a wrong join show nothing else.
+        `known` are those of the join of two logs; rows of a wrong join show nothing else. The other
+        findings are on one wrench and its displacement: other spaces have none.
         """
-        if known or not self._parts or options.load_range is None:
+        if known or not self._parts or options.load_range is None or not options.space.is_default:
             return [one.body() for one in known]
         wrench, moved, row = (np.concatenate(one) for one in zip(*self._parts, strict=True))
         rows = Rows.of(wrench, moved, seq=row)

@@ -19,34 +19,22 @@ from decimal import Decimal
 from itertools import chain
 
 from wrenchbook.service.formats.cells import is_number
-from wrenchbook.service.formats.column_names import (
-    COMPLIANCE,
-    DISPLACEMENT,
-    NUMBERS,
-    ORIGIN,
-    TEXTS,
-    TIME_COLUMN,
-    WRENCH,
-    examples,
-    factor_of,
-    quantity_of,
-    readings,
-    split,
-)
+from wrenchbook.service.formats.column_names import ORIGIN, TEXTS, TIME_COLUMN, Columns, split
 from wrenchbook.service.formats.options import FileMistake, Options
-from wrenchbook.service.formats.preamble import MOST_COLUMNS, Preamble, Record, split_titles
+from wrenchbook.service.formats.preamble import Preamble, Record, split_titles
 from wrenchbook.service.formats.units import UnitError, product, quotient
 
 
 @dataclass(frozen=True)
 class HeaderColumn:
-    """One column: its index in a record, its label, its name, its SI factor (1 for text)."""
+    """One column: its index in a record, label, name, and the factor and zero of its unit in SI."""
 
     index: int
     label: str
     name: str
     factor: Decimal = Decimal(1)
     unit: str = ""
+    zero: Decimal = Decimal(0)
 
 
 @dataclass
@@ -73,7 +61,7 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
 
     Mistakes of the header are in `Header.mistakes`.
     """
-    preamble = Preamble()
+    preamble, columns = Preamble(), options.columns
     for line, cells in records:
         try:
             if preamble.add(cells):
@@ -84,9 +72,9 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     else:
         message = "there is no header" if preamble else "the file is empty"
         return _no_header(0, "file", message), records
-    titles, (line, cells), records = split_titles((line, cells), records, options.mapping)
-    if any(cell.strip() for cell in cells[MOST_COLUMNS:]):
-        message = f"names {len(cells):,} columns; a table has at most {MOST_COLUMNS}"
+    titles, (line, cells), records = split_titles((line, cells), records, options.mapping, columns)
+    if any(cell.strip() for cell in cells[columns.most :]):
+        message = f"names {len(cells):,} columns; a table has at most {columns.most}"
         return _no_header(line, "header", message), records
     if all(is_number(cell) for cell in cells if cell.strip()):
         message = (
@@ -96,7 +84,7 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
         return _no_header(line, "header", message), records
     labels = _labels(cells)
     below = next(records, None)
-    units = below[1] if below and _is_units_row(labels, below[1]) else []
+    units = below[1] if below and _is_units_row(labels, below[1], columns) else []
     if below and not units:
         records = chain([below], records)
     header = _read_header(labels, line, options, units, preamble)
@@ -108,23 +96,24 @@ def _no_header(line: int, field: str, message: str) -> Header:
     return Header(0, mistakes=[FileMistake(line, field, message)])
 
 
-def _is_units_row(labels: list[str], cells: list[str]) -> bool:
+def _is_units_row(labels: list[str], cells: list[str], columns: Columns) -> bool:
     """Return whether a record below labels without units holds units."""
     if any(is_number(cell) for cell in cells if cell.strip()):
         return False
     return any(
-        cell.strip() and _lacks_unit(label) for label, cell in zip(labels, cells, strict=False)
+        cell.strip() and _lacks_unit(label, columns)
+        for label, cell in zip(labels, cells, strict=False)
     )
 
 
-def _lacks_unit(label: str) -> bool:
-    return any(not unit and name not in TEXTS for name, unit, _ in _readings(label))
+def _lacks_unit(label: str, columns: Columns) -> bool:
+    return any(not unit and name not in TEXTS for name, unit, _ in _readings(label, columns))
 
 
-def _readings(label: str) -> list[tuple[str, str, Decimal]]:
+def _readings(label: str, columns: Columns) -> list[tuple[str, str, Decimal]]:
     """Return the meanings of a label; none if its brackets are broken."""
     try:
-        return list(readings(label))
+        return list(columns.readings(label))
     except UnitError:
         return []
 
@@ -184,7 +173,7 @@ class _ColumnNames:
     """Finds the column of a label from options, a row of units and a preamble."""
 
     def __init__(self, options: Options, units: Sequence[str], preamble: Preamble) -> None:
-        self._options = options
+        self._options, self._columns = options, options.columns
         self._units = [_bare(unit) for unit in units]
         self._preamble = preamble
         self._ignore = {_key(name) for name in options.ignore}
@@ -213,24 +202,26 @@ class _ColumnNames:
             if self.ignores_extra and not mapped:
                 return None
             raise UnitError(str(error)) from None
-        if sign < 0 and name not in (*WRENCH, *DISPLACEMENT):
+        columns = self._columns
+        if sign < 0 and name not in (*columns.loads, *columns.displacement):
             raise UnitError("a - before a name is for loads and displacements only; leave it out")
-        return HeaderColumn(index, label, name, factor * sign, unit)
+        return HeaderColumn(index, label, name, factor * sign, unit, columns.zero(name, unit))
 
     def _read(self, label: str, below: str) -> tuple[str, str, Decimal]:
         """Return name, unit and factor of a label with a unit below it; raises UnitError."""
         problem: UnitError | None = None
         fits: dict[str, tuple[str, str, Decimal]] = {}
-        for name, own, factor in readings(label):
+        for name, own, factor in self._columns.readings(label):
             counted = self._preamble.unit_of(name) if not (own or below) else None
             unit, count = counted or (own or below, Decimal(1))
             if name in TEXTS:
                 return name, "", Decimal(1)
             if not unit and name != TIME_COLUMN:
-                problem = problem or UnitError(f"has no unit; write for example {examples(name)}")
+                example = self._columns.examples(name)
+                problem = problem or UnitError(f"has no unit; write for example {example}")
                 continue
             try:
-                si = factor_of(name, unit) if unit else Decimal(1)
+                si = self._columns.factor(name, unit) if unit else Decimal(1)
             except UnitError as error:
                 problem = problem or error
                 continue
@@ -240,9 +231,13 @@ class _ColumnNames:
         if len(fits) > 1:
             raise UnitError(f"can be {' or '.join(sorted(fits))}; name one with mapping")
         # With brackets, or as a bare name, the label names a column and its unit is the mistake.
-        if problem and (split(label)[1] or any(not unit for _, unit, _ in readings(label))):
+        meanings = self._columns.readings(label)
+        if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
             raise problem
-        raise _UnknownColumnError(_unknown(_name(label).lower()))
+        name, columns = _name(label), self._columns
+        raise _UnknownColumnError(
+            columns.interface_problem(name) or _unknown(name.lower(), columns)
+        )
 
 
 _ALONE = "; a log of loads alone: send the log of its displacements too, as displacements=FILE"
@@ -270,40 +265,49 @@ def _bare(unit: str) -> str:
     return inside.strip()
 
 
-def _unknown(name: str) -> str:
+def _unknown(name: str, columns: Columns) -> str:
     """Return a message on an unknown column with the nearest known one."""
-    near = difflib.get_close_matches(name, (*NUMBERS, *TEXTS), n=1, cutoff=0.6)
+    near = difflib.get_close_matches(name, (*columns.numbers, *TEXTS), n=1, cutoff=0.6)
     hint = f"; did you mean {near[0]}? Units stand in brackets: fx [N]" if near else ""
     return (
         f"is not a column of a table{hint}. Rename it, name it in ignore, or say what it is with "
-        f"mapping; there are {' '.join(WRENCH)} {' '.join(DISPLACEMENT)}, a displacement's with "
-        f"_err, {COMPLIANCE[0]} ... {COMPLIANCE[-1]}, source, note, fingerprint"
+        f"mapping; there are {' '.join(columns.wrench)} {' '.join(columns.displacement)}, a "
+        f"displacement's with _err, {columns.compliance[0]} ... {columns.compliance[-1]}, source, "
+        "note, fingerprint"
     )
 
 
 def _missing_columns(header: Header, labels: list[str], options: Options) -> Iterator[str]:
     """Yield messages on missing columns: a load, a displacement, a time."""
+    columns = options.columns
     # A column with a mistake in its unit is not missing.
     known = {*header.ignored, *(column.label for column in header.columns.values())}
-    mistaken = {name for label in labels if label not in known for name, _, _ in _readings(label)}
+    mistaken = {
+        name for label in labels if label not in known for name, _, _ in _readings(label, columns)
+    }
     named = mistaken | set(header.columns)
     needed = []
     if options.role != "loads":
-        needed.append(("displacement", DISPLACEMENT))
+        needed.append(("displacement", columns.displacement))
     if options.role != "displacements":
-        needed.append(("load", WRENCH))
+        needed.append(("load", columns.loads))
     for what, names in needed:
         if not named & set(names):
-            columns = ", ".join(f"{name} [{quantity_of(name).examples[0]}]" for name in names)
+            units = (columns.quantity(name).examples[0] for name in names)
+            named_so = ", ".join(map("{} [{}]".format, names, units))
             alone = _ALONE if what == "displacement" and options.role == "table" else ""
-            yield f"no {what} column; name at least one of {columns}{alone}"
-    absent = [name for name in WRENCH if name not in named]
+            yield f"no {what} column; name at least one of {named_so}{alone}"
+    absent = [name for name in columns.loads if name not in named]
     may_miss = options.missing_loads == "zero" or options.role == "displacements"
-    if absent and len(absent) < 6 and not may_miss:
+    if absent and len(absent) < len(columns.loads) and not may_miss:
         out = f" (left out: {', '.join(header.ignored)})" if header.ignored else ""
         yield (
             f"there is no column for {', '.join(absent)}{out}; if these loads were zero, say "
             "missing_loads=zero"
         )
+    for name in columns.further if options.role != "displacements" else ():
+        if name not in named:
+            example = f"{name} [{columns.quantity(name).si}]"
+            yield f"there is no column for {name}; every row needs it: name it {example}"
     if options.role != "table" and TIME_COLUMN not in named and header.sequence is None:
         yield "two logs are joined by their time; there is no column time [s]"

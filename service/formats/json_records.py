@@ -12,7 +12,9 @@ from wrenchbook.service.formats.preamble import Record
 from wrenchbook.service.formats.records import CellFormat, read_records
 from wrenchbook.service.formats.table_rows import ParsedTable
 
-_KEYS = "units|contract|provenance|rows|component|table_version"  # of a table in one object
+_KEYS = (  # of a table in one object
+    "units|contract|provenance|rows|component|table_version|inputs|outputs"
+)
 _RECORDS = re.compile(rf'\s*(\[\s*\{{|\{{\s*"(?!({_KEYS})"))')
 _COLUMNS = "write pandas' frames with to_json(orient='records')"
 

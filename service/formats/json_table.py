@@ -5,6 +5,8 @@ Objects of columns, a list of them or one a line, are read by `json_records`.
 A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
 numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
 of ux uy uz rx ry rz, over fx fy fz mx my mz), ``source``, ``note`` and ``fingerprint``. Always SI.
+Rows of several interfaces or further inputs have as many numbers as ``inputs`` and ``outputs``
+name; without these two the order is the component's.
 An export also has ``component``, ``table_version`` and the number of each row in the ledger,
 ``row``; an import ignores them.
 
@@ -23,23 +25,23 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.formats.column_names import (
-    DISPLACEMENT,
-    ORIGIN,
-    TEXTS,
-    WRENCH,
-    WritableRows,
-)
+from wrenchbook.service.formats.column_names import ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.json_reader import JsonError, JsonReader
 from wrenchbook.service.formats.json_records import is_records, read_json_records
 from wrenchbook.service.formats.options import MOST_LISTED, Options, ReadReport
-from wrenchbook.service.formats.table_rows import Array, ParsedTable, good_rows, known_column
+from wrenchbook.service.formats.table_rows import (
+    Array,
+    ParsedTable,
+    good_rows,
+    known_column,
+    number_word,
+)
 from wrenchbook.service.formats.units import vanished
 
 PIECE = 20_000  # rows at once
+_SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
 _ROW_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS, *ORIGIN)
-_NO_TABLE = 'is not a table; write {"rows": [{"wrench": [6 numbers], "displacement": [6]}]}'
 
 
 def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -64,7 +66,7 @@ def _text_of(path: Path) -> str:
 def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Iterator[str]:
     """Yield the text of a JSON table: the members `about`, then the rows of each piece.
 
-    NaN becomes null. Six unknown uncertainties, an unknown tangent and an empty text are left out.
+    NaN becomes null. Unknown uncertainties, an unknown tangent and an empty text are left out.
     """
     head = json.dumps({**about, "units": "SI"}, allow_nan=False)
     yield head[:-1] + ', "rows": ['
@@ -78,15 +80,16 @@ def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Itera
 
 
 def _pieces(reader: JsonReader, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    piece, listed = _JsonRows(), False
+    columns = options.columns
+    piece, listed, no_table = _JsonRows(columns), False, _no_table(columns)
     if reader.peek() != "{":
         reader.value()
         reader.end()
-        report.mistakes.ruin(0, "rows", _NO_TABLE)
+        report.mistakes.ruin(0, "rows", no_table)
         return
     for key in reader.members():
         if key != "rows" or reader.peek() != "[":
-            if problem := _key_problem(key, reader.value()):
+            if problem := _key_problem(key, reader.value(), columns):
                 report.mistakes.ruin(0, key, problem)
                 return
             continue
@@ -98,22 +101,31 @@ def _pieces(reader: JsonReader, options: Options, report: ReadReport) -> Iterato
                 yield piece.table(options, report)
                 if report.is_beyond_limits():
                     return
-                piece = _JsonRows()
+                piece = _JsonRows(columns)
     reader.end()
     if not listed:
-        report.mistakes.ruin(0, "rows", _NO_TABLE)
+        report.mistakes.ruin(0, "rows", no_table)
     elif not report.read:
         report.mistakes.ruin(0, "rows", "there is no row")
     yield piece.table(options, report)
     report.is_beyond_limits()
 
 
-def _key_problem(key: str, value: Any) -> str:
+def _no_table(columns: Columns) -> str:
+    loads, moved = len(columns.wrench), len(columns.displacement)
+    rows = f'[{{"wrench": [{loads} numbers], "displacement": [{moved}]}}]'
+    return f'is not a table; write {{"rows": {rows}}}'
+
+
+def _key_problem(key: str, value: Any, columns: Columns) -> str:
     """Return what is wrong with a member of the table that is no list of rows."""
     if key == "rows":
-        return _NO_TABLE
+        return _no_table(columns)
     if key == "units" and value != "SI":
         return "a JSON table is in SI; convert it, or send CSV with units"
+    if key in _SPACE_KEYS:
+        own = columns.wrench if key == "inputs" else columns.displacement
+        return "" if value == list(own) else f"are not the component's: {', '.join(own)}"
     if key not in _TABLE_KEYS:
         return f"is not a key of a table; there are {', '.join(_TABLE_KEYS)}"
     return ""
@@ -122,10 +134,11 @@ def _key_problem(key: str, value: Any) -> str:
 class _JsonRows:
     """Rows without mistakes, and the mistakes of the others (row, key, message)."""
 
-    def __init__(self) -> None:
+    def __init__(self, columns: Columns) -> None:
         self.mistakes: list[tuple[int, str, str]] = []
+        self._columns = columns
         self._row: list[int] = []
-        self._numbers: list[list[float]] = []  # 54 a row
+        self._numbers: list[list[float]] = []  # as many a row as `Columns.numbers`
         self._texts: list[list[str]] = []
         self._at = 0
 
@@ -138,8 +151,8 @@ class _JsonRows:
         for key in row:
             if key not in _ROW_KEYS:
                 self._refuse(key, f"is not a key of a row; there are {', '.join(_ROW_KEYS)}")
-        numbers = self._six(row, "wrench", WRENCH)
-        numbers += self._six(row, "displacement", DISPLACEMENT)
+        numbers = self._required(row, "wrench", self._columns.wrench)
+        numbers += self._required(row, "displacement", self._columns.displacement)
         numbers += self._uncertainty(row.get("uncertainty"))
         numbers += self._tangent(row.get("compliance"))
         texts = [self._text(row, key) for key in TEXTS]
@@ -152,13 +165,14 @@ class _JsonRows:
         """Return the rows within all limits; `report` gets the mistakes."""
         for mistake in self.mistakes:
             report.mistakes.add(*mistake)
-        block: Array = np.array(self._numbers, dtype=float).reshape(-1, 54)
+        n, m = len(self._columns.wrench), len(self._columns.displacement)
+        block: Array = np.array(self._numbers, dtype=float).reshape(-1, n + 2 * m + m * n)
         source, note, fingerprint = zip(*self._texts, strict=True) if self._texts else ((), (), ())
         piece = ParsedTable(
-            wrench=block[:, :6],
-            displacement=block[:, 6:12],
-            uncertainty=known_column(block[:, 12:18]),
-            compliance=known_column(block[:, 18:].reshape(-1, 6, 6)),
+            wrench=block[:, :n],
+            displacement=block[:, n : n + m],
+            uncertainty=known_column(block[:, n + m : n + 2 * m]),
+            compliance=known_column(block[:, n + 2 * m :].reshape(-1, m, n)),
             source=source,
             note=note,
             fingerprint=fingerprint,
@@ -169,11 +183,12 @@ class _JsonRows:
     def _refuse(self, key: str, message: str) -> None:
         self.mistakes.append((self._at, key, message))
 
-    def _six(self, row: dict[str, Any], key: str, names: Sequence[str]) -> list[float]:
-        """Return six finite numbers, NaN for a displacement that is null."""
+    def _required(self, row: dict[str, Any], key: str, names: Sequence[str]) -> list[float]:
+        """Return finite numbers, one a name, NaN for a displacement that is null."""
         values = row.get(key)
-        if not _are_six(values):
-            problem = "is missing" if values is None else "is not a list of six numbers"
+        if not _are(values, len(names)):
+            count = number_word(len(names))
+            problem = "is missing" if values is None else f"is not a list of {count} numbers"
             self._refuse(key, f"{problem}; write [{', '.join(names)}] in SI")
             return []
         partial = key == "displacement"
@@ -182,10 +197,12 @@ class _JsonRows:
         return self._finite(key, values, nulls=partial)
 
     def _uncertainty(self, values: Any) -> list[float]:
+        count = len(self._columns.displacement)
         if values is None:
-            return [math.nan] * 6
-        if not _are_six(values):
-            self._refuse("uncertainty", "is not a list of six numbers (null where unknown)")
+            return [math.nan] * count
+        if not _are(values, count):
+            message = f"is not a list of {number_word(count)} numbers (null where unknown)"
+            self._refuse("uncertainty", message)
             return []
         bounds = self._finite("uncertainty", values, nulls=True)
         for index, bound in enumerate(bounds):
@@ -194,11 +211,15 @@ class _JsonRows:
         return bounds
 
     def _tangent(self, lines: Any) -> list[float]:
-        """Return the 36 tangents by lines, NaN where the row has none."""
+        """Return the tangents by lines, NaN where the row has none."""
+        n, m = len(self._columns.wrench), len(self._columns.displacement)
         if lines is None:
-            return [math.nan] * 36
-        if not _are_six(lines) or not all(map(_are_six, lines)):
-            message = "is not six lists of six numbers; a row has all 36 tangents or none"
+            return [math.nan] * (m * n)
+        if not _are(lines, m) or not all(_are(line, n) for line in lines):
+            message = (
+                f"is not {number_word(m)} lists of {number_word(n)} numbers; a row has all "
+                f"{m * n} tangents or none"
+            )
             self._refuse("compliance", message)
             return []
         numbers = (self._finite(f"compliance[{at}]", line) for at, line in enumerate(lines))
@@ -240,8 +261,8 @@ class _JsonRows:
         return value.strip()
 
 
-def _are_six(values: Any) -> TypeGuard[list[Any]]:
-    return isinstance(values, list) and len(values) == 6
+def _are(values: Any, count: int) -> TypeGuard[list[Any]]:
+    return isinstance(values, list) and len(values) == count
 
 
 class _Vanished(float):

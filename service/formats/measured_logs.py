@@ -38,6 +38,7 @@ def zeroed(
                 report.mistakes.ruin(0, "tare", message)
                 return
             offset = _means(piece, count)
+            offset[0][len(options.columns.loads) :] = 0.0  # a temperature has its own zero
             report.zeroed = count
             piece = piece.take(np.arange(len(piece)) >= count)
         wrench, displacement = piece.wrench - offset[0], piece.displacement - offset[1]
@@ -53,7 +54,7 @@ def _means(piece: ParsedTable, count: int) -> tuple[Array, Array]:
 
 
 def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Array, Array] | None:
-    """Return the times (n,), s, and the wrenches (n, 6), N and N·m, of a log of loads.
+    """Return the times (n,), s, and the wrenches (n, inputs), of a log of loads.
 
     None if it has a mistake: a missing load is missing for the rows before and after it.
     """
@@ -84,8 +85,10 @@ def applied_lag(
     auto = options.time_offset_s == "auto"
     applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s
     when = np.concatenate([np.empty(0), *(one.time for one in pieces if one.time is not None)])
-    moved = np.concatenate([np.empty((0, 6)), *(one.displacement for one in pieces)])
-    found = estimate_lag(Logs(time, wrench, when, moved), applied) if len(when) else None
+    found = None
+    if len(when) and options.space.is_default:
+        moved = np.concatenate([one.displacement for one in pieces])
+        found = estimate_lag(Logs(time, wrench, when, moved), applied)
     if auto and found is None:
         message = (
             "the logs do not show by how much their clocks differ, so lag=auto cannot be applied; "
@@ -117,7 +120,7 @@ def with_loads(
     pieces : sequence of ParsedTable
         The log of the displacements.
     time : ndarray, shape (n,), s
-    wrench : ndarray, shape (n, 6), N and N·m
+    wrench : ndarray, shape (n, inputs), N and N·m
     options : Options
     report : ReadReport
         Of the log of the displacements.

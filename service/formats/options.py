@@ -9,9 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from wrenchbook.service.formats.column_names import DISPLACEMENT, UNCERTAINTY, WRENCH
+from wrenchbook.service.formats.column_names import Columns, columns_of
 from wrenchbook.surrogate.findings.finding import RigFinding
 from wrenchbook.surrogate.table.rows import LoadRange
+from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat"]
 Role = Literal["table", "loads", "displacements"]
@@ -61,11 +62,12 @@ class Options:
     max_gap_s : float or None
         Longest interval between two loads to interpolate in, s.
     load_range : LoadRange or None
-        Of the component, N and N·m: loads far beyond it are mistakes.
+        Of the component, N and N·m: loads far beyond it are mistakes. Its space is that of the
+        rows; one interface without further inputs if None.
     fingerprint : str or None
         Of the component's setup: solves of any other are mistakes.
     solved : sequence of sequences of float, or None
-        Compliance (6, 6), SI, of the component's solves: findings compare rows with it.
+        Compliance (outputs, inputs), SI, of the component's solves: findings compare rows with it.
     linear : bool
         Whether the component is.
     role : {"table", "loads", "displacements"}
@@ -89,19 +91,30 @@ class Options:
     linear: bool = True
     role: Role = "table"
 
+    @property
+    def space(self) -> Space:
+        """The inputs and outputs of the rows."""
+        return DEFAULT if self.load_range is None else self.load_range.space
+
+    @property
+    def columns(self) -> Columns:
+        """The columns of the rows."""
+        return columns_of(self.space)
+
     def as_json(self) -> dict[str, Any]:
         """Return the options as JSON values."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         span = self.load_range
-        values["load_range"] = [span.low.tolist(), span.high.tolist()] if span else None
+        ends = [span.low.tolist(), span.high.tolist(), span.space.words()] if span else None
+        values["load_range"] = ends
         return values | {"mapping": dict(self.mapping), "ignore": list(self.ignore)}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Options:
         """Return options from the result of `as_json`."""
-        span = values["load_range"]
-        arrays = {"load_range": LoadRange(np.array(span[0]), np.array(span[1])) if span else None}
-        return cls(**{**values, "ignore": tuple(values["ignore"]), **arrays})
+        low, high, words = values["load_range"] or ([], [], None)
+        span = LoadRange(np.array(low), np.array(high), Space.read(words)) if words else None
+        return cls(**{**values, "ignore": tuple(values["ignore"]), "load_range": span})
 
 
 @dataclass(frozen=True, order=True)
@@ -271,12 +284,13 @@ class ReadReport:
             self.mistakes.whole = True
         return self.mistakes.whole
 
-    def label(self, name: str) -> str:
+    def label(self, name: str, columns: Columns) -> str:
         """Return the label of a column in the file: ``Fz [kN]``; ``wrench[2]`` in JSON and HDF5."""
         if self.columns or self.format not in ("json", "hdf5"):
             return next((one.label for one in self.columns if one.name == name), name)
-        keys = {"wrench": WRENCH, "displacement": DISPLACEMENT, "uncertainty": UNCERTAINTY}
-        found = (f"{key}[{names.index(name)}]" for key, names in keys.items() if name in names)
+        keys = ("wrench", "displacement", "uncertainty")
+        named = ((key, getattr(columns, key)) for key in keys)
+        found = (f"{key}[{names.index(name)}]" for key, names in named if name in names)
         return next(found, name)
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:

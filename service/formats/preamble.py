@@ -20,10 +20,9 @@ from decimal import Decimal, InvalidOperation
 from itertools import chain, islice
 
 from wrenchbook.service.formats.cells import is_number
-from wrenchbook.service.formats.column_names import MOST_LABEL, readings
+from wrenchbook.service.formats.column_names import MOST_LABEL, Columns
 from wrenchbook.service.formats.units import UnitError
 
-MOST_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
 _MOST_TITLES = 30  # lines: a page of a report above its table
 _SEVERAL = 2  # one word of a title may be the name of a column ("Fx test, 3 mm")
 _SURE_DELIMITERS, _OTHER_DELIMITERS = ";\t", ",|"  # no label holds one of the former
@@ -97,6 +96,7 @@ class Preamble:
 
     def unit_of(self, name: str) -> tuple[str, Decimal] | None:
         """Return the unit of a load column and its counts per unit; None if unknown."""
+        name = name.rpartition(".")[2]  # without the interface
         quantity = {"f": "force", "m": "torque"}.get(name[:1], "") if len(name) == 2 else ""
         if quantity not in self.units:
             return None
@@ -117,7 +117,7 @@ class Preamble:
 
 
 def split_titles(
-    first: Record, rest: Iterator[Record], mapping: Mapping[str, str]
+    first: Record, rest: Iterator[Record], mapping: Mapping[str, str], columns: Columns
 ) -> tuple[list[str], Record, Iterator[Record]]:
     """Return the titles, the header and the records below it.
 
@@ -128,21 +128,23 @@ def split_titles(
     rest : iterator of Record
     mapping : mapping of str to str
         From labels of the file to columns; its keys count as names of columns.
+    columns : Columns
+        Of the table.
     """
-    if _named_columns(first[1], mapping) >= _SEVERAL or _is_row(first[1]):
+    if _named_columns(first[1], columns, mapping) >= _SEVERAL or _is_row(first[1]):
         return [], first, rest
     titles = [first]
     for record in islice(rest, _MOST_TITLES):
         if _is_row(record[1]):
             rest = chain([record], rest)
             break
-        if _named_columns(record[1], mapping) >= _SEVERAL:
+        if _named_columns(record[1], columns, mapping) >= _SEVERAL:
             return [_title(cells) for _, cells in titles], record, rest
         titles.append(record)
     return [], first, chain(titles[1:], rest)
 
 
-def delimiter_in(lines: Iterator[str], bare: Callable[[str], str]) -> str:
+def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], columns: Columns) -> str:
     """Return the delimiter of the header; of the first line if none names columns.
 
     It is ``;`` or tab if the line has one, else ``,`` or ``|``, whichever splits off more names.
@@ -153,11 +155,15 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str]) -> str:
         From the first that may be a header.
     bare : callable
         Removes brackets from a line: units may hold delimiters.
+    columns : Columns
+        Of the table.
     """
     found = [bare(line) for line in islice(lines, _MOST_TITLES + 1)]
-    header = next((line for line in found if _names_several(line)), found[0])
+    header = next((line for line in found if _names_several(line, columns)), found[0])
     sure = next((mark for mark in _SURE_DELIMITERS if mark in header), "")
-    return sure or max(_OTHER_DELIMITERS, key=lambda mark: _named_columns(header.split(mark)))
+    return sure or max(
+        _OTHER_DELIMITERS, key=lambda mark: _named_columns(header.split(mark), columns)
+    )
 
 
 def _entries(cells: list[str]) -> list[str]:
@@ -184,24 +190,29 @@ def _positive(value: str) -> Decimal:
     return number
 
 
-def _named_columns(cells: Sequence[str], mapping: Mapping[str, str] | None = None) -> int:
+def _named_columns(
+    cells: Sequence[str], columns: Columns, mapping: Mapping[str, str] | None = None
+) -> int:
     """Return how many cells name a column of a table or a key of the mapping."""
     mapped = {" ".join(name.split()).lower() for name in mapping or ()}
-    return sum(_is_name(" ".join(cell.split()), mapped) for cell in cells[:MOST_COLUMNS])
+    labels = (" ".join(cell.split()) for cell in cells[: columns.most])
+    return sum(_is_name(label, columns, mapped) for label in labels)
 
 
-def _is_name(label: str, mapped: set[str]) -> bool:
+def _is_name(label: str, columns: Columns, mapped: set[str]) -> bool:
     if label and label.lower() in mapped:
         return True
     try:
-        return next(readings(label), None) is not None
+        return next(columns.readings(label), None) is not None
     except UnitError:
         return False
 
 
-def _names_several(line: str) -> bool:
+def _names_several(line: str, columns: Columns) -> bool:
     delimiters = _SURE_DELIMITERS + _OTHER_DELIMITERS
-    return any(_named_columns(line.split(mark, MOST_COLUMNS)) >= _SEVERAL for mark in delimiters)
+    return any(
+        _named_columns(line.split(mark, columns.most), columns) >= _SEVERAL for mark in delimiters
+    )
 
 
 def _is_row(cells: list[str]) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from decimal import Decimal
 
 import numpy as np
 
@@ -21,14 +20,7 @@ from wrenchbook.service.formats.cells import (
     time_seconds,
     unguard_formula,
 )
-from wrenchbook.service.formats.column_names import (
-    COMPLIANCE,
-    DISPLACEMENT,
-    TEXTS,
-    TIME_COLUMN,
-    UNCERTAINTY,
-    WRENCH,
-)
+from wrenchbook.service.formats.column_names import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import Header, HeaderColumn, read_head
 from wrenchbook.service.formats.options import FoundColumn, Mistakes, Options, ReadReport
 from wrenchbook.service.formats.preamble import Record
@@ -114,7 +106,7 @@ def read_records(
     for rows, count in text_pieces(rest, header, mistakes, check):
         report.read += count
         if rows.line:
-            yield _Conversion(header, rows, cell_format, mistakes).table(options, report)
+            yield _Conversion(header, rows, cell_format, options, mistakes).table(report)
         if report.is_beyond_limits():
             return
     if not report.read and not mistakes:
@@ -177,8 +169,14 @@ class _Conversion:
     """Converts one piece of rows by column; collects mistakes and the mask of good rows."""
 
     def __init__(
-        self, header: Header, rows: TextRows, cell_format: CellFormat, mistakes: Mistakes
+        self,
+        header: Header,
+        rows: TextRows,
+        cell_format: CellFormat,
+        options: Options,
+        mistakes: Mistakes,
     ) -> None:
+        self._options, self._names = options, options.columns
         self._header = header
         self._line = rows.line
         self._format = cell_format
@@ -186,12 +184,13 @@ class _Conversion:
         self._good = np.ones(len(rows.line), dtype=bool)
         self._columns = list(zip(*rows.cells, strict=True))
 
-    def table(self, options: Options, report: ReadReport) -> ParsedTable:
+    def table(self, report: ReadReport) -> ParsedTable:
         """Return the good rows."""
-        wrench = self._block(WRENCH, missing=0.0)
-        displacement = self._block(DISPLACEMENT, missing=np.nan)
-        uncertainty = self._block(UNCERTAINTY, missing=np.nan)
-        compliance = self._block(COMPLIANCE, missing=np.nan)
+        options, names = self._options, self._names
+        wrench = self._block(names.wrench, missing=0.0)
+        displacement = self._block(names.displacement, missing=np.nan)
+        uncertainty = self._block(names.uncertainty, missing=np.nan)
+        compliance = self._block(names.compliance, missing=np.nan)
         time = self._times() if options.role != "table" else None
         self._check_status()
         if options.role != "loads":
@@ -201,8 +200,8 @@ class _Conversion:
         piece = ParsedTable(
             wrench,
             displacement,
-            self._known(uncertainty, UNCERTAINTY, 6),
-            self._known(compliance, COMPLIANCE, 6, 6),
+            self._known(uncertainty, names.uncertainty, len(names.displacement)),
+            self._known(compliance, names.compliance, len(names.displacement), len(names.wrench)),
             *texts,
             row=np.array(self._line, dtype=np.int64),
             time=time,
@@ -210,7 +209,7 @@ class _Conversion:
         return good_rows(piece, self._good, options, report)
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:
-        """Return columns that belong together, shape (n, 6) or (n, 36), SI."""
+        """Return columns that belong together, shape (n, k), SI."""
         block = np.full((len(self._line), len(names)), missing)
         for index, name in enumerate(names):
             if name in self._header.columns:
@@ -226,16 +225,16 @@ class _Conversion:
     def _numbers(self, column: HeaderColumn) -> Array:
         """Convert a column at once if all cells are finite numbers, else cell by cell."""
         cells = self._columns[column.index]
-        values = _finite_column(cells, self._format.comma, column.factor)
+        values = _finite_column(cells, self._format.comma, column)
         if values is None:
             values = np.array([self._number(column, at) for at in range(len(cells))])
         zeros = np.flatnonzero(values == 0.0).tolist()
         gone = {cell for cell in {cells[at] for at in zeros} if vanished(cell, 0.0)}
-        for at in zeros if gone else ():
+        for at in zeros if gone and not column.zero else ():
             if cells[at] in gone:
                 message = f"{quoted(cells[at])} is too small a number and would become 0; write 0"
                 self._refuse(at, column.label, message)
-        if column.name in UNCERTAINTY:
+        if column.name in self._names.uncertainty:
             for at in np.flatnonzero(values < 0.0).tolist():
                 message = f"{quoted(cells[at])}: an uncertainty is not negative"
                 self._refuse(at, column.label, message)
@@ -244,10 +243,10 @@ class _Conversion:
     def _number(self, column: HeaderColumn, at: int) -> float:
         """Convert a cell; NaN and a mistake if it is not a finite number."""
         cell = self._columns[column.index][at].strip()
-        if not cell and column.name not in WRENCH:
+        if not cell and column.name not in self._names.wrench:
             return np.nan  # not measured, or unknown
         text = number_text(cell, self._format.comma, self._format.declared)
-        value = math.nan if text is None else to_si(text, column.factor)
+        value = math.nan if text is None else to_si(text, column.factor, column.zero)
         if not math.isfinite(value):
             self._refuse(at, column.label, number_problem(cell, self._format.comma))
             return np.nan
@@ -283,7 +282,8 @@ class _Conversion:
         columns = self._header.columns
         for at in np.flatnonzero(np.isnan(displacement).all(axis=1)).tolist():
             if self._good[at]:
-                labels = [columns[name].label for name in DISPLACEMENT if name in columns]
+                names = [name for name in self._names.displacement if name in columns]
+                labels = [columns[name].label for name in names]
                 message = "no displacement is given; a row needs at least one"
                 self._refuse(at, labels[0] if labels else "displacement", message)
 
@@ -291,8 +291,9 @@ class _Conversion:
         missing = np.isnan(compliance)
         for at in np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1)).tolist():
             if self._good[at]:
-                name = COMPLIANCE[int(np.argmax(missing[at]))]
-                self._refuse(at, name, "is missing; a row has all 36 tangents or none")
+                name = self._names.compliance[int(np.argmax(missing[at]))]
+                count = missing.shape[1]
+                self._refuse(at, name, f"is missing; a row has all {count} tangents or none")
 
     def _texts(self, name: str) -> tuple[str, ...]:
         """Return a column of texts; empty ones if the file has none."""
@@ -311,7 +312,7 @@ class _Conversion:
         self._mistakes.add(self._line[at], label, message)
 
 
-def _finite_column(cells: tuple[str, ...], comma: bool, factor: Decimal) -> Array | None:
+def _finite_column(cells: tuple[str, ...], comma: bool, column: HeaderColumn) -> Array | None:
     """Convert a column of finite numbers, shape (n,), SI; None if a cell is anything else."""
     joined = "".join(cells)
     if "_" in joined or not joined.isascii() or (comma and "." in joined):
@@ -321,8 +322,9 @@ def _finite_column(cells: tuple[str, ...], comma: bool, factor: Decimal) -> Arra
         values = np.fromiter(map(float, texts), dtype=float, count=len(texts))
     except ValueError:
         return None
-    if factor != 1:
-        values = np.fromiter((to_si(text, factor) for text in texts), float, len(texts))
+    if column.factor != 1 or column.zero:
+        converted = (to_si(text, column.factor, column.zero) for text in texts)
+        values = np.fromiter(converted, float, len(texts))
     return values if np.isfinite(values).all() else None
 
 

@@ -41,6 +41,10 @@ _LOST = (
     "is not measured, and all axes of the interface need it in this frame: measure all three, or "
     "leave the frame out and name the columns by the interface's axes"
 )
+_ONE_INTERFACE = (
+    "a rig is of one interface, and the component has several or further inputs; convert the rows "
+    "and leave frame, load_point, displacement_point and rig out"
+)
 
 
 class RigError(ValueError):
@@ -127,12 +131,15 @@ def rigged(
     if not options.rig:
         yield from pieces
         return
+    if not options.space.is_default:
+        report.mistakes.ruin(0, "rig", _ONE_INTERFACE)
+        return
     rig = Rig.read(options.rig)
     for piece in pieces:
         good = np.ones(len(piece), dtype=bool)
         for at, name, message in _problems(piece, rig):
             good[at] = False
-            label = report.label(name) if name in DISPLACEMENT else name
+            label = report.label(name, options.columns) if name in DISPLACEMENT else name
             report.mistakes.add(int(piece.row[at]), label, message)
         piece = piece.take(good)
         known = any(piece.uncertainty.strides)

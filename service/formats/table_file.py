@@ -38,12 +38,7 @@ MOST_BYTES = 512 * 1024 * 1024
 _LIMITS = Limits(memory=1024 << 20, seconds=60.0, output=1024 << 20)
 """A million rows of 17 digits take 20 s and 300 MB."""
 
-_NUMBERS: dict[str, tuple[int, ...]] = {
-    "wrench": (6,),
-    "displacement": (6,),
-    "uncertainty": (6,),
-    "compliance": (6, 6),
-}
+_NUMBERS = ("wrench", "displacement", "uncertainty", "compliance")
 _TEXTS = ("source", "note", "fingerprint")
 _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]] = {
     "csv": read_csv,
@@ -329,11 +324,11 @@ def _part(piece: ParsedTable) -> Part:
 
 def _piece(part: Part) -> ParsedTable:
     count = int(part.fields["n"])
-    wrench, displacement, uncertainty, compliance = (
-        part.arrays[name].reshape(count, *shape)
-        if name in part.arrays
-        else unknown_column(count, *shape)
-        for name, shape in _NUMBERS.items()
+    wrench, displacement = (part.arrays[name] for name in _NUMBERS[:2])
+    shapes = displacement.shape, (*displacement.shape, wrench.shape[1])
+    uncertainty, compliance = (
+        part.arrays[name] if name in part.arrays else unknown_column(*shape)
+        for name, shape in zip(_NUMBERS[2:], shapes, strict=True)
     )
     packed = (part.fields[name] for name in _TEXTS)
     texts = ((one,) * count if isinstance(one, str) else tuple(one) for one in packed)

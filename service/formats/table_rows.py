@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wrenchbook.service.formats.column_names import DISPLACEMENT, UNCERTAINTY, WRENCH
+from wrenchbook.service.formats.column_names import Columns
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.surrogate.limits import (
     ROTATION_LIMIT,
@@ -26,6 +26,7 @@ from wrenchbook.surrogate.limits import (
     rotation_angles,
 )
 from wrenchbook.surrogate.table.rows import LoadRange, unknown_column
+from wrenchbook.surrogate.table.space import PER_INTERFACE
 
 Array = np.ndarray
 Problem = tuple[int, str, str]
@@ -47,14 +48,14 @@ class ParsedTable:
     Parameters
     ----------
     wrench : numpy.ndarray
-        Shape (n, 6), N and N·m.
+        Shape (n, inputs), N and N·m and the units of further inputs.
     displacement : numpy.ndarray
-        Shape (n, 6), m and rad; NaN where not measured, but never all six.
+        Shape (n, outputs), m and rad; NaN where not measured, but never all of a row.
     uncertainty : numpy.ndarray
-        Shape (n, 6), m and rad; NaN where the file gives none.
+        Shape (n, outputs), m and rad; NaN where the file gives none.
     compliance : numpy.ndarray
-        Shape (n, 6, 6), the tangent d(displacement)/d(wrench), m and rad over N and N·m; all of a
-        row or NaN where the file gives none.
+        Shape (n, outputs, inputs), the tangent d(displacement)/d(wrench), m and rad over N and N·m;
+        all of a row or NaN where the file gives none.
     source, note, fingerprint : tuple of str
         One a row; empty where the file gives none.
     row : numpy.ndarray
@@ -95,6 +96,11 @@ class ParsedTable:
         )
 
 
+def number_word(count: int) -> str:
+    """Return a number as a message has it: six, 12."""
+    return "six" if count == PER_INTERFACE else str(count)
+
+
 def known_column(column: Array) -> Array:
     """Return a column, shape (n, k), m and rad; one without memory if all of it is unknown."""
     return unknown_column(*column.shape) if np.isnan(column).all() else column
@@ -114,9 +120,10 @@ def within_limits(
     `good`, shape (n,), dimensionless, masks rows without other mistakes; others are left out.
     """
     good = np.ones(len(piece), dtype=bool) if good is None else good
-    for at, name, message in _excesses(piece, options.load_range):
+    for at, name, message in _excesses(piece, options):
         good[at] = False
-        report.mistakes.add(int(piece.row[at]), report.label(name), message)
+        label = report.label(name, options.columns)
+        report.mistakes.add(int(piece.row[at]), label, message)
     report.mistakes.settle()
     return piece.take(good)
 
@@ -132,69 +139,77 @@ def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadRep
     return within_limits(piece, options, report, good)
 
 
-def _excesses(piece: ParsedTable, load_range: LoadRange | None) -> Iterator[Problem]:
+def _excesses(piece: ParsedTable, options: Options) -> Iterator[Problem]:
     """Yield the numbers beyond a limit."""
-    yield from _rotations(piece.displacement)
-    yield from _translations(piece.displacement)
-    yield from _uncertainties(piece.uncertainty)
-    if load_range is not None:
-        yield from _loads(piece.wrench, load_range)
+    columns = options.columns
+    yield from _rotations(piece.displacement, columns)
+    yield from _translations(piece.displacement, columns)
+    yield from _uncertainties(piece.uncertainty, columns)
+    if options.load_range is not None:
+        yield from _loads(piece.wrench, options.load_range)
 
 
 def _largest_loads(load_range: LoadRange) -> Array:
-    """Return the largest size of each load, shape (6,), N and N·m.
+    """Return the largest size of each input, shape (n,), N and N·m.
 
     A load without a range of its own (0 to 0) has the largest of its kind: the cross-loads of a rig
     are a part of its main load. If all of a kind have none there is no limit.
     """
-    size = np.maximum(np.abs(load_range.low), np.abs(load_range.high)).reshape(2, 3)
-    size = np.where(size > 0.0, size, size.max(axis=1, keepdims=True))
-    return np.where(size > 0.0, LOAD_LIMIT * size, np.inf).ravel()
+    kinds = np.array([one.kind for one in load_range.space.inputs])
+    size = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
+    for kind in ("force", "moment"):
+        size[(kinds == kind) & (size == 0.0)] = size[kinds == kind].max()
+    return np.where(size > 0.0, LOAD_LIMIT * size, np.inf)
 
 
-def _rotations(displacement: Array) -> Iterator[Problem]:
-    angle = rotation_angles(displacement)
-    for at in np.flatnonzero(is_too_far(angle)).tolist():
-        name = DISPLACEMENT[3 + int(np.nanargmax(np.abs(displacement[at, 3:])))]
-        message = (
-            f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "
-            "(check the unit: rad or deg?)"
-        )
-        yield at, name, message
+def _rotations(displacement: Array, columns: Columns) -> Iterator[Problem]:
+    for first in range(0, len(columns.displacement), PER_INTERFACE):
+        moved = displacement[:, first : first + PER_INTERFACE]
+        angle = rotation_angles(moved)
+        for at in np.flatnonzero(is_too_far(angle)).tolist():
+            name = columns.displacement[first + 3 + int(np.nanargmax(np.abs(moved[at, 3:])))]
+            message = (
+                f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "
+                "(check the unit: rad or deg?)"
+            )
+            yield at, name, message
 
 
-def _translations(displacement: Array) -> Iterator[Problem]:
-    for at, axis in np.argwhere(np.abs(displacement[:, :3]) > TRANSLATION_LIMIT).tolist():
+def _translations(displacement: Array, columns: Columns) -> Iterator[Problem]:
+    beyond = (np.abs(displacement) > TRANSLATION_LIMIT) & ~columns.space.is_rotation
+    for at, axis in np.argwhere(beyond).tolist():
         message = (
             f"the translation is {displacement[at, axis]:.4g} m; a table ends at "
             f"{TRANSLATION_LIMIT:g} m, because within 20 degrees only a part longer than 40 m "
             "moves so far (check the unit: m or mm?)"
         )
-        yield at, DISPLACEMENT[axis], message
+        yield at, columns.displacement[axis], message
 
 
-def _uncertainties(uncertainty: Array) -> Iterator[Problem]:
-    limit = np.repeat([TRANSLATION_LIMIT, ROTATION_LIMIT * (1.0 + 1e-12)], 3)
+def _uncertainties(uncertainty: Array, columns: Columns) -> Iterator[Problem]:
+    is_rotation = columns.space.is_rotation
+    limit = np.where(is_rotation, ROTATION_LIMIT * (1.0 + 1e-12), TRANSLATION_LIMIT)
     beyond = np.isfinite(uncertainty) & (uncertainty > limit)  # infinite ones are other mistakes
     for at, output in np.argwhere(beyond).tolist():
-        unit, end = ("m", TRANSLATION_LIMIT) if output < 3 else ("rad", ROTATION_LIMIT)
+        unit, end = ("rad", ROTATION_LIMIT) if is_rotation[output] else ("m", TRANSLATION_LIMIT)
         message = (
             f"the uncertainty is {uncertainty[at, output]:.4g} {unit}; no displacement of a table "
             f"is beyond {end:.4g} {unit} (check the unit, or leave it out if it is not known)"
         )
-        yield at, UNCERTAINTY[output], message
+        yield at, columns.uncertainty[output], message
 
 
 def _loads(wrench: Array, load_range: LoadRange) -> Iterator[Problem]:
     limit = _largest_loads(load_range)
     for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
-        unit = "N" if load < 3 else "N*m"
+        one = load_range.space.inputs[load]
+        unit, what = one.unit.replace("·", "*"), "input" if one.kind == "scalar" else "load"
         message = (
-            f"the load is {wrench[at, load]:.6g} {unit}; the component's range is "
+            f"the {what} is {wrench[at, load]:.6g} {unit}; the component's range is "
             f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit}, and a table ends at "
             f"{limit[load]:g} (check the unit and the column)"
         )
-        yield at, WRENCH[load], message
+        yield at, one.name, message
 
 
 def with_own_setup(
@@ -230,5 +245,6 @@ def _foreign_rows(piece: ParsedTable, own: str) -> Iterator[Problem]:
             )
             yield at, "fingerprint", message
         elif source == FEA and np.isnan(piece.displacement[at]).any():
-            message = "a solve knows all six outputs; write them, or another source than fea"
+            count = number_word(piece.displacement.shape[1])
+            message = f"a solve knows all {count} outputs; write them, or another source than fea"
             yield at, "source", message

@@ -26,11 +26,17 @@ class UnitError(ValueError):
 
 @dataclass(frozen=True)
 class Quantity:
-    """A physical quantity: its name, the SI unit of arrays, units that messages offer."""
+    """A physical quantity: its name, the unit of arrays, units that messages offer.
+
+    A further input of a component has its spellings as the name of a column, and the factor and
+    the zero of each unit in that of arrays: 1 and 273.15 of degC in K.
+    """
 
     name: str
     si: str
     examples: tuple[str, ...]
+    spellings: tuple[str, ...] = ()
+    scales: tuple[tuple[str, Decimal, Decimal], ...] = ()
 
 
 FORCE = Quantity("force", "N", ("N", "kN", "lbf", "kgf"))
@@ -39,6 +45,21 @@ TRANSLATION = Quantity("translation", "m", ("m", "mm", "um", "in"))
 ROTATION = Quantity("rotation", "rad", ("rad", "mrad", "deg"))
 TIME = Quantity("time", "s", ("s", "ms", "us"))
 QUANTITIES = (FORCE, MOMENT, TRANSLATION, ROTATION)  # an export has a unit for each
+
+# Units of further inputs, which pint reads as others or not at all: factor and zero.
+_NONE = Decimal(0)
+_SCALES = {
+    "temperature": (
+        *((unit, Decimal(1), Decimal("273.15")) for unit in ("degC", "°C", "C", "celsius")),
+        *((unit, Decimal(1), _NONE) for unit in ("kelvin", "K")),
+    ),
+    "acceleration": (
+        *((unit, Decimal(1), _NONE) for unit in ("m/s^2", "m/s2", "m/s²", "m/s**2")),
+        *((unit, Decimal("0.001"), _NONE) for unit in ("mm/s^2", "mm/s2", "mm/s²")),
+        ("g", Decimal("9.80665"), _NONE),
+    ),
+}
+_SPELLINGS = {"temperature": ("t", "temp", "temperature", "temperatur")}
 
 # Units that pint reads differently from a test engineer.
 _HINTS = {
@@ -83,6 +104,12 @@ def si_factor(unit: str, quantity: Quantity) -> Decimal:
         If the unit is unknown or measures something else.
     """
     words = _words(unit)
+    if quantity.scales:
+        known = next((factor for name, factor, _ in quantity.scales if name == unit), None)
+        if known is None:
+            examples = ", ".join(quantity.examples)
+            raise UnitError(f"[{unit[:_LONGEST]}] is not a unit of {quantity.name}: {examples}")
+        return known
     if words is None or len(unit) > _LONGEST:
         raise UnitError(
             f"[{unit[:_LONGEST]}] is not a unit that can be read; {_offer(quantity, unit)}"
@@ -94,6 +121,19 @@ def si_factor(unit: str, quantity: Quantity) -> Decimal:
     if one.units != si.units:
         raise UnitError(f"[{unit}] is not a unit of {quantity.name}; {_offer(quantity, unit)}")
     return _DIGITS.divide(one.magnitude, si.magnitude).normalize(_DIGITS)
+
+
+@cache
+def further_quantity(name: str, unit: str) -> Quantity:
+    """Return the quantity of an input that is no load, whose arrays are in `unit`."""
+    for kind, scales in _SCALES.items():
+        own = next((one for one in scales if one[0] == unit), None)
+        if own is not None:
+            _, factor, zero = own
+            found = ((u, quotient(f, factor), quotient(z - zero, factor)) for u, f, z in scales)
+            examples = dict.fromkeys((unit, *(one for one, _, _ in scales[:: len(scales) - 1])))
+            return Quantity(name, unit, tuple(examples), _SPELLINGS.get(kind, ()), tuple(found))
+    return Quantity(name, unit, (unit,), (), ((unit, Decimal(1), _NONE),))
 
 
 def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, Decimal]]:
@@ -178,18 +218,19 @@ _FULL = Context(prec=17, traps=[])  # separates neighbouring float64 (IEEE 754)
 _ONE = Decimal(1)
 
 
-def to_si(text: str | Decimal, factor: Decimal) -> float:
-    """Return the float64 nearest to `text` times `factor`; inf or 0 beyond its range.
+def to_si(text: str | Decimal, factor: Decimal, zero: Decimal = _NONE) -> float:
+    """Return the float64 nearest to `text` times `factor` plus `zero`; inf or 0 beyond its range.
 
     Parameters
     ----------
     text : str or Decimal
-    factor : Decimal
-        From the unit to SI.
+    factor, zero : Decimal
+        From the unit to SI: of a temperature in degC 1 and 273.15.
     """
-    if factor == _ONE:
+    if factor == _ONE and not zero:
         return float(text)
-    return float(_WIDE.multiply(_WIDE.create_decimal(text), factor))
+    product = _WIDE.multiply(_WIDE.create_decimal(text), factor)
+    return float(_WIDE.add(product, zero) if zero else product)
 
 
 def in_unit(value: float, factor: Decimal) -> str:

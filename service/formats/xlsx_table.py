@@ -19,7 +19,7 @@ from wrenchbook.service.formats.cells import NO_VALUE
 from wrenchbook.service.formats.column_names import Layout, WritableRows
 from wrenchbook.service.formats.header import Header
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.preamble import MOST_COLUMNS, Record
+from wrenchbook.service.formats.preamble import Record
 from wrenchbook.service.formats.records import CellFormat, read_records
 from wrenchbook.service.formats.table_rows import ParsedTable
 
@@ -53,7 +53,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as file:
-            records = _records(_sheet(path, file, options.sheet))
+            records = _records(_sheet(path, file, options.sheet), options.columns.most)
             yield from read_records(records, options, report, CellFormat(), _record_problem)
     except Exception as error:  # openpyxl raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
@@ -125,7 +125,7 @@ def _sheet(path: Path, file: BinaryIO, name: str | None) -> Any:
     return found[0]
 
 
-def _records(sheet: Any) -> Iterator[Record]:
+def _records(sheet: Any, most: int) -> Iterator[Record]:
     """Yield the number and the cells of each row with text, numbers as their digits."""
     book = sheet.parent
     with warnings.catch_warnings(), sheet._get_source() as source:
@@ -142,15 +142,15 @@ def _records(sheet: Any) -> Iterator[Record]:
         for count, (number, cells) in enumerate(parser.parse()):
             if count > MOST_SHEET_ROWS:
                 raise ValueError(f"a sheet has more than {MOST_SHEET_ROWS + 1:,} rows")
-            texts = _texts([cell for cell in cells if cell["value"] is not None])
+            texts = _texts([cell for cell in cells if cell["value"] is not None], most)
             if any(texts):
                 yield number, texts
 
 
-def _texts(cells: list[dict[str, Any]]) -> list[str]:
+def _texts(cells: list[dict[str, Any]], most: int) -> list[str]:
     width = max((cell["column"] for cell in cells), default=0)
-    if width > MOST_COLUMNS:
-        raise ValueError(f"a row has {width} columns; a table has at most {MOST_COLUMNS}")
+    if width > most:
+        raise ValueError(f"a row has {width} columns; a table has at most {most}")
     texts = [""] * width
     for cell in cells:
         texts[cell["column"] - 1] = _text(cell["value"])

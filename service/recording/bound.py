@@ -13,6 +13,7 @@ from wrenchbook.service.recording.store import EnvelopeState
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.space import Space
 
 Floats = NDArray[np.float64]
 
@@ -21,9 +22,11 @@ EXACT: Final = (
     "C choose for each output, plus the error bar"
 )
 ESTIMATE: Final = (
-    "estimate: the largest |answer| + error bar of the table at the 64 corners of the box, its "
+    "estimate: the largest |answer| + error bar of the table at {} corners of the box, its "
     "centre, zero load and the wrenches that reached the extremes"
 )
+
+MOST_CORNERS = 4096  # of a box: all of 12 inputs; of more inputs some, chosen at random
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Bound:
 
     Attributes
     ----------
-    displacement : ndarray, shape (6,), m and rad
+    displacement : ndarray, shape (m,), m and rad
         NaN where nothing is known.
     kind : str
         ``bound``, ``estimate`` or ``unknown``.
@@ -56,47 +59,53 @@ class Bound:
 def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance | None) -> Bound:
     """Return a bound of how far an envelope's wrenches move the component, by its table."""
     low, high = envelope.box
-    unknown = np.full(6, np.nan)
+    unknown = np.full(len(table.load_range.space.outputs), np.nan)
     if np.isnan(low).any():
         return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
     exact = table.linear and table.fit.complete
-    points = np.concatenate([_corners(low, high), envelope.lowest, envelope.highest])
+    corners = _corners(low, high)
+    points = np.concatenate([corners, envelope.lowest, envelope.highest])
     answers = table.packed.batch(points)
     coverage = int(answers.coverage.max(initial=COVERED))
     if exact:
         most = _over_box(table.fit.matrix, low, high) + answers.errors.max(axis=0)
-        at_rest = table.packed.batch(np.zeros((1, 6)))
+        at_rest = table.packed.batch(np.zeros((1, len(low))))
         most = most + np.abs(at_rest.outputs[0])
     else:
         # NaN stays: what is not known at one point is no estimate of the largest.
         most = (np.abs(answers.outputs) + answers.errors).max(axis=0)
     kind = "unknown" if np.isnan(most).any() else "bound" if exact else "estimate"
-    negligible, reason = _judged(most, coverage, kind, tolerance)
-    formula = EXACT if exact else ESTIMATE
+    negligible, reason = _judged(most, coverage, kind, tolerance, table.load_range.space)
+    count = len(corners) - 2
+    formula = EXACT if exact else ESTIMATE.format(f"the {count}" if count < MOST_CORNERS else count)
     return Bound(most, kind, formula, NAMES[coverage], negligible, reason)
 
 
 def _corners(low: Floats, high: Floats) -> Floats:
-    """Return the corners, the centre and zero load, shape (66, 6), N and N·m."""
-    corners = np.array(list(product(*zip(low, high, strict=True))))
+    """Return the corners, the centre and zero load, shape (k, n), N and N·m: 66 of six loads."""
+    if 2 ** len(low) <= MOST_CORNERS:
+        corners = np.array(list(product(*zip(low, high, strict=True))))
+    else:
+        chosen = np.random.default_rng(0).random((MOST_CORNERS, len(low))) < 0.5
+        corners = np.where(chosen, low, high)
     with np.errstate(over="ignore"):
         centre = low / 2 + high / 2
-    return np.concatenate([corners, centre[None], np.zeros((1, 6))])
+    return np.concatenate([corners, centre[None], np.zeros((1, len(low)))])
 
 
 def _over_box(matrix: Floats, low: Floats, high: Floats) -> Floats:
-    """Return max |C w| over a box of wrenches, shape (6,), m and rad."""
+    """Return max |C w| over a box of wrenches, shape (m,), m and rad."""
     ends = np.stack([matrix * low, matrix * high])
     return np.maximum(np.abs(ends.max(axis=0).sum(axis=1)), np.abs(ends.min(axis=0).sum(axis=1)))
 
 
 def _judged(
-    most: Floats, coverage: int, kind: str, tolerance: Tolerance | None
+    most: Floats, coverage: int, kind: str, tolerance: Tolerance | None, space: Space
 ) -> tuple[bool | None, str]:
     """Return whether the largest displacement is within the tolerance, and why it is unknown."""
     if tolerance is None:
         return None, "the component has no tolerance: ask with ?translation=...&rotation=..."
-    allowed = np.repeat([tolerance.translation, tolerance.rotation], 3)
+    allowed = np.where(space.is_rotation, tolerance.rotation, tolerance.translation)
     if (most > allowed).any():
         return False, ""
     if kind == "unknown":

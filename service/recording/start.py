@@ -19,7 +19,6 @@ from wrenchbook.surrogate.answer import COVERED
 Floats = NDArray[np.float64]
 
 OPEN = ("waiting", "running")
-UNIT_SOLVES = 6  # the most that a linear component needs
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def start_resolving(
     """
     component = workspace.submission.solvable(name)
     others = workspace.ledger.of_other_setups(name, component.fingerprint)
-    wrenches = unsolved(component, others, np.empty((0, 6)))
+    wrenches = unsolved(component, others, np.empty((0, len(component.space.inputs))))
     if not len(wrenches):
         return StartedSolves([], reason=f"no row of {name!r} belongs to another setup")
     if component.linear:
@@ -150,7 +149,7 @@ def _solvable(workspace: Workspace, name: str) -> Component:
 
 
 def _within(component: Component, wrenches: Floats, beyond_range: bool) -> tuple[Floats, int]:
-    """Return the wrenches, shape (n, 6), N and N·m, that may be solved, and how many may not."""
+    """Return the wrenches, (n, inputs), that may be solved, and how many may not."""
     if beyond_range or not len(wrenches):
         return wrenches, 0
     holds = component.load_range.holds(wrenches)
@@ -158,7 +157,7 @@ def _within(component: Component, wrenches: Floats, beyond_range: bool) -> tuple
 
 
 def _are_rows(wrenches: Floats, known: Floats) -> NDArray[np.bool_]:
-    """Return which wrenches, shape (n, 6), are rows of the table, (k, 6), N and N·m: shape (n,)."""
+    """Return which wrenches, (n, inputs), are rows of the table, (k, inputs): shape (n,)."""
     rows = set(packed(known))
     return np.array([key in rows for key in packed(wrenches)], dtype=bool)
 
@@ -172,7 +171,7 @@ def _submitted(
     counted: StartedSolves,
     purpose: str,
 ) -> StartedSolves:
-    """Accept the jobs of wrenches, shapes (n, 6), N and N·m; what is queued costs no budget."""
+    """Accept the jobs of wrenches, shapes (n, inputs); what is queued costs no budget."""
     keys, ledger = packed(wrenches), workspace.ledger
     jobs = ledger.jobs_for(component.name, component.fingerprint, keys)
     status = [jobs[key].status if key in jobs else "" for key in keys]
@@ -221,7 +220,7 @@ def _start_linear(
     if not workspace.tables.caught_up(component.name, CATCH_UP_S).needs_compliance:
         reason = "the component is linear and its compliance known: it answers every wrench"
         return StartedSolves([], covered=len(inside), beyond_range=beyond, reason=reason)
-    workspace.fill(component.name, UNIT_SOLVES, None)
+    workspace.fill(component.name, len(component.space.inputs), None)
     queued = workspace.ledger.open_jobs(component.name, component.fingerprint)
     reason = "the component is linear: its compliance, once solved, answers every wrench"
     if not queued:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,7 +40,7 @@ class Took:
 
 @dataclass(frozen=True)
 class RecordingState:
-    """A recording: its counts, and the wrenches kept, shape (n, 6), N and N·m."""
+    """A recording: its counts, and the wrenches kept, shape (n, inputs), N and N·m."""
 
     tally: Tally
     wrenches: Floats
@@ -52,8 +52,8 @@ class EnvelopeState:
 
     Attributes
     ----------
-    lowest, highest : ndarray, shape (6, 6), N and N·m
-        Line i is the whole wrench in which load i was least, largest; no lines if none came.
+    lowest, highest : ndarray, shape (n, n), N and N·m
+        Line i is the whole wrench in which input i was least, largest; no lines if none came.
     """
 
     tally: Tally
@@ -62,9 +62,10 @@ class EnvelopeState:
 
     @property
     def box(self) -> tuple[Floats, Floats]:
-        """The least and the largest value of each load, shapes (6,), N and N·m; NaN if none."""
+        """The least and the largest value of each input, shapes (n,), N and N·m; NaN if none."""
         if not len(self.lowest):
-            return np.full(6, np.nan), np.full(6, np.nan)
+            unknown = np.full(self.lowest.shape[1], np.nan)
+            return unknown, unknown.copy()
         return self.lowest.diagonal().copy(), self.highest.diagonal().copy()
 
 
@@ -89,7 +90,7 @@ class RecordingStore:
         self._lock = threading.Lock()
 
     def record(self, name: str, wrenches: Floats, block: Block | None) -> Took:
-        """Add wrenches, shape (n, 6), N and N·m, to a component's recording.
+        """Add wrenches, shape (n, inputs), N and N·m, to a component's recording.
 
         Loads on locked freedoms are left out.
 
@@ -134,7 +135,7 @@ class RecordingStore:
         return Took(tally, known, outside)
 
     def widen(self, name: str, wrenches: Floats, block: Block | None) -> Took:
-        """Add wrenches, shape (n, 6), N and N·m, to a component's envelope; as `record`."""
+        """Add wrenches, shape (n, inputs), to a component's envelope; as `record`."""
         component = self._library[name]
         acting = component.acting(wrenches)
         outside, keys = _outside(component, acting), packed(acting)
@@ -147,15 +148,20 @@ class RecordingStore:
 
     def recording(self, name: str) -> RecordingState:
         """Return a component's recording; raises UnknownComponentError."""
-        tally, keys = self._ledger.recording(self._library[name].name)
-        return RecordingState(tally, unpacked(keys))
+        component = self._library[name]
+        tally, keys = self._ledger.recording(component.name)
+        count = len(component.load_range.low)
+        return RecordingState(tally, unpacked(_of_width(keys, count), count))
 
     def envelope(self, name: str) -> EnvelopeState:
         """Return a component's envelope; raises UnknownComponentError."""
-        tally, there = self._ledger.envelope(self._library[name].name)
-        loads = range(6) if there else ()
-        lowest, highest = ([there[at + load] for load in loads] for at in (0, 6))
-        return EnvelopeState(tally, unpacked(lowest), unpacked(highest))
+        component = self._library[name]
+        tally, there = self._ledger.envelope(component.name)
+        count = len(component.load_range.low)
+        current = _of_width(there.values(), count)
+        inputs = range(count) if len(current) == 2 * count else ()
+        lowest, highest = ([there[at + one] for one in inputs] for at in (0, count))
+        return EnvelopeState(tally, unpacked(lowest, count), unpacked(highest, count))
 
     def clear(self, name: str, kind: Kind) -> Tally:
         """Empty a component's recording or envelope, and return its counts before."""
@@ -169,11 +175,11 @@ class RecordingStore:
         same = now.scale is None or now.scale == _packed_scale(scale)
         if kept is not None and kept[0] == now.revision and same:
             return kept[1]
-        keys, stretched = read(), 1.0
-        if now.scale is not None and not same:
+        keys, stretched = _of_width(read(), len(scale)), 1.0
+        if now.scale is not None and len(now.scale) == scale.nbytes and not same:
             # The load range was edited since: distances have another scale.
-            stretched = max(1.0, float((unpacked([now.scale])[0] / scale).max()))
-        wrenches = unpacked(keys)
+            stretched = max(1.0, float((unpacked([now.scale], len(scale))[0] / scale).max()))
+        wrenches = unpacked(keys, len(scale))
         points, holds = scaled_loads(wrenches, scale), component.load_range.holds(wrenches)
         inside, outside = np.flatnonzero(holds), np.flatnonzero(~holds)
         own, others = ([keys[one] for one in places.tolist()] for places in (inside, outside))
@@ -197,23 +203,28 @@ class RecordingStore:
 
 
 def _take(subset: Subset, points: Floats, keys: list[bytes], which: NDArray[np.bool_]) -> Taken:
-    """Add some of points, shape (n, 6), dimensionless, to a subset."""
+    """Add some of points, shape (n, inputs), dimensionless, to a subset."""
     places = np.flatnonzero(which)
     return take(subset, points[places], [keys[one] for one in places.tolist()])
 
 
 def _wider(wrenches: Floats, keys: list[bytes], there: dict[int, bytes]) -> list[tuple[int, bytes]]:
-    """Return the new extremes of wrenches, shape (n, 6), N and N·m, with their places."""
+    """Return the new extremes of wrenches, shape (n, inputs), N and N·m, with their places."""
     if not keys:
         return []
-    found = []
-    for place in range(12):
-        load, sign = place % 6, -1.0 if place < 6 else 1.0
-        best = int(np.argmax(sign * wrenches[:, load]))
-        before = there.get(place)
-        if before is None or sign * wrenches[best, load] > sign * unpacked([before])[0, load]:
+    found, count = [], wrenches.shape[1]
+    for place in range(2 * count):
+        one, sign = place % count, -1.0 if place < count else 1.0
+        best = int(np.argmax(sign * wrenches[:, one]))
+        before = _of_width((there.get(place, b""),), count)
+        if not before or sign * wrenches[best, one] > sign * unpacked(before, count)[0, one]:
             found.append((place, keys[best]))
     return found
+
+
+def _of_width(keys: Iterable[bytes], inputs: int) -> list[bytes]:
+    """Return packed wrenches without those of an earlier setup with other inputs."""
+    return [key for key in keys if len(key) == 8 * inputs]
 
 
 def _outside(component: Component, wrenches: Floats) -> int:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from wrenchbook.service.ledger.recordings import MERGE
+from wrenchbook.surrogate.table.space import DEFAULT
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
@@ -33,7 +34,7 @@ class Subset:
 
     Attributes
     ----------
-    points : ndarray, shape (m, 6), dimensionless
+    points : ndarray, shape (m, n), dimensionless
         See `scaled_loads`.
     keys : list of bytes
         The packed wrench of each.
@@ -43,7 +44,7 @@ class Subset:
         How many there may be.
     """
 
-    points: Floats = field(default_factory=lambda: np.empty((0, 6)))
+    points: Floats = field(default_factory=lambda: np.empty((0, len(DEFAULT.inputs))))
     keys: list[bytes] = field(default_factory=list)
     reach: float = MERGE
     within: float = 0.0
@@ -62,7 +63,7 @@ class Taken:
 
 
 def scaled_loads(wrenches: Floats, scale: Floats) -> Floats:
-    """Return wrenches (n, 6), N and N·m, as points (n, 6), dimensionless: by their scale (6,).
+    """Return wrenches (n, m), N and N·m, as points (n, m), dimensionless: by their scale (m,).
 
     Beyond the scale a load s counts as 1 + ln s, so that it is near what differs from it by a
     share of itself: a few blows a million times too hard would else be all that thinning sees.
@@ -76,7 +77,7 @@ def scaled_loads(wrenches: Floats, scale: Floats) -> Floats:
 
 
 def take(subset: Subset, points: Floats, keys: list[bytes]) -> Taken:
-    """Add points, shape (n, 6), dimensionless, to a subset in their order."""
+    """Add points, shape (n, m), dimensionless, to a subset in their order."""
     before, merged, thinned = subset, 0, 0
     for start in range(0, len(points), CHUNK):
         part = slice(start, start + CHUNK)
@@ -92,7 +93,7 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Taken:
 
 
 def spaced(points: Floats, reach: float) -> NDArray[np.bool_]:
-    """Return which points, shape (n, 6), dimensionless, are kept, first come first, shape (n,).
+    """Return which points, shape (n, m), dimensionless, are kept, first come first, shape (n,).
 
     No two of these are within reach of each other, and all others are of one of them.
     """
@@ -111,7 +112,7 @@ def spaced(points: Floats, reach: float) -> NDArray[np.bool_]:
 def farthest_first(points: Floats, known: Floats, most: int) -> list[int]:
     """Return places of at most `most` points, each the farthest from the known and those before.
 
-    Both are scaled loads, shapes (n, 6) and (k, 6), dimensionless (Gonzalez 1985: no choice of as
+    Both are scaled loads, shapes (n, m) and (k, m), dimensionless (Gonzalez 1985: no choice of as
     many covers the rest twice as well).
     """
     if not len(points):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from wrenchbook.service.formats import (
     Layout,
@@ -120,11 +120,11 @@ def _about(component: Component, table: TableAt) -> dict[str, str]:
     }
 
 
-def _layout(table: TableAt, units: Mapping[str, str]) -> Layout:
+def _layout(component: Component, table: TableAt, units: Mapping[str, str]) -> Layout:
     uncertainty, compliance, note, fingerprint = table.known
     present = {"source": True, "note": note, "fingerprint": fingerprint}
     texts = [name for name, known in present.items() if known]
-    return layout(uncertainty, compliance, texts, units, origin=True)
+    return layout(uncertainty, compliance, texts, units, origin=True, space=component.space)
 
 
 def _csv(
@@ -133,13 +133,15 @@ def _csv(
     about = _about(component, table).items() if request.comments else ()
     comments = [f"{word}: {meaning}" for word, meaning in about]
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.writelines(csv_text(pieces, _layout(table, request.units), comments))
+        file.writelines(csv_text(pieces, _layout(component, table, request.units), comments))
 
 
 def _json(
     path: Path, pieces: Pieces, component: Component, table: TableAt, _: ExportRequest
 ) -> None:
-    about = {"component": component.name, "table_version": table.version}
+    about: dict[str, Any] = {"component": component.name, "table_version": table.version}
+    if not component.space.is_default:
+        about |= {"inputs": component.space.input_names, "outputs": component.space.output_names}
     with path.open("w", encoding="utf-8") as file:
         file.writelines(json_text(pieces, about | {"contract": CONTRACT_WORDS}))
 
@@ -148,7 +150,7 @@ def _columns(
     path: Path, pieces: Pieces, component: Component, table: TableAt, request: ExportRequest
 ) -> None:
     write = write_xlsx if request.format == "xlsx" else write_parquet
-    write(path, pieces, _layout(table, request.units), _about(component, table))
+    write(path, pieces, _layout(component, table, request.units), _about(component, table))
 
 
 _WRITERS = {"csv": _csv, "json": _json, "xlsx": _columns, "parquet": _columns}

@@ -88,7 +88,7 @@ def import_files(
 
 
 def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:
-    """Return the compliance (6, 6), SI, of a component's solves; None if it has none.
+    """Return the compliance (outputs, inputs), SI, of a component's solves; None if it has none.
 
     Columns of loads that they do not tell are zero.
     """

@@ -44,10 +44,10 @@ class ExportRows:
     ----------
     seq : list of int
         The ledger's number of each row.
-    wrench : ndarray, shape (n, 6), N and N·m
-    displacement, uncertainty : ndarray, shape (n, 6), m and rad
+    wrench : ndarray, shape (n, inputs), N and N·m
+    displacement, uncertainty : ndarray, shape (n, outputs), m and rad
         NaN where not measured, not known.
-    compliance : ndarray, shape (n, 6, 6), m and rad over N and N·m
+    compliance : ndarray, shape (n, outputs, inputs), m and rad over N and N·m
         NaN where not known.
     source, note, fingerprint : list of str
     when, who : list of str
@@ -188,12 +188,12 @@ def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Fl
     ----------
     others : iterable of bytes
         Packed wrenches of the rows of other setups.
-    known : ndarray, shape (n, 6), N and N·m
+    known : ndarray, shape (n, inputs), N and N·m
         The wrenches of the table's rows.
 
     Returns
     -------
-    ndarray, shape (k, 6), N and N·m
+    ndarray, shape (k, inputs), N and N·m
         In their order, loads on locked freedoms zero.
     """
     inputs = len(component.space.inputs)

@@ -54,6 +54,15 @@ def sent(server):
     return np.frombuffer(content, "<f8").reshape(-1, 6), [one.path for one in server.seen]
 
 
+def test_a_recorder_of_13_inputs_sends_13_numbers_a_wrench(server, client):
+    with Recorder(client, "link", block=4, inputs=13) as recorder:
+        with pytest.raises(ValueError, match="a wrench is 13 numbers"):
+            recorder.add(WRENCH)
+        recorder.add(np.arange(13.0))
+        assert recorder.unsent().tolist() == [list(range(13))]
+    assert np.frombuffer(server.seen[-1].content, "<f8").tolist() == list(range(13))
+
+
 def test_what_is_added_comes_in_blocks_in_order_under_counted_keys(server, recorder):
     wrenches = np.arange(60.0).reshape(10, 6)
     for wrench in wrenches:

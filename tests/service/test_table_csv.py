@@ -14,7 +14,7 @@ import pytest
 from tests.service import table_files
 from tests.service.table_files import ReadTable
 from wrenchbook.service.formats import csv_table
-from wrenchbook.service.formats.column_names import COMPLIANCE
+from wrenchbook.service.formats.column_names import columns_of
 from wrenchbook.service.formats.options import FileMistake, Options, ReadReport
 from wrenchbook.surrogate.table.rows import LoadRange
 
@@ -438,7 +438,7 @@ def test_a_load_without_a_range_of_its_own_goes_by_the_largest_of_its_kind():
 def test_a_row_has_all_36_tangents_or_none():
     names = [
         f"{name} [{'m' if name[1] == 'u' else 'rad'}/{'N' if '/df' in name else '(N*m)'}]"
-        for name in COMPLIANCE
+        for name in columns_of().compliance
     ]
     header = "fx [N],ux [m]," + ",".join(names)
     tangents = ",".join(str(number) for number in range(36))

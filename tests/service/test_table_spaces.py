@@ -1,0 +1,265 @@
+"""Files of rows of several interfaces and further inputs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wrenchbook.service.formats import (
+    Options,
+    ReadResult,
+    csv_text,
+    json_text,
+    layout,
+    read_untrusted,
+    write_hdf5,
+    write_parquet,
+    write_xlsx,
+)
+from wrenchbook.service.formats.table_rows import ParsedTable
+from wrenchbook.service.ledger import About, Ledger, packed_columns
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
+from wrenchbook.service.tables.importing import ImportRequest, import_files
+from wrenchbook.service.tables.rows import export_rows
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange
+from wrenchbook.surrogate.table.space import DEFAULT, Input, Space, space_of
+
+WARM = Input("temperature", "degC", "scalar")
+LINK = space_of(["left", "right"], [WARM])
+LINK_RANGE = LoadRange(-10 * np.ones(13), np.array([10.0] * 12 + [80.0]), LINK)
+DEFAULT_RANGE = LoadRange(-np.ones(6), np.ones(6))
+COLUMNS = ("wrench", "displacement", "uncertainty", "compliance")
+HANGING = space_of([""], [Input(name, "m/s^2", "scalar") for name in ("ax", "ay", "az")])
+HANGING_RANGE = LoadRange(-20 * np.ones(9), 20 * np.ones(9), HANGING)
+
+
+def table_of(space: Space) -> ParsedTable:
+    """Rows with everything a file can have."""
+    random = np.random.default_rng(5)
+    n, m = len(space.inputs), len(space.outputs)
+    moved, tangent = random.uniform(-0.1, 0.1, (3, m)), random.normal(size=(3, m, n))
+    moved[1, 4] = moved[2, :3] = tangent[1:] = np.nan
+    return ParsedTable(
+        wrench=random.uniform(-9, 9, (3, n)),
+        displacement=moved,
+        uncertainty=np.where(np.isnan(moved), np.nan, 1e-6),
+        compliance=tangent,
+        source=("rig 1", "rig 1", "rig 2"),
+        note=("", "=1", "cold"),
+        fingerprint=("", "", ""),
+        row=np.arange(3),
+    )
+
+
+def read(path: Path, load_range: LoadRange, **options) -> ReadResult:
+    return read_untrusted([path], Options(load_range=load_range, **options))
+
+
+def read_text(folder: Path, text: str, load_range: LoadRange = LINK_RANGE, **options) -> ReadResult:
+    path = folder / "table"
+    path.write_text(text, encoding="utf-8")
+    return read(path, load_range, **options)
+
+
+def write(path: Path, kind: str, table: ParsedTable, load_range: LoadRange) -> None:
+    space = load_range.space
+    columns = layout(True, True, ("source", "note"), space=space)
+    names = {"inputs": space.input_names, "outputs": space.output_names}
+    if kind == "csv":
+        path.write_text("".join(csv_text([table], columns)), encoding="utf-8", newline="")
+    elif kind == "json":
+        path.write_text("".join(json_text([table], names)), encoding="utf-8")
+    elif kind == "records":
+        records = [
+            {one.label: None if v != v else v for one in columns.numbers
+             for v in [float(one.values(table)[at])]} | {"note": table.note[at]}
+            for at in range(len(table))
+        ]  # fmt: skip
+        path.write_text(json.dumps(records), encoding="utf-8")
+    elif kind == "hdf5":
+        path.write_bytes(write_hdf5(table, range(3), TableMeta("link", 3, load_range)))
+    else:
+        {"xlsx": write_xlsx, "parquet": write_parquet}[kind](path, [table], columns, {})
+
+
+@pytest.mark.parametrize("load_range", [LINK_RANGE, HANGING_RANGE], ids=["link", "hanging"])
+@pytest.mark.parametrize("kind", ["csv", "json", "records", "hdf5", "xlsx", "parquet"])
+def test_an_export_of_any_space_is_read_back_to_the_same_floats(
+    tmp_path, kind: str, load_range: LoadRange
+):
+    table = table_of(load_range.space)
+    write(tmp_path / "table", kind, table, load_range)
+    found = read(tmp_path / "table", load_range)
+    assert found.report["errors"] == []
+    assert found.report["findings"] == []
+    (again,) = found.pieces()
+    for name in ("wrench", "displacement", "uncertainty", "compliance"):
+        assert np.array_equal(getattr(again, name), getattr(table, name), equal_nan=True), name
+    assert again.note == table.note
+
+
+MOVED = "left.ux [mm],right.uz_um,right rx (deg),left.ux_err [mm]"
+LOADS = ",".join(f"left.{axis} [N]" for axis in ("Fx", "fy", "FORCE_Z"))
+LOADS += "," + ",".join(f"Left {axis} [N*mm]" for axis in ("mx", "my", "mz"))
+LOADS += "," + ",".join(f"right_{axis}/kN" for axis in ("fx", "fy", "fz"))
+LOADS += "," + ",".join(f"right.{axis} [Nm]" for axis in ("Mx", "My", "Mz"))
+
+
+def test_todays_spellings_and_units_stand_behind_the_name_of_an_interface(tmp_path):
+    text = f"a title\n{LOADS},T [°C],{MOVED}\n"
+    text += "1,2,3,4,5,6,.007,.008,.009,3,2,1,20.5,1,2,3,0.1\n"
+    found = read_text(tmp_path, text)
+    assert found.report["errors"] == []
+    (piece,) = found.pieces()
+    expected = [1, 2, 3, 0.004, 0.005, 0.006, 7, 8, 9, 3, 2, 1, 20.5]
+    assert piece.wrench.tolist() == [expected]
+    known = [0, 8, 9]
+    assert piece.displacement[0, known].tolist() == [1e-3, 2e-6, np.radians(3)]
+    assert np.flatnonzero(np.isfinite(piece.displacement[0])).tolist() == known
+    assert piece.uncertainty[0, 0] == 1e-4
+
+
+ZERO = "left.fx [N],temperature [degC],left.ux [m]"
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "expected"),
+    [
+        ("temperature [degC]", "20", 20.0),
+        ("TEMPERATURE [K]", "293.15", 20.0),
+        ("temp [K]", "273.15", 0.0),
+        ("T [K]", "0.1", -273.05),
+    ],
+)
+def test_a_temperature_is_in_degrees_celsius_or_kelvin(tmp_path, column, value, expected):
+    text = f"left.fx [N],{column},left.ux [m]\n1,{value},0.1\n"
+    found = read_text(tmp_path, text, missing_loads="zero")
+    assert found.report["errors"] == []
+    (piece,) = found.pieces()
+    assert piece.wrench[0, 12] == expected
+
+
+def test_degrees_celsius_become_kelvin_where_the_component_has_kelvin(tmp_path):
+    space = space_of(scalars=[Input("temperature", "K", "scalar")])
+    span = LoadRange(-np.ones(7), np.array([1.0] * 6 + [400.0]), space)
+    found = read_text(tmp_path, "fx [N],T [degC],ux [m]\n1,20,0\n", span, missing_loads="zero")
+    (piece,) = found.pieces()
+    assert piece.wrench[0, 6] == 293.15
+
+
+@pytest.mark.parametrize(("unit", "value", "expected"), [("g", 1, 9.80665), ("m/s²", 3, 3.0)])
+def test_an_acceleration_is_in_g_or_metres_a_second_squared(tmp_path, unit, value, expected):
+    text = f"fx [N],ax [{unit}],ay [m/s^2],AZ [m/s2],ux [m]\n1,{value},0,-9.81,0\n"
+    (piece,) = read_text(tmp_path, text, HANGING_RANGE, missing_loads="zero").pieces()
+    assert piece.wrench[0, 6:].tolist() == [expected, 0.0, -9.81]
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("left.fx [N],left.ux [m]", "there is no column for temperature; every row needs it"),
+        (f"{ZERO},middle.fy [N]", "no interface 'middle'; there are left, right"),
+        (f"{ZERO},fy [N]", "names no interface; there are left, right: write for example left.fy"),
+        ("left.fx [N],temperature [bar],left.ux [m]", "is not a unit of temperature: degC, K"),
+        ("left.fx [N],temperature,left.ux [m]", "has no unit; write for example temperature"),
+        ("left.fx [N],temprature [K],left.ux [m]", "did you mean temperature?"),
+        ("temperature [K],left.ux [m]", "no load column; name at least one of left.fx [N]"),
+    ],
+)
+def test_a_header_with_a_mistake_is_refused_with_a_remedy(tmp_path, header, message):
+    text = f"{header}\n" + ",".join("1" * (header.count(",") + 1)) + "\n"
+    found = read_text(tmp_path, text, missing_loads="zero")
+    assert found.report["whole"]
+    assert message in " ".join(one["message"] for one in found.report["errors"])
+
+
+def test_a_label_of_100_000_letters_is_refused_at_once(tmp_path):
+    found = read_text(tmp_path, f"{ZERO},{'_a' * 50_000}\n1,2,3,4\n", missing_loads="zero")
+    assert found.report["whole"]
+
+
+def test_loads_of_an_interface_without_columns_are_zero_only_if_the_sender_declares_it(tmp_path):
+    left = LOADS.partition(",right")[0]
+    text = f"{left},temperature [degC],left.ux [m]\n1,2,3,4,5,6,20,0.1\n"
+    refused = read_text(tmp_path, text).report["errors"]
+    assert "no column for right.fx, right.fy" in refused[0]["message"]
+    (piece,) = read_text(tmp_path, text, missing_loads="zero").pieces()
+    assert piece.wrench[0, 6:12].tolist() == [0.0] * 6
+
+
+def test_a_load_far_beyond_the_range_is_a_mistake_of_its_column(tmp_path):
+    found = read_text(tmp_path, f"{ZERO}\n1000,20,0\n1,9000,0\n1,20,0\n", missing_loads="zero")
+    fields = [one["field"] for one in found.report["errors"]]
+    assert fields == ["left.fx [N]", "temperature [degC]"]
+
+
+def test_the_mean_of_the_first_rows_is_not_taken_from_a_temperature(tmp_path):
+    text = f"{ZERO}\n1,20,0.01\n3,30,0.02\n"
+    (piece,) = read_text(tmp_path, text, missing_loads="zero", zero_rows=1).pieces()
+    assert piece.wrench[0, [0, 12]].tolist() == [2.0, 30.0]
+
+
+def test_two_logs_of_a_link_are_joined_by_their_time(tmp_path):
+    for name, text in {
+        "loads": "time [s],left.fx [N],temperature [K]\n0,1,293.15\n1,3,295.15\n",
+        "moved": "time [s],right.ux [mm]\n0.5,1\n",
+    }.items():
+        (tmp_path / name).write_text(text)
+    options = Options(load_range=LINK_RANGE, missing_loads="zero")
+    found = read_untrusted([tmp_path / "loads", tmp_path / "moved"], options)
+    assert found.report["errors"] == []
+    (piece,) = found.pieces()
+    assert piece.wrench[0, [0, 12]].tolist() == [2.0, 21.0]
+
+
+def test_a_rig_of_one_interface_is_refused_for_several(tmp_path):
+    found = read_text(
+        tmp_path, f"{ZERO}\n1,2,0\n", missing_loads="zero", rig='frame = "x=y,y=x,z=-z"'
+    )
+    assert "a rig is of one interface" in found.report["errors"][0]["message"]
+
+
+@pytest.mark.parametrize("kind", ["json", "hdf5"])
+def test_a_table_of_another_space_is_refused_with_both(tmp_path, kind: str):
+    other = LoadRange(-np.ones(13), np.ones(13), space_of(["base", "tip"], [WARM]))
+    write(tmp_path / "table", kind, table_of(other.space), other)
+    found = read(tmp_path / "table", LINK_RANGE)
+    assert found.report["whole"]
+    assert "left.fx" in found.report["errors"][0]["message"]
+
+
+def test_the_columns_of_one_interface_are_those_of_before():
+    labels = layout(True, True, (), space=DEFAULT).labels()
+    assert labels == layout(True, True, ()).labels()
+    assert labels[:2] + labels[-1:] == ["fx [N]", "fy [N]", "drz/dmz [rad/(N*m)]"]
+    assert len(labels) == 54
+
+
+FORMATS: list[ExportFormat] = ["csv", "json", "hdf5", "xlsx", "parquet"]
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_an_exported_table_of_a_link_is_imported_to_the_same_rows(tmp_path, form: ExportFormat):
+    link, copy = (
+        Component(name, name, tmp_path, "", False, True, LINK_RANGE, None, False)
+        for name in ("link", "copy")
+    )
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    columns = [getattr(table_of(LINK), name) for name in COLUMNS]
+    texts = ["rig"] * 3, [""] * 3, ["", "a", ""]
+    ledger.import_rows("link", iter([packed_columns("link", tuple(columns), texts, 0.0)]), About())
+    export_table(ledger, link, ExportRequest(form, {}), tmp_path / "table")
+    options = Options(load_range=DEFAULT_RANGE)
+    reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportRequest(), About())
+    assert (reply["errors"], reply["inserted"]) == ([], 3)
+    with ledger.table_at("copy") as table:
+        (lot,) = table.lots
+        again = export_rows(LINK, lot, ())
+    for name, column in zip(COLUMNS, columns, strict=True):
+        assert np.array_equal(getattr(again, name), column, equal_nan=True), name
+    ledger.close()
