@@ -30,6 +30,7 @@ from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
 from wrenchbook.service.client import Displacement, ProblemError, Scene, ServerUnreachable
 from wrenchbook.service.client.deformed import deformed_format
+from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.wrenches import OnThin
 
 app = typer.Typer(
@@ -82,8 +83,24 @@ Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]
 ZERO: Three = (0.0, 0.0, 0.0)
 
-Force = Annotated[Three, typer.Option(help="force F_x F_y F_z, N", metavar="FX FY FZ")]
-Moment = Annotated[Three, typer.Option(help="moment M_x M_y M_z, N·m", metavar="MX MY MZ")]
+_FORCE = typer.Option(help="force F_x F_y F_z, N", metavar="FX FY FZ")
+_MOMENT = typer.Option(help="moment M_x M_y M_z, N·m", metavar="MX MY MZ")
+Force = Annotated[Three, _FORCE]
+Moment = Annotated[Three, _MOMENT]
+SomeForce = Annotated[Three | None, _FORCE]
+SomeMoment = Annotated[Three | None, _MOMENT]
+AtInterface = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--load",
+        help="load of an interface, of several: force, or force and moment; repeatable",
+        metavar="NAME=FX,FY,FZ[,MX,MY,MZ]",
+    ),
+]
+FurtherInput = Annotated[
+    list[str] | None,
+    typer.Option("--input", help="a further input, SI; repeatable", metavar="NAME=NUMBER"),
+]
 Budget = Annotated[int, typer.Option(min=1, help="largest number of solves")]
 WaitS = Annotated[
     float | None,
@@ -133,8 +150,10 @@ MomentRange = Annotated[
 @app.command(cls=NumbersCommand)
 def query(
     name: Name,
-    force: Force = ZERO,
-    moment: Moment = ZERO,
+    force: SomeForce = None,
+    moment: SomeMoment = None,
+    load: AtInterface = None,
+    further: FurtherInput = None,
     on_thin: OnThinWord = None,
     wait_s: WaitS = None,
     tolerance_translation: ToleranceTranslation = None,
@@ -158,8 +177,7 @@ def query(
     with connected(server, data) as client:
         answer = client.displacement(
             name,
-            force,
-            moment,
+            **_loads(force, moment, load, further),
             on_thin=cast(OnThin, word),  # the client refuses other words
             wait_s=wait_s,
             tolerance=tolerance,
@@ -175,8 +193,10 @@ def query(
 @app.command(cls=NumbersCommand)
 def solve(
     name: Name,
-    force: Force = ZERO,
-    moment: Moment = ZERO,
+    force: SomeForce = None,
+    moment: SomeMoment = None,
+    load: AtInterface = None,
+    further: FurtherInput = None,
     wait_s: Annotated[float, typer.Option(help="seconds to wait for the solve")] = 600.0,
     beyond_range: BeyondRange = False,
     as_json: AsJson = False,
@@ -185,10 +205,11 @@ def solve(
 ) -> None:
     """Solve a wrench with finite elements, even if the table covers it."""
     with connected(server, data) as client:
-        answer = client.solve(name, force, moment, beyond_range=beyond_range)
+        loads = _loads(force, moment, load, further)
+        answer = client.solve(name, **loads, beyond_range=beyond_range)
         if answer.job is not None and answer.job.status != "done":
             render.follow(Screen(stderr=as_json), client, [answer.job], wait_s)
-            answer = client.solve(name, force, moment, beyond_range=beyond_range)
+            answer = client.solve(name, **loads, beyond_range=beyond_range)
     _print_answer(answer, as_json, data)
 
 
@@ -344,11 +365,46 @@ def _pairs(ends: Six) -> list[list[float]]:
     return [list(ends[place : place + 2]) for place in (0, 2, 4)]
 
 
+def _loads(
+    force: Three | None, moment: Three | None, load: list[str] | None, further: list[str] | None
+) -> dict[str, Any]:
+    """Return the loads of a call; a component with one interface and no load has the zero one."""
+    if load is None and further is None and force is None:
+        force = ZERO
+    loads = {name: _of_six(name, text) for name, text in map(_pair, load)} if load else None
+    inputs = {name: _number(text) for name, text in map(_pair, further)} if further else None
+    return {"force": force, "moment": moment, "loads": loads, "inputs": inputs}
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, equals, rest = text.partition("=")
+    if not (name and equals):
+        raise InvalidArgument(f"{text!r}: write a name, = and numbers")
+    return name, rest
+
+
+def _of_six(name: str, text: str) -> list[float]:
+    numbers = [_number(one) for one in text.split(",")]
+    if len(numbers) not in (3, 6):
+        raise InvalidArgument(f"--load {name} needs 3 or 6 numbers with commas between them")
+    return numbers + [0.0] * (6 - len(numbers))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidArgument(f"{text!r} is not a number") from None
+
+
 def _print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None:
     if as_json:
         print_json(answer.raw)
         return
-    out.print(render.answer_table(answer))
+    for name, one in answer.interfaces.items():
+        out.print(render.answer_table(one, name))
+    if not answer.interfaces:
+        out.print(render.answer_table(answer))
     if line := render.open_job_line(answer, data):
         render.plain(out, line)
 

@@ -25,11 +25,13 @@ POLL_S = 0.2
 INTERRUPTED = 130  # exit status of shells: 128 + SIGINT
 
 
-def answer_table(answer: Displacement) -> Table:
-    """Lay out one answer with its error bar."""
+def answer_table(answer: Displacement, interface: str = "") -> Table:
+    """Lay out one answer with its error bar, at a named interface where there are several."""
     over = [_OVER] if answer.covered and answer.within_tolerance is False else []
     notes = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
-    table = Table(title=_headline(answer), title_justify="left", caption=escape(notes) or None)
+    table = Table(
+        title=_headline(answer, interface), title_justify="left", caption=escape(notes) or None
+    )
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
     for place, name in enumerate(DISPLACEMENT_NAMES):
@@ -67,8 +69,9 @@ def own_error_lines(component: dict[str, Any]) -> list[str]:
     return [one["message"] for one in component.get("warnings", ()) if one["where"] == "tolerance"]
 
 
-def _headline(answer: Displacement) -> str:
-    words = [answer.component, answer.coverage]
+def _headline(answer: Displacement, interface: str) -> str:
+    place = f"{answer.component} {interface}".strip()
+    words = [place, answer.coverage]
     if answer.source:
         words.append(f"source: {answer.source}")
     if answer.method:

@@ -61,6 +61,28 @@ def test_query_queues_by_default_and_says_how_to_look_at_the_job(stub: Stub, run
     assert "Its state: wrenchbook jobs --component plate" in says
 
 
+def test_query_sends_loads_by_interface_and_prints_each_displacement(stub: Stub, run: Run):
+    moved = {"translation": [0.0, 1e-3, 0.0], "rotation": [0.0] * 3, "error": None}
+    parts = {"left": moved, "right": moved}
+    stub.answers(Answer({"component": "link", "coverage": "covered", "interfaces": parts}))
+    status, out, _ = run("query", "link", "--load", "right=0,10,1", "--input", "temperature=80")
+    assert status == 0
+    assert stub.seen[0].body["loads"] == {"right": {"force": [0, 10, 1], "moment": [0, 0, 0]}}
+    assert stub.seen[0].body["inputs"] == {"temperature": 80.0}
+    assert "force" not in stub.seen[0].body
+    assert "link left" in out
+    assert "link right" in out
+
+
+@pytest.mark.parametrize(
+    "option", [("--load", "right"), ("--load", "right=1,2"), ("--input", "T=hot")]
+)
+def test_query_refuses_a_load_it_cannot_read(run: Run, option: tuple[str, str]):
+    status, _, errors = run("query", "link", *option)
+    assert status == 1
+    assert option[1].partition("=")[2].rpartition("1,2")[2] in errors
+
+
 def test_query_with_seconds_to_wait_waits(stub: Stub, run: Run):
     stub.answers(Answer(COVERED))
     assert run("query", "plate", "--wait-s", "5")[0] == 0
