@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, FailFast, Field, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    FailFast,
+    Field,
+    Tag,
+    ValidationInfo,
+    model_validator,
+)
+from pydantic_core import PydanticKnownError
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
 
@@ -35,6 +46,24 @@ class Body(BaseModel):
     """A request body: unknown fields are mistakes, numbers are never guessed from strings."""
 
     model_config = ConfigDict(extra="forbid")
+
+
+def _as_many(count: Literal["inputs", "outputs"]) -> AfterValidator:
+    """Return the check of a vector's length against the space in the validation's context."""
+
+    def check(values: list[float], info: ValidationInfo) -> list[float]:
+        size, given = len(getattr((info.context or {})["space"], count)), len(values)
+        if given == size:
+            return values
+        kind, limit = ("too_short", "min_length") if given < size else ("too_long", "max_length")
+        words = {"field_type": "List", limit: size, "actual_length": given}
+        raise PydanticKnownError(kind, words)
+
+    return AfterValidator(check)
+
+
+InputVector = Annotated[list[Finite], _as_many("inputs")]
+OutputVector = Annotated[list[Finite], _as_many("outputs")]
 
 
 class ToleranceBody(Body):
