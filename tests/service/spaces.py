@@ -37,6 +37,9 @@ def add_link(http: Any, count: int = 40, name: str = "link", **more: Any) -> Non
     workspace = http.app.state.workspace
     if count:
         rows = solved(SPACE, spread_wrenches(range_of(SPACE), count))
+        if more.get("linear"):
+            straight = np.einsum("kmn,kn->km", rows.compliance, rows.wrench)
+            rows = replace(rows, displacement=straight)
         add(workspace, name, rows)
     assert workspace.tables.catch_up(name, 60.0), workspace.tables.faults()
 
