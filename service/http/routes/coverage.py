@@ -15,7 +15,6 @@ from wrenchbook.service.http.schemas import Compliance
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.physics_checks import check_physics
-from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 CATCH_UP_S = 30.0
@@ -32,7 +31,9 @@ async def coverage(name: str, workspace: Opened) -> Response:
 
 def _coverage(name: str, table: ServedTable) -> Response:
     gaps = table.packed.words["gaps"]
-    if gaps is None:
+    if not table.load_range.space.is_default:
+        gaps = []  # its table has no axes
+    elif gaps is None:
         gaps = axis_gaps(table.surrogate().composition, table.load_range)
     body = {"component": name, **table.summary, "gaps": gaps}
     return json_reply(body)
@@ -48,7 +49,7 @@ async def compliance(name: str, workspace: Opened) -> Response:
 
 
 def _compliance(name: str, table: ServedTable) -> Response:
-    fit, tangent = table.fit, table.packed.words["tangent"]
+    fit, tangent, space = table.fit, table.packed.words["tangent"], table.load_range.space
     body: dict[str, Any] = {
         "component": name,
         "table_version": table.version,
@@ -56,10 +57,12 @@ def _compliance(name: str, table: ServedTable) -> Response:
         "tangent_origin": tangent["origin"],
         "origin": fit.origin,
         "matrix": fit.matrix.tolist(),
-        "known_loads": [load for load, known in zip(LOADS, fit.known, strict=True) if known],
+        "known_loads": [
+            load for load, known in zip(space.input_names, fit.known, strict=True) if known
+        ],
         "error": fit.error.tolist(),
-        "rows": [f"{name} [{unit}]" for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)],
-        "columns": [f"{name} [{unit}]" for name, unit in zip(LOADS, LOAD_UNITS, strict=True)],
+        "rows": [f"{one.name} [{one.unit}]" for one in space.outputs],
+        "columns": [f"{one.name} [{one.unit}]" for one in space.inputs],
         **check_physics(table.rows, table.load_range, fit, table.tolerance),
     }
     return json_reply(body)
