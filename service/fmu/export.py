@@ -75,8 +75,7 @@ def describe(
         Program and version.
     summary : str
         What answers: the table's version, its rows and its method.
-    space : Space, optional
-        That of the table.
+    space : Space, the table's
     """
     root = ElementTree.Element(
         "fmiModelDescription",
