@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from .answer import allowed_by
 from .build import AnyTable
+from .solves_needed import estimate_of_solves
 from .surrogate import Surrogate
 from .table.axes import AXES
 from .table.rows import CLEAN, Floats, LoadRange, Tolerance
@@ -250,7 +251,16 @@ class _Refinement:
         reason = f"95 % of the interpolation errors are at most {worst:.3g} times {unit}"
         if not np.isfinite(worst):
             reason = "the rows do not yet show how large errors are"
+        elif self.tolerance is not None and not self.span.space.is_default:
+            reason += estimate_of_solves(self.surrogate, worst, self._worst_of, budget)
         return Design(self._chosen(budget), "refine", reason)
+
+    def _worst_of(self, surrogate: Surrogate) -> float:
+        """Return the error over what is allowed that 95 % of a sample have by another table."""
+        assert surrogate.kriging is not None
+        sample = spread_wrenches(self.span, SAMPLE)
+        bars = surrogate.kriging.sigma_with(sample[:0], sample) / self.allowed
+        return float(np.quantile(bars[:, self.outputs].max(axis=1), ENOUGH))
 
     def _chosen(self, budget: int) -> Floats:
         """Return at most `budget` candidates, shape (k, 6), N and N·m.

@@ -75,7 +75,7 @@ def read(body: dict[str, Any]) -> dict[str, QueryCounts]:
 
 
 def _read(one: dict[str, Any]) -> QueryCounts:
-    cells = {tuple(map(int, line[:-2])): line[-2:] for line in one["cells"]}
+    cells = {tuple(map(int, cell)): [thin, outside] for *cell, thin, outside in one["cells"]}
     counts = QueryCounts(float(one["since"]), cells, int(one["elsewhere"]))
     counts.latest.extend(one.get("latest", ()))
     return counts

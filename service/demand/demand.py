@@ -67,7 +67,7 @@ class QueryStatistics:
     def note(
         self, name: str, span: LoadRange, wrench: tuple[float, ...], coverage: str, count: int = 1
     ) -> None:
-        """Count a wrench (6,), N and N·m, that was not covered."""
+        """Count a wrench (n,), N and N·m, that was not covered."""
         scale = span.scale.tolist()  # plain numbers: a tenth of what arrays of six take
         cell = tuple(
             max(-_BEYOND, min(_BEYOND, round(load / (CELL * of))))
@@ -85,7 +85,7 @@ class QueryStatistics:
     def note_batch(
         self, name: str, span: LoadRange, wrenches: np.ndarray, coverage: np.ndarray
     ) -> None:
-        """Count the wrenches of a batch, (n, 6), N and N·m, that were not covered."""
+        """Count the wrenches of a batch, (k, n), N and N·m, that were not covered."""
         left = np.flatnonzero(coverage)
         step = max(1, len(left) // MOST_OF_A_BATCH)
         scaled = np.clip(np.rint(wrenches[left[::step]] / (CELL * span.scale)), -_BEYOND, _BEYOND)

@@ -24,11 +24,8 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.build import COMPILERS
 from wrenchbook.surrogate.kernel.build import FLAGS as KERNEL_FLAGS
 from wrenchbook.surrogate.kernel.build import sources as kernel_sources
-from wrenchbook.surrogate.table.space import OUTPUTS
+from wrenchbook.surrogate.table.space import DEFAULT, Input, Space
 
-LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-LOAD_UNITS = ("N",) * 3 + ("N.m",) * 3
-OUTPUT_UNITS = ("m",) * 3 + ("rad",) * 3
 SOURCES = (
     "fmu_instance.c",
     "fmu_variables.c",
@@ -41,6 +38,9 @@ _UNITS: dict[str, dict[str, str]] = {
     "N.m": {"kg": "1", "m": "2", "s": "-2"},
     "m": {"m": "1"},
     "rad": {"rad": "1"},
+    "K": {"K": "1"},
+    "degC": {"K": "1", "offset": "273.15"},
+    "m/s2": {"m": "1", "s": "-2"},
 }
 _CONTRACT = (
     "wrench acting ON the component at its interface point, in the undeformed interface frame; "
@@ -63,7 +63,9 @@ def identifier_of(component: str) -> str:
     return word if word[:1].isalpha() else f"fmu_{word}"
 
 
-def describe(component: str, guid: str, made_by: str, summary: str) -> bytes:
+def describe(
+    component: str, guid: str, made_by: str, summary: str, space: Space = DEFAULT
+) -> bytes:
     """Return modelDescription.xml.
 
     Parameters
@@ -73,8 +75,8 @@ def describe(component: str, guid: str, made_by: str, summary: str) -> bytes:
         Program and version.
     summary : str
         What answers: the table's version, its rows and its method.
+    space : Space, the table's
     """
-    identifier = identifier_of(component)
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -86,7 +88,7 @@ def describe(component: str, guid: str, made_by: str, summary: str) -> bytes:
         numberOfEventIndicators="0",
     )
     abilities = {
-        "modelIdentifier": identifier,
+        "modelIdentifier": identifier_of(component),
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": "true",
@@ -97,13 +99,13 @@ def describe(component: str, guid: str, made_by: str, summary: str) -> bytes:
         files = ElementTree.SubElement(interface, "SourceFiles")
         for name in SOURCES:
             ElementTree.SubElement(files, "File", name=name)
-    _add_units(root)
+    _add_units(root, space)
     categories = ElementTree.SubElement(root, "LogCategories")
     for name in ("logStatusWarning", "logStatusError"):
         ElementTree.SubElement(categories, "Category", name=name)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1")
-    _add_variables(ElementTree.SubElement(root, "ModelVariables"))
-    _add_structure(ElementTree.SubElement(root, "ModelStructure"))
+    _add_variables(ElementTree.SubElement(root, "ModelVariables"), space)
+    _add_structure(ElementTree.SubElement(root, "ModelStructure"), space)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
@@ -112,20 +114,31 @@ _INTEGERS = ("coverage", "within_tolerance")
 _STEPS = {"canHandleVariableCommunicationStepSize": "true"}
 
 
-def _add_units(root: ElementTree.Element) -> None:
+def _unit(text: str) -> str:
+    """Return a unit of a space as FMI spells it."""
+    return text.replace("·", ".").replace("²", "2")
+
+
+def _add_units(root: ElementTree.Element, space: Space) -> None:
     units = ElementTree.SubElement(root, "UnitDefinitions")
-    for name, exponents in _UNITS.items():
+    for name in dict.fromkeys(("N", "N.m", "m", "rad", *(_unit(one.unit) for one in space.inputs))):
         unit = ElementTree.SubElement(units, "Unit", name=name)
-        ElementTree.SubElement(unit, "BaseUnit", exponents)
+        ElementTree.SubElement(unit, "BaseUnit", _UNITS.get(name, {}))
 
 
-def _add_variables(root: ElementTree.Element) -> None:
+def _named(one: Input) -> str:
+    """Return the name of an input's variable; the loads of the only interface are Fx to Mz."""
+    return one.name if one.interface or one.kind == "scalar" else one.name.capitalize()
+
+
+def _add_variables(root: ElementTree.Element, space: Space) -> None:
     """Add the variables; their value references are their places, as c/fmu.h has them."""
-    for name, unit in zip(LOADS, LOAD_UNITS, strict=True):
-        _add(root, name, "input", f"load, {unit}", {"unit": unit, "start": "0"})
+    for one in space.inputs:
+        unit, about = _unit(one.unit), "input" if one.kind == "scalar" else "load"
+        _add(root, _named(one), "input", f"{about}, {unit}", {"unit": unit, "start": "0"})
     for prefix, about in (("", "displacement"), ("error_", "95 % error bar of the displacement")):
-        for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True):
-            _add(root, prefix + name, "output", about, {"unit": unit})
+        for output in space.outputs:
+            _add(root, prefix + output.name, "output", about, {"unit": output.unit})
     _add(root, "coverage", "output", _COVERAGE, {}, "discrete")
     for name, unit in (("translation", "m"), ("rotation", "rad")):
         start = {"unit": unit, "start": "0", "min": "0"}
@@ -153,10 +166,11 @@ def _add(
     ElementTree.SubElement(variable, "Integer" if name in _INTEGERS else "Real", attributes)
 
 
-def _add_structure(root: ElementTree.Element) -> None:
-    """Add which outputs follow which inputs: each follows all six, at once."""
-    inputs = " ".join(map(str, range(1, 7)))
-    outputs = [*range(7, 20), len(LOADS) + 2 * len(OUTPUTS) + 1 + 2 + 1]  # the last variable
+def _add_structure(root: ElementTree.Element, space: Space) -> None:
+    """Add which outputs follow which inputs: each follows all of them, at once."""
+    first, last = len(space.inputs) + 1, len(space.inputs) + 2 * len(space.outputs) + 1  # coverage
+    inputs = " ".join(map(str, range(1, first)))
+    outputs = [*range(first, last + 1), last + 3]  # the last variable
     for part in ("Outputs", "InitialUnknowns"):
         unknowns = ElementTree.SubElement(root, part)
         for index in outputs:
@@ -248,10 +262,11 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
     used = ", ".join(dict.fromkeys(method or one["method"] for one in table.words["groups"]))
     about = table.words["provenance"]
     summary = f"table version {about['version']}, {about['rows']} rows, method {used}"
+    space = Space.read(table.words["space"])
     number = -1 if method is None else METHODS.index(method)
     guid = _guid(component, number, table.content)
     parts = {
-        "modelDescription.xml": describe(component, guid, _made_by(), summary),
+        "modelDescription.xml": describe(component, guid, _made_by(), summary, space),
         "resources/table.wbt": table.content,
         "resources/model.txt": f"{guid}\n{number}\n".encode(),
         **_sources(identifier_of(component)),

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, FailFast, Field, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    FailFast,
+    Field,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticKnownError
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
 
@@ -15,7 +27,6 @@ Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
 Wrench = Annotated[list[Load], Field(description="six numbers an interface, further inputs")]
 # A list of a million mistakes takes gigabytes.
 Wrenches = Annotated[list[Wrench], FailFast()]
-Output = Literal["ux", "uy", "uz", "rx", "ry", "rz"]
 OnThin = Literal["queue", "wait", "estimate", "reject"]
 Flag = Annotated[
     bool, Field(description="whether a wrench outside the load range may be solved as well")
@@ -35,6 +46,24 @@ class Body(BaseModel):
     """A request body: unknown fields are mistakes, numbers are never guessed from strings."""
 
     model_config = ConfigDict(extra="forbid")
+
+
+def _as_many(count: Literal["inputs", "outputs"]) -> AfterValidator:
+    """Return the check of a vector's length against the space in the validation's context."""
+
+    def check(values: list[float], info: ValidationInfo) -> list[float]:
+        size, given = len(getattr((info.context or {})["space"], count)), len(values)
+        if given == size:
+            return values
+        kind, limit = ("too_short", "min_length") if given < size else ("too_long", "max_length")
+        words = {"field_type": "List", limit: size, "actual_length": given}
+        raise PydanticKnownError(kind, words)
+
+    return AfterValidator(check)
+
+
+InputVector = Annotated[list[Finite], _as_many("inputs")]
+OutputVector = Annotated[list[Finite], _as_many("outputs")]
 
 
 class ToleranceBody(Body):
@@ -126,22 +155,57 @@ Span = Annotated[
 ]
 
 
+MOST_VALUES = 64  # inputs, outputs of a table
+Outputs = Annotated[
+    list[str] | None,
+    Field(
+        min_length=1,
+        max_length=MOST_VALUES,
+        description="those that are read, ux to rz or left.ux ...; all if left out",
+    ),
+]
+Spans = Annotated[list[Span], Field(min_length=3, max_length=3)]
+
+
+def ends_of(force: list[Any] | None, moment: list[Any] | None) -> list[list[float]]:
+    """Return the low and the high end of each of six loads, N and N·m; zeros for None."""
+    spans = [*(force or [[0.0, 0.0]] * 3), *(moment or [[0.0, 0.0]] * 3)]
+    return [[-one, one] if isinstance(one, int | float) else list(one) for one in spans]
+
+
 class RangeBody(Body):
     """Expected loads: per direction a positive number (plus and minus) or ``[low, high]``."""
 
-    force: Annotated[list[Span], Field(min_length=3, max_length=3)]
-    moment: Annotated[list[Span], Field(min_length=3, max_length=3)]
-
-    def bounds(self) -> list[list[float]]:
-        """Return the low and the high end of each of the six loads, N and N·m."""
-        spans = [*self.force, *self.moment]
-        return [[-one, one] if isinstance(one, int | float) else list(one) for one in spans]
+    force: Spans
+    moment: Spans
 
 
-Outputs = Annotated[
-    list[Output] | None,
-    Field(min_length=1, max_length=6, description="those that are read; all six if left out"),
-]
+class InterfaceSpan(Body):
+    """Expected loads of one interface; zero where they are left out."""
+
+    force: Spans | None = None
+    moment: Spans | None = None
+
+
+class SpaceSpan(Body):
+    """Expected loads: of the only interface, or of each by its name, and of further inputs.
+
+    An interface without loads has none; a further input that is left out has the component's range.
+    """
+
+    # First: whether the others are needed depends on them.
+    loads: Annotated[dict[str, InterfaceSpan] | None, Field(max_length=MOST_VALUES)] = None
+    inputs: Annotated[dict[str, Span] | None, Field(max_length=MOST_VALUES)] = None
+    force: Annotated[Spans | None, Field(validate_default=True)] = None
+    moment: Annotated[Spans | None, Field(validate_default=True)] = None
+
+    @field_validator("force", "moment")
+    @classmethod
+    def _is_there(cls, value: list[Any] | None, info: ValidationInfo) -> list[Any] | None:
+        plain = all(info.data.get(name, {}) is None for name in ("loads", "inputs"))
+        if value is None and plain:
+            raise PydanticKnownError("missing")
+        return value
 
 
 class FillBody(Body):
@@ -149,11 +213,11 @@ class FillBody(Body):
 
     tolerance: ToleranceBody | None = None
     budget: Annotated[int, Field(ge=1, le=10_000)] = 24
-    range: RangeBody | None = None
+    range: SpaceSpan | None = None
     outputs: Outputs = None
 
 
-class SceneComponent(RangeBody):
+class SceneComponent(SpaceSpan):
     """What a scene needs of one component: its loads, the outputs it reads, its tolerance."""
 
     outputs: Outputs = None

@@ -15,7 +15,6 @@ from ..packed.format import pieces
 from ..packed.numbering import DIMENSION, FIRST_CELL, buckets_of
 from ..table.axes import AXES
 from ..table.rows import Floats
-from ..table.space import OUTPUTS
 from .need import Mask, Need
 
 Arrays = dict[str, NDArray[Any]]
@@ -47,7 +46,7 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     arrays = {name: array for name, array in whole.arrays.items() if name[0] != "g"}
     read = [_is_read(whole, group, need) for group in range(len(whole.words["groups"]))]
     groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
-    slopes = np.ones(6, dtype=bool)
+    slopes = np.ones(whole.inputs, dtype=bool)
     for number, group in enumerate(groups):
         own = _cut_group(_named(whole, f"g{group}/"), need, _asks_tangent(whole), slopes)
         arrays |= {f"g{number}/{name}": array for name, array in own.items()}
@@ -55,7 +54,7 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     words = {
         **whole.words,
         "groups": [whole.words["groups"][group] for group in groups],
-        "scene": {"outputs": [OUTPUTS[output] for output in need.outputs], "plan": plan or {}},
+        "scene": {"outputs": need.output_names(), "plan": plan or {}},
     }
     return pieces(arrays, words)
 
@@ -89,22 +88,22 @@ def _scene_arrays(whole: PackedTable, need: Need, groups: int, slopes: Mask) -> 
         "scene/slopes": slopes.astype(np.int32),
     }
     if need.tolerance is not None:
-        found["space/tolerance"] = np.array(allowed_by(need.tolerance))
+        found["space/tolerance"] = np.array(allowed_by(need.tolerance, need.span.space))
     return found
 
 
 def _cut_group(own: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arrays:
-    """Return a group's arrays; in `slopes` (6,) the loads without derivatives are crossed out."""
+    """Return a group's arrays; in `slopes` (n,) the loads without derivatives are crossed out."""
     flags = own["flags"]
     by_kriging = METHODS[flags[_METHOD]] == "kriging" and flags[_REFERENCE] & _BY_KRIGING
     alone = by_kriging or (METHODS[flags[_METHOD]] == "linear" and flags[_EXACT])
     kept = {name: array for name, array in own.items() if "/" not in name or name[:4] == "fit/"}
-    kept["outputs"] = np.where(np.isin(np.arange(6), need.outputs), own["outputs"], 0)
-    kept["outputs"] = kept["outputs"].astype(np.int32)
+    is_read = np.isin(np.arange(len(own["outputs"])), need.outputs)
+    kept["outputs"] = np.where(is_read, own["outputs"], 0).astype(np.int32)
     kept |= {name: own[name][:0] for name in ("near/wrench", "near/moved")}
     kept |= _cut_rows(own, need)
     if need.tolerance is not None:
-        kept["allowed"] = np.array(allowed_by(need.tolerance))
+        kept["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if flags[_REFERENCE] & _BY_KRIGING:
         kept |= _cut_kriging(own, "kriging/", need)
     if flags[_REFERENCE] & _BY_MISSED:
@@ -280,7 +279,7 @@ def _differences(
 
 def _sampled(points: Floats, rates: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:
     """Return which points are nearest to one of some places of the box, shape (n,)."""
-    at = np.random.default_rng(0).uniform(size=(SAMPLE, 6)) * (high - low) + low
+    at = np.random.default_rng(0).uniform(size=(SAMPLE, len(low))) * (high - low) + low
     roots = np.sqrt(rates)
     found = np.zeros(len(points), dtype=bool)
     squares = (points**2) @ rates

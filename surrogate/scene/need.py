@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..table.axes import AXES
 from ..table.rows import ON_END, Floats, LoadRange, Tolerance
-from ..table.space import LOAD_UNITS, LOADS, OUTPUTS
+from ..table.space import LOADS
 
 Mask = NDArray[np.bool_]
 
@@ -29,7 +29,7 @@ class Need:
         The scene's own, else the component's.
     idle : tuple of int
         Loads on locked freedoms: whatever they are, nothing depends on them.
-    slack : ndarray, shape (6,), N and N·m
+    slack : ndarray, shape (n,), N and N·m
         What rounding may add to an end: 1e-9 of the component's range.
     """
 
@@ -41,30 +41,31 @@ class Need:
 
     @property
     def occurring(self) -> Mask:
-        """Which loads, N and N·m, can be other than zero, shape (6,)."""
+        """Which loads, N and N·m, can be other than zero, shape (n,)."""
         return (self.span.low != 0) | (self.span.high != 0)
 
     @property
     def varying(self) -> Mask:
-        """Which loads, N and N·m, can have more than one value: the dimensions, shape (6,)."""
+        """Which loads, N and N·m, can have more than one value: the dimensions, shape (n,)."""
         return self.span.high > self.span.low
 
     @property
     def loads(self) -> list[str]:
         """The names of the loads that can occur."""
-        return [LOADS[load] for load in np.flatnonzero(self.occurring)]
+        return [self.span.space.input_names[load] for load in np.flatnonzero(self.occurring)]
 
     def beyond(self, wrenches: Floats) -> Mask:
-        """Return which loads of wrenches (n, 6), N and N·m, the scene has not, shape (n, 6)."""
+        """Return which loads of wrenches (k, n), N and N·m, the scene has not, shape (k, n)."""
         return (wrenches < self.span.low - self.slack) | (wrenches > self.span.high + self.slack)
 
     def axes(self) -> dict[str, dict[str, object]]:
         """Return the axes that are composed: their inputs that can occur, and their dimensions.
 
-        An axis is composed if some of its loads can occur and one of its outputs is read.
+        An axis is composed if some of its loads can occur and one of its outputs is read. Tables
+        of several interfaces or further inputs compose none.
         """
         found: dict[str, dict[str, object]] = {}
-        for axis in AXES:
+        for axis in AXES if self.span.space.is_default else ():
             inputs = [load for load in axis.inputs if self.occurring[load]]
             if inputs and set(axis.outputs) & set(self.outputs):
                 names = [LOADS[load] for load in inputs]
@@ -74,7 +75,7 @@ class Need:
 
     def output_names(self) -> list[str]:
         """Return the names of the outputs that are read."""
-        return [OUTPUTS[output] for output in self.outputs]
+        return [self.span.space.output_names[output] for output in self.outputs]
 
 
 class NeedError(ValueError):
@@ -83,7 +84,7 @@ class NeedError(ValueError):
     Attributes
     ----------
     mistakes : list of (int, str)
-        Load, 0 to 5, and what is wrong with its ends.
+        Place of the load among the inputs, and what is wrong with its ends.
     """
 
     def __init__(self, mistakes: list[tuple[int, str]]) -> None:
@@ -94,7 +95,7 @@ class NeedError(ValueError):
 def need_of(
     whole: LoadRange,
     bounds: Floats | None = None,
-    outputs: Sequence[int] = range(6),
+    outputs: Sequence[int] | None = None,
     tolerance: Tolerance | None = None,
     idle: Sequence[int] = (),
 ) -> Need:
@@ -104,8 +105,10 @@ def need_of(
     ----------
     whole : LoadRange
         The component's load range, N and N·m; it is stretched to hold zero.
-    bounds : ndarray, shape (6, 2), optional, N and N·m
+    bounds : ndarray, shape (n, 2), optional, N and N·m
         Low and high end of each load; the component's own by default.
+    outputs : sequence of int, optional
+        Those that are read; all by default.
     idle : sequence of int
         Loads on locked freedoms.
 
@@ -118,17 +121,19 @@ def need_of(
     slack = ON_END * whole.scale
     mistakes = []
     for load, (low, high) in enumerate(ends.tolist()):
+        one = whole.space.inputs[load]
         least, most = min(whole.low[load], 0.0), max(whole.high[load], 0.0)
         if low > high:
-            message = f"the low end of {LOADS[load]}, {low:g}, is above the high end, {high:g}"
+            message = f"the low end of {one.name}, {low:g}, is above the high end, {high:g}"
             mistakes.append((load, message))
         elif load not in idle and (low < least - slack[load] or high > most + slack[load]):
-            unit = LOAD_UNITS[load]
-            message = f"{LOADS[load]} must lie within {least:g} to {most:g} {unit}, the load range"
+            within = f"{least:g} to {most:g} {one.unit}, the load range"
+            message = f"{one.name} must lie within {within}"
             mistakes.append((load, message))
     if mistakes:
         raise NeedError(mistakes)
     ends[list(idle)] = 0.0
     ends += 0.0  # no minus zero
-    read = tuple(sorted(set(outputs)))
-    return Need(LoadRange(ends[:, 0], ends[:, 1]), read, tolerance, tuple(idle), slack)
+    read = tuple(sorted(set(range(len(whole.space.outputs)) if outputs is None else outputs)))
+    span = LoadRange(ends[:, 0], ends[:, 1], whole.space)
+    return Need(span, read, tolerance, tuple(idle), slack)

@@ -19,7 +19,6 @@ from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
 from ..packed.reasons import UNKNOWN_ERROR
 from ..table.rows import Floats, LoadRange
-from ..table.space import LOADS, OUTPUT_UNITS, OUTPUTS
 from ..table.spread import spread_wrenches
 from .need import Need
 
@@ -29,6 +28,10 @@ SAMPLE = 64  # wrenches of the scene, with its corners: as many as six loads hav
 NO_ROWS = (
     "no row yet: one solve tells the tangent compliance, and rows that show how large errors are "
     "tell a bound of the displacement"
+)
+LOOKED_UP = (
+    "its response is looked up: whether one compliance answers, and how far it moves, is planned "
+    "for components of one interface without further inputs and for linear ones only"
 )
 NO_LOAD = "no load can occur in the scene, so it stays as it is"
 
@@ -43,9 +46,9 @@ class ScenePlan:
     decision : {"rigid", "linear", "table"}
         Leave it out; one compliance answers; its table does.
     reason : str
-    bound : ndarray, shape (6,), m and rad
+    bound : ndarray, shape (m,), m and rad
         What the displacement does not exceed within the scene; NaN where nothing tells it.
-    compliance : ndarray, shape (6, 6), SI, or None
+    compliance : ndarray, shape (m, n), SI, or None
         With ``linear``, where it is known: the displacement is it times the wrench. Zero by loads
         that cannot occur.
     solves : tuple of (int, int)
@@ -71,21 +74,24 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
     solves = first_solves(table, table.load_range), first_solves(table, need.span)
     limit = need.tolerance or table.tolerance
     need = replace(need, tolerance=limit)
+    count, allowed = len(need.span.space.outputs), _allowed(need)
     hangs = any(group.fit.offset.any() for _, group in table.groups)
     if solved and not need.occurring.any() and not hangs:
-        return ScenePlan(need, "rigid", NO_LOAD, np.zeros(6), None, (solves[0], 0))
+        return ScenePlan(need, "rigid", NO_LOAD, np.zeros(count), None, (solves[0], 0))
     bound, why = _bound(table, need)
     if table.linear:
         decision: Decision = "linear"
         reason, matrix = _linear_reason(table), _restricted(table.fit.matrix, need)
         known = table.fit.known[need.occurring].all() and not hangs  # C w alone is no answer
         compliance = matrix if known else None
+    elif not need.span.space.is_default:
+        decision, reason, compliance = "table", LOOKED_UP, None
     else:
         compliance, missed = _one_compliance(table, need)
         decision = "table" if compliance is None else "linear"
         reason = why or missed
     read = list(need.outputs)
-    if limit is not None and (bound[read] <= np.array(allowed_by(limit))[read]).all():
+    if allowed is not None and (bound[read] <= allowed[read]).all():
         reason = f"it moves by no more than the tolerance: {_worst(bound, need)}"
         return ScenePlan(need, "rigid", reason, bound, None, (solves[0], 0))
     return ScenePlan(need, decision, reason, bound, compliance, solves)
@@ -99,7 +105,9 @@ def design_of(
     Parameters are those of `next_wrenches`: `pending` has shape (m, 6), N and N·m.
     """
     if plan.decision == "rigid":
-        return Design(np.empty((0, 6)), "met", f"the scene needs no solve: {plan.reason}")
+        return Design(
+            plan.need.span.low[None][:0], "met", f"the scene needs no solve: {plan.reason}"
+        )
     need = plan.need
     return next_wrenches(
         table,
@@ -118,35 +126,38 @@ def first_solves(table: AnyTable, span: LoadRange) -> int:
     """
     if table.linear:
         return 1
-    none = np.empty((0, 6))
+    none = span.low[None][:0]
     known = Known(table.load_range, none, none)
     return len(first_design(span, known, first_count(span)))
 
 
 def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
-    """Return what the displacement does not exceed, (6,), m and rad, and why it is not known.
+    """Return what the displacement does not exceed, (m,), m and rad, and why it is not known.
 
     The larger of two: the answers with their errors at corners and wrenches of the scene; and the
     compliance's sum over the loads with its error, which is one for the whole load range, or what
     the steepest slopes of the scene's wrenches allow, if that is less.
     """
-    bound, why = np.full(6, np.nan), NO_ROWS
+    count = len(need.span.space.outputs)
+    bound, why = np.full(count, np.nan), NO_ROWS
     full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
-    solver = np.zeros(6)
+    solver = np.zeros(count)
     if table.solver_error is not None:  # it is largest where the loads are
         solver = table.solver_error.share(full)
-    found = packed_of(table).batch(_sample(need))
+    if not table.linear and not need.span.space.is_default:
+        return bound, LOOKED_UP  # corners of many inputs are too many to look at
+    found = None if table.linear else packed_of(table).batch(_sample(need))
     for outputs, surrogate in table.groups:
         own, fit = list(outputs), surrogate.fit
         unknown = need.occurring & ~fit.known
         if not len(surrogate.used) or unknown.any():
-            names = [LOADS[load] for load in np.flatnonzero(unknown)]
+            names = [need.span.space.input_names[load] for load in np.flatnonzero(unknown)]
             why = (
                 f"no row tells the influence of {', '.join(names)}" if len(surrogate.used) else why
             )
             continue
         most = np.abs(fit.matrix) @ full + np.abs(fit.offset) + fit.error + solver
-        if not surrogate.linear:
+        if found is not None:
             if not found.coverage.any():  # slopes of a table that is thin here prove nothing
                 most = np.fmin(most, _reach(packed_of(table), need) + found.errors.max(axis=0))
             most = np.maximum(most, (np.abs(found.outputs) + found.errors).max(axis=0))
@@ -176,7 +187,7 @@ def _sample(need: Need) -> Floats:
 
 
 def _restricted(matrix: Floats, need: Need) -> Floats:
-    """Return a compliance (6, 6), SI, without the loads that cannot occur."""
+    """Return a compliance (m, n), SI, without the loads that cannot occur."""
     return np.where(need.occurring, matrix, 0.0)
 
 
@@ -210,15 +221,21 @@ def _one_compliance(table: AnyTable, need: Need) -> tuple[Floats | None, str]:
         return _restricted(matrix, need), reason + "tolerance"
     if not np.isfinite(share).all():
         return None, "its rows do not tell yet how its response bends over the scene's loads"
-    worst = int(np.argmax(share.max(axis=0)))
-    reason = f"one compliance would miss {OUTPUTS[read[worst]]} by {share.max():.3g} times the "
+    worst = need.output_names()[int(np.argmax(share.max(axis=0)))]
+    reason = f"one compliance would miss {worst} by {share.max():.3g} times the "
     return None, reason + "tolerance"
+
+
+def _allowed(need: Need) -> Floats | None:
+    """Return the largest error of each output, (m,), m and rad; None without a tolerance."""
+    return need.tolerance and np.array(allowed_by(need.tolerance, need.span.space))
 
 
 def _worst(bound: Floats, need: Need) -> str:
     """Return the output that comes nearest to its tolerance, and by how much it moves."""
-    assert need.tolerance is not None
-    allowed = np.array(allowed_by(need.tolerance))
+    allowed = _allowed(need)
+    assert allowed is not None
     worst = max(need.outputs, key=lambda output: bound[output] / allowed[output])
-    unit = OUTPUT_UNITS[worst]
-    return f"{OUTPUTS[worst]} at most {bound[worst]:.2g} {unit} of {allowed[worst]:.2g} {unit}"
+    one = need.span.space.outputs[worst]
+    name, unit = one.name, one.unit
+    return f"{name} at most {bound[worst]:.2g} {unit} of {allowed[worst]:.2g} {unit}"

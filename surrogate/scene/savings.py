@@ -73,9 +73,9 @@ def built_s(table: AnyTable) -> float:
 
 
 def _wrenches(plan: ScenePlan) -> Floats:
-    """Return wrenches of the scene, (n, 6), N and N·m."""
+    """Return wrenches of the scene, (k, n), N and N·m."""
     low, high = plan.need.span.low, plan.need.span.high
-    return low + np.random.default_rng(0).uniform(size=(ANSWERS, 6)) * (high - low)
+    return low + np.random.default_rng(0).uniform(size=(ANSWERS, len(low))) * (high - low)
 
 
 def _us(table: PackedTable, wrenches: Floats) -> float:

@@ -75,12 +75,17 @@ def test_query_sends_loads_by_interface_and_prints_each_displacement(stub: Stub,
 
 
 @pytest.mark.parametrize(
-    "option", [("--load", "right"), ("--load", "right=1,2"), ("--input", "T=hot")]
+    ("option", "text", "message"),
+    [
+        ("--load", "right", "'right': write a name, = and numbers"),
+        ("--load", "right=1,2", "--load right needs 3 or 6 numbers"),
+        ("--input", "T=hot", "'hot' is not a number"),
+    ],
 )
-def test_query_refuses_a_load_it_cannot_read(run: Run, option: tuple[str, str]):
-    status, _, errors = run("query", "link", *option)
+def test_query_refuses_a_load_it_cannot_read(run: Run, option: str, text: str, message: str):
+    status, _, errors = run("query", "link", option, text)
     assert status == 1
-    assert option[1].partition("=")[2].rpartition("1,2")[2] in errors
+    assert message in errors
 
 
 def test_query_with_seconds_to_wait_waits(stub: Stub, run: Run):

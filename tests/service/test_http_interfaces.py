@@ -111,4 +111,4 @@ def test_a_call_for_one_wrench_says_so(solved, call):
 
 
 def test_coverage_has_no_gaps_by_axis(solved):
-    assert solved.get(f"{URL}/coverage").json()["gaps"] is None
+    assert solved.get(f"{URL}/coverage").json()["gaps"] == []

@@ -12,9 +12,14 @@
 
 #define WB_GUID 40 /* bytes of a GUID in braces, with the final zero, and one to spare */
 
-/* Value references; service/fmu/description.py writes the same into modelDescription.xml. */
-enum { VR_WRENCH = 0, VR_OUTPUT = 6, VR_ERROR = 12, VR_COVERAGE = 18, VR_TOLERANCE = 19,
-       VR_WITHIN = 21 };
+/* Outputs of an interface: translations, then rotations. */
+enum { TRANSLATIONS = 3, AN_INTERFACE = 6 };
+
+/* First value reference of each kind of variable; those of the inputs begin with 0.
+ * service/fmu/export.py writes the same into modelDescription.xml. */
+typedef struct {
+    fmi2ValueReference output, error, coverage, tolerance, within;
+} fmu_references;
 
 enum { INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 16, TERMINATED = 32,
        FAILED = 64 };
@@ -22,7 +27,7 @@ enum { INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 1
 /* All that a state is: what fmi2GetFMUstate keeps and fmi2SerializeFMUstate writes. */
 typedef struct {
     char mark[8], guid[WB_GUID];
-    double wrench[6], tolerance[2], time;
+    double wrench[WB_MOST], tolerance[2], time;
     int32_t mode, event_coverage, event_within;
 } fmu_state;
 
@@ -32,11 +37,12 @@ typedef struct {
     char *name;
     wb_table *table;
     void *scratch;
-    int method;
+    int inputs, outputs, method;
+    fmu_references vr;
     char guid[WB_GUID]; /* of the table and the method: resources/model.txt */
     fmu_state state;
     wb_reply reply;
-    double derivative[36];
+    double *derivative; /* outputs x inputs */
     int warned;
     int answered, derived; /* whether answer and derivative are those of the state */
 } fmu_instance;
@@ -47,7 +53,7 @@ fmi2Status fmu_say(fmu_instance *m, fmi2Status status, const char *text);
 int fmu_allowed(fmu_instance *m, const char *call, int modes);
 const wb_reply *fmu_answered(fmu_instance *m);
 const double *fmu_derived(fmu_instance *m);
-void fmu_ask(fmu_instance *m, const double wrench[6], wb_reply *reply);
+void fmu_ask(fmu_instance *m, const double *wrench, wb_reply *reply);
 void fmu_reset(fmu_instance *m);
 
 #endif

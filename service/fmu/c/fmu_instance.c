@@ -31,11 +31,11 @@ int fmu_allowed(fmu_instance *m, const char *call, int modes) {
     return 0;
 }
 
-void fmu_ask(fmu_instance *m, const double wrench[6], wb_reply *reply) {
-    double tolerance[6];
+void fmu_ask(fmu_instance *m, const double *wrench, wb_reply *reply) {
+    double tolerance[WB_MOST];
     wb_options options = {m->method, tolerance};
-    for (int q = 0; q < 6; q++) {
-        double most = m->state.tolerance[q / 3];
+    for (int q = 0; q < m->outputs; q++) {
+        double most = m->state.tolerance[q % AN_INTERFACE / TRANSLATIONS];
         tolerance[q] = most > 0 ? most : NAN; /* zero: the component's own */
     }
     wb_answer(m->table, &options, wrench, reply, m->scratch);
@@ -106,6 +106,16 @@ static int read_model(fmu_instance *m, const char *path) {
     return found;
 }
 
+/* Take the numbers of inputs and outputs from the table, and the value references from them. */
+static void number_variables(fmu_instance *m) {
+    m->inputs = wb_inputs(m->table), m->outputs = wb_outputs(m->table);
+    m->vr.output = (fmi2ValueReference)m->inputs;
+    m->vr.error = m->vr.output + (fmi2ValueReference)m->outputs;
+    m->vr.coverage = m->vr.error + (fmi2ValueReference)m->outputs;
+    m->vr.tolerance = m->vr.coverage + 1;
+    m->vr.within = m->vr.tolerance + 2;
+}
+
 /* Map the table of an instance; 0 after a report if that cannot be done. */
 static int open_table(fmu_instance *m, fmi2String guid, fmi2String location) {
     char path[LONGEST], why[LONGEST + 128];
@@ -126,10 +136,11 @@ static int open_table(fmu_instance *m, fmi2String guid, fmi2String location) {
     path_of(location, "table.wbt", path);
     m->table = wb_open(path, why, sizeof why);
     if (!m->table) return fmu_say(m, fmi2Error, why), 0;
-    if (wb_inputs(m->table) != 6 || wb_outputs(m->table) != 6)
-        return fmu_say(m, fmi2Error, "the table has not six loads and six outputs"), 0;
+    number_variables(m);
     m->scratch = m->callbacks.allocateMemory(1, wb_scratch(m->table));
-    return m->scratch ? 1 : (fmu_say(m, fmi2Error, "no memory for the scratch"), 0);
+    m->derivative = m->callbacks.allocateMemory((size_t)m->inputs * m->outputs, sizeof(double));
+    if (m->scratch && m->derivative) return 1;
+    return fmu_say(m, fmi2Error, "no memory for the scratch"), 0;
 }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String location,
@@ -157,6 +168,7 @@ void fmi2FreeInstance(fmi2Component c) {
     if (!m) return;
     fmi2CallbackFreeMemory free_ = m->callbacks.freeMemory;
     if (m->scratch) free_(m->scratch);
+    if (m->derivative) free_(m->derivative);
     wb_close(m->table);
     if (m->name) free_(m->name);
     free_(m);
@@ -240,7 +252,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte b
 static int is_state(const fmu_instance *m, const fmu_state *s) {
     int modes = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
     if (memcmp(s->mark, "WBSTATE1", 8) || memcmp(s->guid, m->guid, WB_GUID)) return 0;
-    for (int k = 0; k < 6; k++)
+    for (int k = 0; k < m->inputs; k++)
         if (!isfinite(s->wrench[k])) return 0;
     return s->mode > 0 && (s->mode & modes) && !(s->mode & (s->mode - 1))
            && s->tolerance[0] >= 0 && s->tolerance[1] >= 0;

@@ -21,10 +21,11 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     if (!fmu_allowed(m, "fmi2GetReal", ANY)) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
         fmi2ValueReference k = vr[i];
-        if (k < VR_OUTPUT) value[i] = m->state.wrench[k];
-        else if (k < VR_ERROR) value[i] = fmu_answered(m)->outputs[k - VR_OUTPUT];
-        else if (k < VR_COVERAGE) value[i] = fmu_answered(m)->error[k - VR_ERROR];
-        else if (k >= VR_TOLERANCE && k < VR_WITHIN) value[i] = m->state.tolerance[k - VR_TOLERANCE];
+        if (k < m->vr.output) value[i] = m->state.wrench[k];
+        else if (k < m->vr.error) value[i] = fmu_answered(m)->outputs[k - m->vr.output];
+        else if (k < m->vr.coverage) value[i] = fmu_answered(m)->error[k - m->vr.error];
+        else if (k >= m->vr.tolerance && k < m->vr.within)
+            value[i] = m->state.tolerance[k - m->vr.tolerance];
         else return no_variable(m, "fmi2GetReal", k);
     }
     return fmi2OK;
@@ -33,12 +34,11 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
 /* Whether a variable may be set to a value now; reports if not. */
 static int may_set(fmu_instance *m, fmi2ValueReference vr, double value) {
     char text[160];
-    int load = vr < VR_OUTPUT, tolerance = vr >= VR_TOLERANCE && vr < VR_WITHIN;
+    int load = vr < m->vr.output, tolerance = vr >= m->vr.tolerance && vr < m->vr.within;
     if (!load && !tolerance) {
         snprintf(text, sizeof text, "value reference %u cannot be set: it is no input", vr);
     } else if (load && !isfinite(value)) {
-        snprintf(text, sizeof text, "input %u must be a finite number, N or N·m; nothing was set",
-                 vr);
+        snprintf(text, sizeof text, "input %u must be a finite number; nothing was set", vr);
     } else if (tolerance && !(isfinite(value) && value >= 0)) {
         snprintf(text, sizeof text, "a tolerance must be a number above zero, m or rad, or zero for "
                  "the component's own; nothing was set");
@@ -57,8 +57,8 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     for (size_t i = 0; i < nvr; i++) /* all of them, or none */
         if (!may_set(m, vr[i], value[i])) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
-        if (vr[i] < VR_OUTPUT) m->state.wrench[vr[i]] = value[i];
-        else m->state.tolerance[vr[i] - VR_TOLERANCE] = value[i];
+        if (vr[i] < m->vr.output) m->state.wrench[vr[i]] = value[i];
+        else m->state.tolerance[vr[i] - m->vr.tolerance] = value[i];
     }
     m->answered = m->derived = 0;
     return fmi2OK;
@@ -69,8 +69,8 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     fmu_instance *m = c;
     if (!fmu_allowed(m, "fmi2GetInteger", ANY)) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
-        if (vr[i] == VR_COVERAGE) value[i] = fmu_answered(m)->coverage;
-        else if (vr[i] == VR_WITHIN) value[i] = fmu_answered(m)->within;
+        if (vr[i] == m->vr.coverage) value[i] = fmu_answered(m)->coverage;
+        else if (vr[i] == m->vr.within) value[i] = fmu_answered(m)->within;
         else return no_variable(m, "fmi2GetInteger", vr[i]);
     }
     return fmi2OK;
@@ -109,30 +109,30 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 }
 
 /* How the error bars change along a direction: by central differences, since bars have kinks. */
-static void bar_slopes(fmu_instance *m, const double along[6], double slopes[6]) {
+static void bar_slopes(fmu_instance *m, const double *along, double *slopes) {
     const double *scale = m->table->scale;
-    double size = 0.0, to[6], from[6];
+    double size = 0.0, to[WB_MOST], from[WB_MOST];
     wb_reply high, low;
-    for (int k = 0; k < 6; k++) size = fmax(size, fabs(along[k]) / scale[k]);
-    for (int q = 0; q < 6; q++) slopes[q] = 0.0;
+    for (int k = 0; k < m->inputs; k++) size = fmax(size, fabs(along[k]) / scale[k]);
+    for (int q = 0; q < m->outputs; q++) slopes[q] = 0.0;
     if (!(size > 0)) return;
     double step = STEP_SHARE / size;
-    for (int k = 0; k < 6; k++) {
+    for (int k = 0; k < m->inputs; k++) {
         to[k] = m->state.wrench[k] + step * along[k];
         from[k] = m->state.wrench[k] - step * along[k];
     }
     fmu_ask(m, to, &high);
     fmu_ask(m, from, &low);
-    for (int q = 0; q < 6; q++) slopes[q] = (high.error[q] - low.error[q]) / (2 * step);
+    for (int q = 0; q < m->outputs; q++) slopes[q] = (high.error[q] - low.error[q]) / (2 * step);
 }
 
-/* The direction that the knowns span; 0 if one of them is no load. */
+/* The direction that the knowns span; 0 if one of them is no input. */
 static int direction_of(fmu_instance *m, const fmi2ValueReference known[], size_t count,
-                        const fmi2Real by[], double along[6]) {
-    memset(along, 0, 6 * sizeof(double));
+                        const fmi2Real by[], double *along) {
+    memset(along, 0, WB_MOST * sizeof(double));
     for (size_t i = 0; i < count; i++) {
-        if (known[i] >= VR_OUTPUT) {
-            no_variable(m, "fmi2GetDirectionalDerivative (knowns are the six loads)", known[i]);
+        if (known[i] >= m->vr.output) {
+            no_variable(m, "fmi2GetDirectionalDerivative (knowns are the inputs)", known[i]);
             return 0;
         }
         along[known[i]] += by[i];
@@ -144,20 +144,20 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         size_t unknowns, const fmi2ValueReference known[],
                                         size_t knowns, const fmi2Real by[], fmi2Real out[]) {
     fmu_instance *m = c;
-    double along[6], bars[6];
+    double along[WB_MOST], bars[WB_MOST];
     int barred = 0, finite = 1;
     if (!fmu_allowed(m, "fmi2GetDirectionalDerivative", ANY)) return fmi2Error;
     if (!direction_of(m, known, knowns, by, along)) return fmi2Error;
     for (size_t i = 0; i < unknowns; i++) {
         fmi2ValueReference k = unknown[i];
         out[i] = 0.0;
-        if (k >= VR_OUTPUT && k < VR_ERROR) {
-            const double *row = fmu_derived(m) + 6 * (k - VR_OUTPUT);
-            for (int load = 0; load < 6; load++) /* unknown by a load that does not change: 0 */
+        if (k >= m->vr.output && k < m->vr.error) {
+            const double *row = fmu_derived(m) + m->inputs * (k - m->vr.output);
+            for (int load = 0; load < m->inputs; load++) /* unknown by one that stays: 0 */
                 if (along[load] != 0.0) out[i] += row[load] * along[load];
-        } else if (k >= VR_ERROR && k < VR_COVERAGE) {
+        } else if (k >= m->vr.error && k < m->vr.coverage) {
             if (!barred) bar_slopes(m, along, bars), barred = 1;
-            out[i] = bars[k - VR_ERROR];
+            out[i] = bars[k - m->vr.error];
         } else {
             return no_variable(m, "fmi2GetDirectionalDerivative", k);
         }

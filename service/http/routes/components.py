@@ -14,7 +14,7 @@ from wrenchbook.fea.accuracy.advice import WHERE, over_tolerance
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
-from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
+from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent, ends_of
 from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
 from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
@@ -139,7 +139,7 @@ async def _add_bundle(workspace: Workspace, request: Request) -> Component:
 
 
 def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component:
-    bounds = body.range.bounds()
+    bounds = ends_of(body.range.force, body.range.moment)
     tolerance = body.tolerance.model_dump() if body.tolerance else None
     return workspace.library.add_table_only(
         body.name, body.title, bounds[:3], bounds[3:], tolerance
@@ -167,7 +167,7 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     need = None
     if order.range is not None or order.outputs is not None:
         component = workspace.library[name]
-        need = need_from(component, order.range, order.outputs, order.tolerance, "range")
+        need = need_from(component, order.range, order.outputs, order.tolerance, "range", "outputs")
     design, jobs = workspace.fill(name, order.budget, limit, need)
     fewer = (
         f"{len(jobs)} of at most {order.budget} solves: " if 0 < len(jobs) < order.budget else ""

@@ -14,7 +14,6 @@ from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.schemas import Compliance
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.describe import axis_gaps
-from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.physics_checks import check_physics
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
@@ -32,7 +31,9 @@ async def coverage(name: str, workspace: Opened) -> Response:
 
 def _coverage(name: str, table: ServedTable) -> Response:
     gaps = table.packed.words["gaps"]
-    if gaps is None and table.load_range.space.is_default:
+    if not table.load_range.space.is_default:
+        gaps = []  # its table has no axes
+    elif gaps is None:
         gaps = axis_gaps(table.surrogate().composition, table.load_range)
     body = {"component": name, **table.summary, "gaps": gaps}
     return json_reply(body)
@@ -47,13 +48,6 @@ async def compliance(name: str, workspace: Opened) -> Response:
     return await run_in_threadpool(_compliance, name, await workspace.newest(name, CATCH_UP_S))
 
 
-def _checks(table: ServedTable, fit: ComplianceFit) -> dict[str, Any]:
-    """Return what breaks physics; nothing is checked where there is more than one wrench."""
-    if not table.load_range.space.is_default:
-        return {"rows_checked": 0, "ok": None, "checks": {}}
-    return check_physics(table.rows, table.load_range, fit, table.tolerance)
-
-
 def _compliance(name: str, table: ServedTable) -> Response:
     fit, tangent, space = table.fit, table.packed.words["tangent"], table.load_range.space
     body: dict[str, Any] = {
@@ -64,11 +58,11 @@ def _compliance(name: str, table: ServedTable) -> Response:
         "origin": fit.origin,
         "matrix": fit.matrix.tolist(),
         "known_loads": [
-            name for name, known in zip(space.input_names, fit.known, strict=True) if known
+            load for load, known in zip(space.input_names, fit.known, strict=True) if known
         ],
         "error": fit.error.tolist(),
         "rows": [f"{one.name} [{one.unit}]" for one in space.outputs],
         "columns": [f"{one.name} [{one.unit}]" for one in space.inputs],
-        **_checks(table, fit),
+        **check_physics(table.rows, table.load_range, fit, table.tolerance),
     }
     return json_reply(body)

@@ -2,14 +2,15 @@
 
 UM-Bridge (Seelinger et al. 2023, "UM-Bridge: Uncertainty quantification and modeling bridge") lets
 any program for uncertainty quantification or optimisation call any simulation. Here each component
-is a model of one vector in, the wrench, and one vector out, the displacement.
+is a model of one vector in, its n inputs, and one vector out, its m outputs: the wrench and the
+displacement, six each, of a component with one interface.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Coroutine
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
 from fastapi import APIRouter, Request
@@ -23,7 +24,8 @@ from typing_extensions import TypedDict
 
 from wrenchbook.service.answering.one import answer_or_submit
 from wrenchbook.service.answering.queries import Outcome, Query
-from wrenchbook.service.http.bodies import Body, Finite, Flag, Seconds, ToleranceBody
+from wrenchbook.service.http import bodies
+from wrenchbook.service.http.bodies import Body, Flag, Seconds, ToleranceBody
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.openapi import answers, takes
 from wrenchbook.service.http.parsing import known_method, parsed_json
@@ -33,11 +35,10 @@ from wrenchbook.service.library.component import UnknownComponentError
 from wrenchbook.service.tables.served import TableBehindError
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.rows import Tolerance
-from wrenchbook.surrogate.table.space import OUTPUTS
+from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
 
-SIZES: Final = [6]  # one vector of six numbers, in and out
 SUPPORT: Final = {
     "Evaluate": True,
     "Gradient": True,
@@ -46,8 +47,6 @@ SUPPORT: Final = {
 }
 DEFAULT_WAIT_S: Final = 600.0  # a caller of this protocol waits for a simulation, however long
 Kind = Literal["ModelNotFound", "UnsupportedFeature", "InvalidInput", "InvalidOutput"]
-_Six = Annotated[list[Finite], Field(min_length=6, max_length=6)]
-_Output = Annotated[list[float], Field(min_length=6)]
 
 
 class UmBridgeError(Exception):
@@ -85,7 +84,8 @@ class EvaluateBody(Named):
     """One wrench, and options."""
 
     input: Annotated[
-        list[_Six], Field(min_length=1, max_length=1, description="the wrench: N and N·m")
+        list[bodies.InputVector],
+        Field(min_length=1, max_length=1, description="all inputs: N, N·m, ..."),
     ]
     config: Config | None = None
 
@@ -114,13 +114,16 @@ class ProductBody(EvaluateBody):
 class GradientBody(ProductBody):
     """What J^T is multiplied by: weights of the outputs, per m and rad."""
 
-    sens: _Six
+    sens: bodies.OutputVector
 
 
 class JacobianBody(ProductBody):
     """What J is multiplied by: loads, N and N·m."""
 
-    vec: _Six
+    vec: bodies.InputVector
+
+
+_Kind = TypeVar("_Kind", bound=EvaluateBody)
 
 
 class UmBridgeRoute(APIRoute):
@@ -144,7 +147,7 @@ class UmBridgeRoute(APIRoute):
 
 router = APIRouter(prefix="/umbridge", tags=["umbridge"], route_class=UmBridgeRoute)
 
-_Vector = dict[Literal["output"], _Output]
+_Vector = dict[Literal["output"], list[float]]
 _Sizes = dict[Literal["inputSizes", "outputSizes"], list[int]]
 _Error = dict[Literal["error"], Failure]
 _ERRORS = answers(_Error, "a mistake of the caller", 400) | answers(
@@ -170,40 +173,40 @@ async def model_info(request: Request) -> Response:
     return json_reply({"support": SUPPORT})
 
 
-@_post("/InputSizes", "one vector in, the wrench, N and N·m", _Sizes)
+@_post("/InputSizes", "one vector in, the wrench and further inputs, SI", _Sizes)
 async def input_sizes(request: Request) -> Response:
-    await _fields(request)
-    return json_reply({"inputSizes": SIZES})
+    space = _space(request, await _fields(request))
+    return json_reply({"inputSizes": [len(space.inputs)]})
 
 
-@_post("/OutputSizes", "one vector out, the displacement, m and rad", _Sizes)
+@_post("/OutputSizes", "one vector out, the displacement of each interface, m and rad", _Sizes)
 async def output_sizes(request: Request) -> Response:
-    await _fields(request)
-    return json_reply({"outputSizes": SIZES})
+    space = _space(request, await _fields(request))
+    return json_reply({"outputSizes": [len(space.outputs)]})
 
 
 @_post(
     "/Evaluate",
     "the displacement under a wrench",
-    dict[Literal["output"], Annotated[list[_Output], Field(min_length=1)]],
+    dict[Literal["output"], Annotated[list[list[float]], Field(min_length=1)]],
     EvaluateBody,
 )
 async def evaluate(request: Request) -> Response:
-    body = EvaluateBody.model_validate(await _fields(request))
+    body, space = await _checked(request, EvaluateBody)
     outcome = await _outcome(request, body.name, body.query(derivatives=False))
-    return _reply(outcome, [_known(outcome)])
+    return _reply(outcome, [_known(outcome, space)])
 
 
 @_post("/Gradient", "J^T sens, J being du/dw", _Vector, GradientBody)
 async def gradient(request: Request) -> Response:
-    body = GradientBody.model_validate(await _fields(request))
+    body, _ = await _checked(request, GradientBody)
     outcome = await _outcome(request, body.name, body.query(derivatives=True))
     return _reply(outcome, _product(_jacobian(outcome).T, body.sens, "sens"))
 
 
 @_post("/ApplyJacobian", "J vec, J being du/dw", _Vector, JacobianBody)
 async def apply_jacobian(request: Request) -> Response:
-    body = JacobianBody.model_validate(await _fields(request))
+    body, _ = await _checked(request, JacobianBody)
     outcome = await _outcome(request, body.name, body.query(derivatives=True))
     return _reply(outcome, _product(_jacobian(outcome), body.vec, "vec"))
 
@@ -227,6 +230,17 @@ async def _fields(request: Request) -> dict[str, Any]:
     names = ", ".join(await run_in_threadpool(workspace.library.names))
     found = f"there is no component {name!r}" if "name" in fields else "the body has no 'name'"
     raise UmBridgeError("ModelNotFound", f"{found}; there are: {names}")
+
+
+def _space(request: Request, fields: dict[str, Any]) -> Space:
+    return request.app.state.workspace.library[fields["name"]].space
+
+
+async def _checked(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
+    """Return a body whose vectors are as long as the component's space has it, and that space."""
+    fields = await _fields(request)
+    space = _space(request, fields)
+    return kind.model_validate(fields, context={"space": space}), space
 
 
 def _place(loc: str) -> str:
@@ -255,18 +269,19 @@ async def _outcome(request: Request, name: str, query: Query) -> Outcome:
     )
 
 
-def _known(outcome: Outcome) -> list[float]:
-    """Return all six outputs, m and rad."""
-    values = np.array(outcome.displacement or (None,) * 6, dtype=float)
+def _known(outcome: Outcome, space: Space) -> list[float]:
+    """Return all outputs (m,), m and rad."""
+    names = space.output_names
+    values = np.array(outcome.displacement or (None,) * len(names), dtype=float)
     if np.isfinite(values).all():
         return values.tolist()
-    lost = [name for name, value in zip(OUTPUTS, values, strict=True) if not np.isfinite(value)]
+    lost = [name for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
     why = outcome.reason or "no row of the table holds it"
     raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} not known: {why}")
 
 
 def _jacobian(outcome: Outcome) -> NDArray[np.float64]:
-    """Return du/dw, shape (6, 6), m and rad over N and N·m."""
+    """Return du/dw, shape (m, n), m and rad over N, N·m and the units of further inputs."""
     found = outcome.derivative
     if found is None or not np.isfinite(found).all():
         message = "the derivative is not known here: the row that answers brings no tangent"
@@ -275,7 +290,7 @@ def _jacobian(outcome: Outcome) -> NDArray[np.float64]:
 
 
 def _product(matrix: NDArray[np.float64], vector: list[float], name: str) -> list[float]:
-    """Return J^T sens, per N and N·m, or J vec, m and rad; the matrix has shape (6, 6)."""
+    """Return J^T sens, per N and N·m, or J vec, m and rad."""
     found = matrix @ np.array(vector)
     if not np.isfinite(found).all():
         message = f"{name} is too large: the product with the derivative overflows"

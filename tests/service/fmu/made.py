@@ -89,10 +89,10 @@ class Opened:
         return found
 
     @contextmanager
-    def running(self, kind=FMU2Slave, tolerance=(0.0, 0.0)):
+    def running(self, kind=FMU2Slave, tolerance=(0.0, 0.0), references=TOLERANCE):
         """An instance that answers."""
         found = self.instance(kind)
-        found.setReal(TOLERANCE, tolerance)
+        found.setReal(references, tolerance)
         found.setupExperiment()
         found.enterInitializationMode()
         found.exitInitializationMode()

@@ -1,0 +1,67 @@
+"""Fills and the demand map of components of several interfaces and further inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+from tests.service.spaces import SPACE, N, add_link
+from wrenchbook.service.demand.demand import QueryStatistics
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
+from wrenchbook.surrogate.table.rows import LoadRange
+
+
+@pytest.fixture(scope="module")
+def http(tmp_path_factory):
+    with TestClient(create_app(Settings(tmp_path_factory.mktemp("link"), solvers=0))) as client:
+        add_link(client, has_fea=True)
+        yield client
+
+
+def filled(http, **more):
+    return http.post("/v1/components/link/fill", json={"budget": 3, **more})
+
+
+def test_solves_of_a_fill_lie_within_the_loads_of_its_interface(http):
+    wanted = {"loads": {"left": {"force": [0.5, 0.5, 0.5]}}, "inputs": {"temperature": [0, 0.5]}}
+    limit = {"translation": 1e-5, "rotation": 1e-5}
+    reply = filled(http, range=wanted, outputs=["left.ux"], tolerance=limit)
+    assert reply.status_code == 202, reply.text
+    wrenches = http.app.state.workspace.submission.pending_wrenches("link")
+    assert len(wrenches) == 3
+    assert (np.abs(wrenches[:, :3]) <= 0.5).all()
+    assert not wrenches[:, 3 : N - 1].any()
+    assert (wrenches[:, N - 1] >= 0).all()
+
+
+def test_a_fill_that_cannot_reach_the_tolerance_says_the_solves_it_would_take(http):
+    reason = filled(http, tolerance={"translation": 1e-4, "rotation": 1e-4}).json()["reason"]
+    assert "further solves, an estimate by the rate so far" in reason
+
+
+def test_an_output_that_the_component_has_not_is_422_with_its_place(http):
+    reply = filled(http, outputs=["left.ux", "ux"])
+    assert reply.status_code == 422
+    assert reply.json()["errors"][0]["loc"] == "outputs.1"
+
+
+def test_the_compliance_has_the_names_of_the_space(http):
+    reply = http.get("/v1/components/link/compliance")
+    assert reply.status_code == 200
+    assert reply.json()["columns"][N - 1] == "temperature [degC]"
+
+
+def test_coverage_is_answered(http):
+    assert http.get("/v1/components/link/coverage").status_code == 200
+
+
+def test_the_demand_map_of_many_inputs_outlasts_a_restart(tmp_path):
+    span = LoadRange(-np.ones(N), np.ones(N), SPACE)
+    counts = QueryStatistics(tmp_path / "demand.json")
+    counts.note("link", span, tuple([0.4] * N), "thin")
+    counts.save()
+    found = QueryStatistics(tmp_path / "demand.json").map_of("link", span)
+    assert found["asked"] == 1
+    assert len(found["cells"][0]["wrench"]) == N
