@@ -122,13 +122,15 @@ def last_words(folder: Path) -> str:
     return lines[-1] if lines else ""
 
 
-def write_outcome(folder: Path, spec: Spec, outcome: Mapping[str, Any]) -> None:
+def write_outcome(
+    folder: Path, spec: Spec, outcome: Mapping[str, Any], *, durable: bool = True
+) -> None:
     """Write result.json to disk for good; its appearance means that the solver has ended.
 
     It repeats the question, so that it is not taken for the answer to another wrench.
     """
     whole = {**outcome, "asked": _question(spec)}
-    write_whole(folder / OUTCOME, {**whole, "digest": _digest(whole)}, durable=True)
+    write_whole(folder / OUTCOME, {**whole, "digest": _digest(whole)}, durable=durable)
 
 
 def read_outcome(folder: Path, spec: Spec) -> dict[str, Any] | None:

@@ -80,7 +80,8 @@ def main(folder: str | Path, solve: Solve | None = None) -> int:
         )
         return DONE
     except Cancelled:
-        write_outcome(folder, spec, {"status": "cancelled"})
+        # Not durable: a slow disk must not outlast the engine's grace, and no number is lost.
+        write_outcome(folder, spec, {"status": "cancelled"}, durable=False)
         return CANCELLED
     except Exception as error:
         with contextlib.suppress(OSError):

@@ -24,7 +24,7 @@ def submitted(tmp_path, script):
     spec = Spec(3, 1, "scripted", str(tmp_path / "bundle"), bundle.fingerprint, tuple(WRENCH))
     folder = tmp_path / "jobs" / "3" / "1"
     prepare(folder, spec)
-    engine = LocalEngine(1)
+    engine = LocalEngine(1, grace=60.0)  # a solver on a slow disk is not killed
     engine.submit(asked(folder))
     return engine, folder, spec
 

@@ -63,7 +63,7 @@ def test_a_folder_without_a_solver_is_lost(tmp_path):
 def test_another_engine_can_look_after_a_solver_it_did_not_start(tmp_path):
     folder = attempt(tmp_path)
     engine_with("endless").submit(asked(folder))
-    other = LocalEngine(1)
+    other = LocalEngine(1, grace=60.0)  # a solver on a slow disk is not killed
     other.attach(asked(folder))
     assert other.poll(asked(folder)) in ALIVE
     solver_pid(folder)

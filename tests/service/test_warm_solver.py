@@ -169,7 +169,7 @@ def test_a_deadline_counts_from_the_beginning_whoever_looks(site):
 
 
 def test_a_cancelled_solver_ends_and_the_next_attempt_has_another(site):
-    engine = site.engine("slow_first")
+    engine = site.engine("slow_first", grace=60.0)  # it may be slow to hear
     folder = site.prepare(1)
     engine.submit(asked(folder))
     pid = pid_at(folder)

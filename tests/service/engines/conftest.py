@@ -128,7 +128,7 @@ def bench(request, tmp_path):
     if request.param == "local":
         environment = {"WRENCHBOOK_SOLVE": "stand_in:by_component"}
         environment["PYTHONPATH"] = f"{TESTS}:{SOURCES}"
-        bench = Bench(tmp_path, lambda: LocalEngine(2, environment=environment, grace=0.5), None)
+        bench = Bench(tmp_path, lambda: LocalEngine(2, environment=environment, grace=5.0), None)
     else:
         bench = dask_bench(tmp_path, request.getfixturevalue("shared_cluster"))
     yield bench
