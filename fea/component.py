@@ -4,21 +4,57 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
+from wrenchbook.fea.coupling.rotation import rotation_less_identity
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
 from wrenchbook.fea.mesh.cad import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.generators import GENERATORS
+from wrenchbook.fea.mesh.groups import group_nodes, missing
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
-from wrenchbook.fea.spec.schema import Analysis, Bundle, Interface, Material, MeshSource
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.schema import (
+    FREEDOMS,
+    Analysis,
+    Bundle,
+    Interface,
+    Material,
+    MeshSource,
+    Sliding,
+    Supports,
+)
 
 Array = np.ndarray
+
+_ZERO = 1e-9
+"""Of a projection, relative: axes are written to about so many digits."""
+
+
+@dataclass(frozen=True, eq=False)
+class AttachedInterface:
+    """An interface with its section found in the mesh, as `ComponentModel` has its first one.
+
+    `key` is where the bundle has it: ``interface``, ``interface[1]`` or ``supports.bushing[0]``.
+    """
+
+    key: str
+    name: str
+    section: InterfaceSection
+    point: Array
+    axes: Array
+    coupling: str
+    locked: tuple[str, ...]
+
+    @property
+    def where(self) -> str:
+        """The key of its nodes."""
+        return f"{self.key}.{'group' if self.key.startswith('supports') else 'section'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +73,18 @@ class ComponentModel:
     fixed_nodes
         Sorted nodes that do not move, shape (k,), int64.
     section
-        The interface's nodes with their area weights.
+        The nodes of the interface, or the first of several, with their area weights.
     point
-        The interface's reference point, shape (3,), m.
+        Its reference point, shape (3,), m.
     axes
-        Shape (3, 3), row i is the direction of the interface frame's axis i.
+        Shape (3, 3), row i is the direction of its frame's axis i. The equations are in this frame.
+    sliding
+        Nodes that slide, none of them fixed or tied to an interface, sorted, shape (k,), and
+        projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
+    bushings
+        Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed.
+    name, others
+        Its name, empty if it is alone; the other interfaces.
     """
 
     bundle: Bundle
@@ -55,6 +98,29 @@ class ComponentModel:
     coupling: str
     locked: tuple[str, ...]
     analysis: Analysis
+    name: str = ""
+    others: tuple[AttachedInterface, ...] = ()
+    sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
+    bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
+
+    @property
+    def supported_nodes(self) -> Array:
+        """Nodes that any support holds, sorted, shape (k,), int64."""
+        groups = [one.section.node_ids for one, _ in self.bushings]
+        return np.unique(np.concatenate([self.fixed_nodes, self.sliding[0], *groups]))
+
+    @property
+    def interfaces(self) -> tuple[AttachedInterface, ...]:
+        """All interfaces, in the order of their loads and displacements."""
+        key = "interface[0]" if self.others else "interface"
+        own = (self.section, self.point, self.axes, self.coupling, self.locked)
+        return AttachedInterface(key, self.name, *own), *self.others
+
+    @property
+    def active(self) -> Array:
+        """Indices of the freedoms that are not locked, six an interface, shape (k,), int64."""
+        every = [name not in one.locked for one in self.interfaces for name in FREEDOMS]
+        return np.flatnonzero(every)
 
 
 def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
@@ -66,30 +132,41 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         If the bundle has nothing to solve, its mesh cannot be read, a group is not in the mesh, a
         cell has no material or two, or supports or interface cannot hold a body.
     """
-    if bundle.mesh is None or bundle.interface is None or bundle.supports is None:
+    supported = bundle.supports is not None or any(one.held for one in bundle.interfaces)
+    if bundle.mesh is None or bundle.interface is None or not supported:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
     material_of_cells = _materials(mesh, bundle.materials, problems)
-    fixed = _fixed_nodes(mesh, bundle.supports.fixed, problems)
-    section = _section(mesh, bundle.interface, problems)
-    _check_apart(mesh, fixed, section, problems)
-    if problems or section is None:
+    supports = bundle.supports or Supports()
+    fixed = _fixed_nodes(mesh, supports, problems)
+    sliding = _sliding(mesh, supports.sliding, fixed, problems)
+    first, *others = _attached(mesh, bundle.interfaces, problems)
+    keys = (f"supports.bushing[{i}].group" for i in range(len(supports.bushings)))
+    holds = zip(keys, (own.hold for own in supports.bushings), strict=True)
+    springs = [_attach(mesh, *hold, problems) for hold in holds]
+    for one in (first, *others, *springs):
+        sliding = _left_sliding(mesh, sliding, one, problems)
+    _check_apart(mesh, fixed, [first, *others, *springs], problems)
+    if problems:
         raise BundleError(problems)
-    interface = bundle.interface
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
         materials=bundle.materials,
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
-        section=section,
-        point=section.centre if interface.point is None else interface.point,
-        axes=interface.axes,
-        coupling=interface.coupling,
-        locked=interface.locked,
+        section=first.section,
+        point=first.point,
+        axes=first.axes,
+        coupling=first.coupling,
+        locked=first.locked,
         analysis=bundle.analysis,
+        name=first.name,
+        others=tuple(others),
+        sliding=sliding,
+        bushings=tuple(zip(springs, (own.stiffness for own in supports.bushings), strict=True)),
     )
 
 
@@ -121,7 +198,7 @@ def _materials(
         key = f"material[{i}].region"
         if material.region not in mesh.regions:
             groups = ["all", *mesh.regions]
-            problems.append(_missing(key, material.region, "cell group", groups))
+            problems.append(missing(key, material.region, "cell group", groups))
             continue
         cells = mesh.regions[material.region]
         if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
@@ -147,22 +224,85 @@ def _fill_the_rest(
         block[block < 0] = general[0] if general else 0
 
 
-def _fixed_nodes(mesh: Mesh, names: Iterable[str], problems: list[BundleProblem]) -> Array:
-    found = [_group_nodes(mesh, f"supports.fixed[{i}]", n, problems) for i, n in enumerate(names)]
+def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
+    names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
+    found = [group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
+    if not found or supports.sliding or supports.bushings:  # `fea.check.motions` looks at all
+        return nodes
     if all(len(ids) for ids in found) and not _spans_a_plane(mesh.points[nodes]):
         message = "its nodes lie on one line, about which the component can turn; fix more"
         problems.append(BundleProblem("supports.fixed", message))
     return nodes
 
 
+def _attached(
+    mesh: Mesh, interfaces: tuple[Interface, ...], problems: list[BundleProblem]
+) -> list[AttachedInterface]:
+    """Return each interface with its section: an empty one, and a problem, if there is none."""
+    keys = [f"interface[{i}]" for i in range(len(interfaces))]
+    keys = ["interface"] if len(keys) == 1 else keys
+    pairs = zip(keys, interfaces, strict=True)
+    return [_attach(mesh, f"{key}.section", own, problems) for key, own in pairs]
+
+
+def _attach(
+    mesh: Mesh, key: str, own: Interface, problems: list[BundleProblem]
+) -> AttachedInterface:
+    section = _section(mesh, key, own, problems)
+    point = section.centre if own.point is None else own.point
+    table = key.rpartition(".")[0]
+    return AttachedInterface(table, own.name, section, point, own.axes, own.coupling, own.locked)
+
+
+def _sliding(
+    mesh: Mesh, groups: Iterable[Sliding], fixed: Array, problems: list[BundleProblem]
+) -> tuple[Array, Array]:
+    """Return the nodes that slide and the projectors on what holds each; fixed ones are none."""
+    spans = np.zeros((len(mesh.points), 3, 3))
+    for i, own in enumerate(groups):
+        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
+        spans[nodes] += own.directions.T @ own.directions
+    spans[fixed] = 0.0
+    nodes = np.flatnonzero(spans.any(axis=(1, 2)))
+    sizes, axes = np.linalg.eigh(spans[nodes])
+    return nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
+
+
+def _left_sliding(
+    mesh: Mesh, sliding: tuple[Array, Array], own: AttachedInterface, problems: list[BundleProblem]
+) -> tuple[Array, Array]:
+    """Return the sliding nodes less those that a rigid coupling ties.
+
+    It is a problem if locked freedoms do not hold a rigid section's sliding nodes, or if all nodes
+    of a distributed one slide, so that their mean is not free.
+    """
+    nodes, projectors = sliding
+    shared = np.isin(nodes, own.section.node_ids)
+    if not shared.any() or (
+        own.coupling == "distributed" and shared.sum() < len(own.section.node_ids)
+    ):
+        return sliding
+    arms = (mesh.points[nodes[shared]] - own.point) @ own.axes.T
+    active = np.array([name not in own.locked for name in FREEDOMS])
+    motion = active * np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])  # any: metres, radians
+    moved = motion[:3] + arms @ rotation_less_identity(motion[3:]).T
+    off = np.abs(projectors[shared] @ (moved @ own.axes)[:, :, None]).max()
+    if own.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
+        message = (
+            f"{shared.sum()} of its nodes slide by [supports], but its free motions would move "
+            "them off; name fewer nodes, or lock these motions of a rigid interface (locked)"
+        )
+        problems.append(BundleProblem(own.where, message))
+    return nodes[~shared], projectors[~shared]
+
+
 def _section(
-    mesh: Mesh, interface: Interface, problems: list[BundleProblem]
-) -> InterfaceSection | None:
-    key = "interface.section"
-    nodes = _group_nodes(mesh, key, interface.section, problems)
+    mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
+) -> InterfaceSection:
+    nodes = group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
-        return None
+        return InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     if not _spans_a_plane(mesh.points[nodes]):
         message = f'"{interface.section}" lies on one line, so it has no rotation; take a face'
         problems.append(BundleProblem(key, message))
@@ -174,37 +314,24 @@ def _section(
     return section_of_nodes(mesh.points, nodes)
 
 
-def _group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) -> Array:
-    """Return the nodes of a facet group or node group; none, and a problem, if there is none."""
-    if name in mesh.facet_groups:
-        return mesh.facet_groups[name].node_ids
-    if name in mesh.node_groups:
-        return np.unique(mesh.node_groups[name])
-    groups = [*mesh.facet_groups, *mesh.node_groups]
-    if name in mesh.regions:
-        message = f'"{name}" is a group of cells; name a group of facets or nodes{_listed(groups)}'
-        problems.append(BundleProblem(key, message))
-    else:
-        problems.append(_missing(key, name, "facet or node group", groups))
-    return np.empty(0, dtype=np.int64)
-
-
-def _missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
-    message = f'the mesh has no {kind} "{name}"{suggest(name, groups)}{_listed(groups)}'
-    return BundleProblem(key, message)
-
-
-def _listed(groups: list[str]) -> str:
-    return f" (it has {', '.join(groups)})" if groups else " (it has none at all)"
-
-
 def _check_apart(
-    mesh: Mesh, fixed: Array, section: InterfaceSection | None, problems: list[BundleProblem]
+    mesh: Mesh, fixed: Array, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
-    shared = 0 if section is None else len(np.intersect1d(fixed, section.node_ids))
-    if shared:
-        message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
-        problems.append(BundleProblem("interface.section", message))
+    for one in interfaces:
+        shared = len(np.intersect1d(fixed, one.section.node_ids))
+        if shared:
+            message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
+            problems.append(BundleProblem(one.where, message))
+    for one, other in combinations(interfaces, 2):
+        nodes = np.intersect1d(one.section.node_ids, other.section.node_ids)
+        if nodes.size:
+            place = ", ".join(f"{x:.4g}" for x in mesh.points[nodes[0]])
+            message = (
+                f'"{other.name or other.key}" shares {nodes.size} nodes with '
+                f'"{one.name or one.key}", such as the one at ({place}) m; a node can follow one '
+                "interface only, so take sections apart"
+            )
+            problems.append(BundleProblem(other.where, message))
 
 
 def _spans_a_plane(points: Array) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.coupling.coupling import CoupledState
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE, CoupledState
+from wrenchbook.fea.spec.problems import suggest
 
 Array = np.ndarray
 
@@ -36,17 +37,17 @@ class Iteration(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The interface displacement under one wrench, in the undeformed interface frame.
+    """The displacement of i interfaces under their wrenches, each in its undeformed frame.
 
     Attributes
     ----------
     wrench
-        Shape (6,), N and N·m.
+        Shape (6 i,), N and N·m.
     displacement
-        Shape (6,), m and rad: translation and rotation vector.
+        Shape (6 i,), m and rad: translation and rotation vector of each.
     compliance
-        Shape (6, 6): d displacement / d wrench at this wrench; rows and columns of locked freedoms
-        are zero. NaN where it is unknown: a nonlinear deck.
+        Shape (6 i, 6 i): d displacement / d wrench at this wrench; rows and columns of locked
+        freedoms are zero. NaN where it is unknown: a nonlinear deck.
     strain_energy
         J. NaN where it is unknown: a nonlinear deck.
     work
@@ -66,7 +67,7 @@ class Solution:
     notes
         What an engineer should know about how the answer was found.
     tangents
-        Shape (n, 3, 6), m/N and m/(N·m): change of `nodes` with the wrench; None for a deck.
+        Shape (n, 3, 6 i), m/N and m/(N·m): change of `nodes` with the wrench; None for a deck.
     state
         Where the equations were left, to start a nearby solve from; None for a linear solve and a
         deck.
@@ -86,15 +87,42 @@ class Solution:
     state: CoupledState | None = None
 
 
-def checked_wrench(wrench: Sequence[float] | Array) -> Array:
-    """Return a wrench as an array of its own, shape (6,), N and N·m.
+Loads = Sequence[float] | Array | Mapping[str, Sequence[float] | Array]
+"""Force and moment, N and N·m, of each interface in turn, or by the interfaces' names."""
+
+
+def checked_wrench(wrench: Loads, names: Sequence[str] = ("",)) -> Array:
+    """Return the wrenches of all interfaces as an array of its own, shape (6 i,), N and N·m.
+
+    Parameters
+    ----------
+    wrench
+        Shape (6 i,), or six numbers by an interface's name; one without a name has no load.
+    names
+        Of the i interfaces.
 
     Raises
     ------
     ValueError
-        If it is not six finite numbers.
+        If it is not six finite numbers an interface, or names an unknown interface.
     """
+    if isinstance(wrench, Mapping):
+        wrench = np.concatenate(_by_name(wrench, names))
     whole = np.array(wrench, dtype=float)
-    if whole.shape != (6,) or not np.isfinite(whole).all():
+    count = PER_INTERFACE * len(names)
+    if whole.shape == (count,) and np.isfinite(whole).all():
+        return whole
+    if len(names) == 1:
         raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
-    return whole
+    raise ValueError(
+        f"the loads of {len(names)} interfaces are {count} finite numbers: force (N) and moment "
+        f"(N·m) of {', '.join(names)}"
+    )
+
+
+def _by_name(loads: Mapping[str, Sequence[float] | Array], names: Sequence[str]) -> list[Array]:
+    for name in loads:
+        if name not in names:
+            known = ", ".join(names)
+            raise ValueError(f'no interface "{name}"{suggest(name, names)} (there are {known})')
+    return [np.asarray(loads.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names]

@@ -3,34 +3,36 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Balance
-from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.component import ComponentModel, build
-from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
+from wrenchbook.fea.coupling import CoupledState
+from wrenchbook.fea.coupling.coupling import largest_rotation
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
+from wrenchbook.fea.equations import system_of
 from wrenchbook.fea.export.failure_record import keep
 from wrenchbook.fea.failure import SolveFailed, rotation_too_large
 from wrenchbook.fea.inspection.warnings import warnings_of
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
-from wrenchbook.fea.recovery.stress import places_of, small_stress, stress_of
-from wrenchbook.fea.solution import Progress, Solution, checked_wrench
+from wrenchbook.fea.recovery.stress import small_stress, stress_of
+from wrenchbook.fea.recovery.weight import material_of_parts
+from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
-from wrenchbook.fea.solver.load_steps import LoadPath
+from wrenchbook.fea.solver.load_steps import LoadPath, hang
+from wrenchbook.fea.solver.newton import Equilibrium
 from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.solver.warm_start import WarmFolder
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
+from wrenchbook.fea.spec.schema import Bundle
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
 
@@ -44,7 +46,7 @@ MOST_DEGREES = 20.0
 
 def solve(
     bundle: Bundle | ComponentModel | Solver,
-    wrench: Sequence[float] | Array,
+    wrench: Loads,
     progress: Progress | None = None,
     folder: Path | None = None,
     warm: Path | None = None,
@@ -57,7 +59,7 @@ def solve(
     bundle
         A bundle, the component built from it, or the solver made ready for that.
     wrench
-        Shape (6,), N and N·m: at the interface point, in the undeformed interface frame.
+        As of `Solver.solve`.
     progress
         Called with the fraction done and a message.
     folder
@@ -74,12 +76,12 @@ def solve(
         As `Solver` does.
     """
     if isinstance(bundle, Bundle) and bundle.deck is not None:
-        return solve_deck(bundle, wrench, progress, folder, _require_small_rotation)
+        return solve_deck(bundle, checked_wrench(wrench), progress, folder, _require_small_rotation)
     ready = build(bundle) if isinstance(bundle, Bundle) else bundle
     component = ready.component if isinstance(ready, Solver) else ready
     try:
         solver = ready if isinstance(ready, Solver) else Solver(component)
-        solution = _solve_near(solver, wrench, progress, warm)
+        solution = _solve_near(solver, checked_wrench(wrench, solver.names), progress, warm)
     except SolveFailed as failure:
         if folder is not None:
             keep(folder, failure, component)
@@ -91,7 +93,7 @@ def solve(
 
 def _solve_near(
     solver: Solver,
-    wrench: Sequence[float] | Array,
+    wrench: Array,
     progress: Progress | None,
     warm: Path | None,
 ) -> Solution:
@@ -101,7 +103,7 @@ def _solve_near(
     loads = component.bundle.range
     scale = np.maximum(np.abs(loads.low), np.abs(loads.high))
     states = WarmFolder(warm, component.bundle.fingerprint, scale)
-    start = states.nearest(np.array(wrench, dtype=float), len(component.mesh.points))
+    start = states.nearest(wrench, len(component.mesh.points))
     solution = solver.solve(wrench, progress, start)
     states.keep(solution)
     return solution
@@ -125,10 +127,13 @@ class Solver:
 
     def __init__(self, bundle: Bundle | ComponentModel) -> None:
         self.component = bundle if isinstance(bundle, ComponentModel) else build(bundle)
-        self._active = np.array(
-            [i for i, name in enumerate(FREEDOMS) if name not in self.component.locked], dtype=int
-        )
-        self._system = _system(self.component, self._active)
+        self._active = self.component.active
+        self._system = system_of(self.component, self._active)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the interfaces; an empty one where there is one."""
+        return tuple(one.name for one in self.component.interfaces)
 
     @property
     def unknowns(self) -> int:
@@ -137,19 +142,14 @@ class Solver:
 
     @property
     def body(self) -> ElasticBody:
-        """The cells and their materials, in the interface frame."""
+        """The cells and their materials, in the first interface's frame."""
         return self._system.body
 
     @property
     def volumes(self) -> list[tuple[Array, Array]]:
         """For each sort of cells their materials' numbers and volumes, (cells,) each, m^3."""
-        materials, first, found = places_of(self.component, self.body.points)[1], 0, []
-        for part in self.body.parts:
-            weights = part.gradients.weights
-            numbers = materials[first : first + weights.size : weights.shape[1]]
-            found.append((numbers, weights.sum(axis=1)))
-            first += weights.size
-        return found
+        volumes = [part.gradients.weights.sum(axis=1) for part in self.body.parts]
+        return list(zip(material_of_parts(self.component, self.body), volumes, strict=True))
 
     @cached_property
     def linear(self) -> LinearResponse:
@@ -162,9 +162,16 @@ class Solver:
         """
         return linear_response(self._system)
 
+    @cached_property
+    def rest(self) -> Equilibrium:
+        """The nonlinear equilibrium under own weight alone; raises SolveFailed as `solve` does."""
+        found = hang(self._system)
+        _require_small_rotation(found.balance.state.interface)
+        return found
+
     @property
     def compliance(self) -> Array:
-        """The compliance at no load, shape (6, 6), m/N, rad/N, m/(N·m), rad/(N·m); symmetric."""
+        """The compliance at no load, shape (6 i, 6 i), m/N, rad/N and so on; symmetric."""
         return self.linear.compliance
 
     @cached_property
@@ -197,7 +204,7 @@ class Solver:
         return first_vibration(self._system, mass, riding)
 
     def unit_stresses(self) -> Array:
-        """Return the small-strain stresses of the six unit loads, shape (p, 6, 6), Pa/N, Pa/(N·m).
+        """Return the small-strain stresses of the unit loads, shape (p, 6, 6 i), Pa/N, Pa/(N·m).
 
         Raises
         ------
@@ -210,18 +217,19 @@ class Solver:
         """Return a solution's stresses at the integration points, shape (p, 6), Pa."""
         return stress_of(self.component, self._system.body, solution)
 
-    def buckling(self, wrench: Sequence[float] | Array) -> tuple[float, float]:
+    def buckling(self, wrench: Loads) -> tuple[float, float]:
         """Return how many times a wrench, and its opposite, the part carries before it buckles.
 
-        The wrench has shape (6,), N and N·m. As linear buckling has it (`fea.solver.buckling`);
+        The wrench is as of `solve`. As linear buckling has it (`fea.solver.buckling`);
         infinite where it does not.
 
         Raises
         ------
         ValueError, SolveFailed
-            If the wrench is not six finite numbers, or as `linear` does.
+            As `solve` and `linear` do.
         """
-        return buckling_factors(self._system, self.linear.fields @ checked_wrench(wrench))
+        fields = self.linear.fields @ checked_wrench(wrench, self.names)
+        return buckling_factors(self._system, fields)
 
     def fields(self, solution: Solution) -> SolveFields:
         """Return the surface and the stresses of a solution of this component."""
@@ -229,7 +237,7 @@ class Solver:
 
     def solve(
         self,
-        wrench: Sequence[float] | Array,
+        wrench: Loads,
         progress: Progress | None = None,
         start: CoupledState | None = None,
     ) -> Solution:
@@ -238,8 +246,9 @@ class Solver:
         Parameters
         ----------
         wrench
-            Force and moment on the component at the interface point, in the undeformed interface
-            frame, shape (6,), N and N·m. What acts on locked freedoms does nothing.
+            Force and moment on the component at each interface's point, in its undeformed frame,
+            shape (6 i,) for i interfaces, or six numbers by name, N and N·m. What acts on locked
+            freedoms, and so on an interface that is held, does nothing.
         progress
             Called with the fraction done and a message.
         start
@@ -250,15 +259,16 @@ class Solver:
         Raises
         ------
         ValueError
-            If the wrench is not six finite numbers.
+            If the wrench is not six finite numbers an interface, or names an unknown one.
         SolveFailed
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """
         started = time.perf_counter()
-        whole = checked_wrench(wrench)
-        acting = np.zeros(6)
+        whole = checked_wrench(wrench, self.names)
+        acting = np.zeros_like(whole)
         acting[self._active] = whole[self._active]
-        if not self.component.analysis.nonlinear or not acting.any():
+        analysis = self.component.analysis
+        if not analysis.nonlinear or not (acting.any() or analysis.gravity):
             found = self._solve_linear(whole, acting)
         else:
             found = self._solve_nonlinear(whole, acting, progress, start)
@@ -268,18 +278,23 @@ class Solver:
 
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear
-        displacement = linear.compliance @ acting
+        displacement, nodes = linear.compliance @ acting, linear.fields @ acting
+        energy, work = 0.5 * acting @ linear.energies @ acting, acting @ displacement
+        if (weight := self._system.weight) is not None:
+            displacement, nodes = displacement + linear.sag_displacement, nodes + linear.sag
+            energy = 0.5 * self.body.strain_energy_products(nodes[:, :, None])[0, 0]
+            work = acting @ displacement + np.vdot(weight, nodes)
         _require_small_rotation(displacement)
         return Solution(
             wrench=wrench,
             displacement=displacement,
             compliance=linear.compliance,
-            strain_energy=float(0.5 * acting @ linear.energies @ acting),
-            work=float(acting @ displacement),
+            strain_energy=float(energy),
+            work=float(work),
             unknowns=self.unknowns,
             seconds=0.0,
             history=(),
-            nodes=linear.fields @ acting @ self.component.axes,
+            nodes=nodes @ self.component.axes,
             notes=self.notes,
             tangents=self._in_mesh_axes(linear.fields),
         )
@@ -287,7 +302,11 @@ class Solver:
     def _solve_nonlinear(
         self, wrench: Array, acting: Array, progress: Progress | None, start: CoupledState | None
     ) -> Solution:
-        path = LoadPath(self._system, acting, progress)
+        weight = self._system.weight
+        rest = None if weight is None else self.rest
+        if rest is not None and not acting.any():
+            return self._solution(wrench, rest, rest.balance.energy, ())
+        path = LoadPath(self._system, acting, progress, rest)
         try:
             found = path.follow(lambda balance: _require_small_state(balance, acting), start)
         except SolveFailed as failure:
@@ -295,16 +314,25 @@ class Solver:
             factor, nodes = path.last_state()
             failure.last = factor, nodes @ self.component.axes
             raise
-        balance: Balance = found.balance
+        work = path.work
+        if weight is not None and rest is not None:
+            sunk = found.balance.state.nodes - rest.balance.state.nodes
+            work += rest.balance.energy + float(np.vdot(weight, sunk))
+        return self._solution(wrench, found, work, tuple(path.history))
+
+    def _solution(
+        self, wrench: Array, found: Equilibrium, work: float, history: tuple[Iteration, ...]
+    ) -> Solution:
+        balance = found.balance
         return Solution(
             wrench=wrench,
             displacement=balance.state.interface,
             compliance=found.tangent.compliance,
             strain_energy=balance.energy,
-            work=path.work,
+            work=work,
             unknowns=self.unknowns,
             seconds=0.0,
-            history=tuple(path.history),
+            history=history,
             nodes=balance.state.nodes @ self.component.axes,
             notes=self.notes,
             tangents=self._in_mesh_axes(found.tangent.nodal_response),
@@ -315,27 +343,8 @@ class Solver:
         return np.einsum("ji,njk->nik", self.component.axes, fields)
 
 
-def _system(component: ComponentModel, active: Array) -> System:
-    """Set up the equations in the interface frame, its origin at the interface point."""
-    mesh = component.mesh
-    mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
-    section = component.section
-    coupling: Coupling
-    if component.coupling == "rigid":
-        coupling = Rigid(mesh.points, section.node_ids, active)
-    else:
-        coupling = Distributed(mesh.points, section.node_ids, section.weights, active)
-    free = np.ones(len(mesh.points), dtype=bool)
-    free[component.fixed_nodes] = False
-    free[coupling.tied] = False
-    materials, numbers = component.materials, component.material_of_cells
-    integration = component.analysis.integration
-    filled = filled_cells(mesh, materials, numbers, integration, component.axes)
-    return System(ElasticBody(mesh, filled, free), coupling, component.mesh.points)
-
-
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:
-    degrees = float(np.degrees(np.linalg.norm(displacement[3:])))
+    degrees = float(np.degrees(largest_rotation(displacement)))
     if degrees > MOST_DEGREES:
         raise rotation_too_large(degrees, MOST_DEGREES, load_factor)
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from .table.rows import Floats, Rows, Tolerance
+from .table.space import DEFAULT, Space
 
 COVERED, THIN, OUTSIDE = 0, 1, 2
 NAMES = ("covered", "thin", "outside")
@@ -29,9 +30,10 @@ class UnknownMethodError(ValueError):
         super().__init__(why or f"unknown method {method!r}: one of {', '.join(METHODS)}")
 
 
-def allowed_by(tolerance: Tolerance) -> tuple[float, ...]:
-    """Return the largest error bar of each output, shape (6,), m and rad."""
-    return (tolerance.translation,) * 3 + (tolerance.rotation,) * 3
+def allowed_by(tolerance: Tolerance, space: Space = DEFAULT) -> tuple[float, ...]:
+    """Return the largest error bar of each output, shape (m,), m and rad."""
+    limits = {"m": tolerance.translation, "rad": tolerance.rotation}
+    return tuple(limits[one.unit] for one in space.outputs)
 
 
 def six(tolerance: Tolerance | None) -> tuple[float, ...] | None:
@@ -62,42 +64,47 @@ class Allowed:
     ----------
     tolerance : Tolerance or None, m and rad
         The component's own.
-    variation : ndarray, shape (6,), m and rad
+    variation : ndarray, shape (m,), m and rad
         Largest less smallest value of each output over the rows.
-    ranges : ndarray, shape (6,), m and rad
+    ranges : ndarray, shape (m,), m and rad
         The same with zero counted as one of the values.
     outputs : tuple of int
         The outputs that count; any error of the others is allowed.
+    space : Space
     """
 
     tolerance: Tolerance | None
     variation: Floats
     ranges: Floats
     outputs: tuple[int, ...]
+    space: Space
 
     def of(self, tolerance: Tolerance | None) -> Sequence[float]:
-        """Return the largest error of each output, shape (6,), m and rad, for a covered answer."""
+        """Return the largest error of each output, shape (m,), m and rad, for a covered answer."""
         limit = tolerance or self.tolerance
-        found = self._by_variation if limit is None else allowed_by(limit)
-        if len(self.outputs) == 6:
+        found = self._by_variation if limit is None else allowed_by(limit, self.space)
+        if len(self.outputs) == len(found):
             return found
-        return [found[output] if output in self.outputs else np.inf for output in range(6)]
+        return [one if output in self.outputs else np.inf for output, one in enumerate(found)]
 
     @cached_property
     def _by_variation(self) -> list[float]:
-        largest = np.repeat(self.variation.reshape(2, 3).max(axis=1), 3)
+        largest = self.space.largest_of_kind(self.variation)
         varies = np.maximum(self.variation, STILL * largest)
         # A kind of output that nothing moves has no variation to take a part of.
         return np.where(varies > 0, WITHOUT_TOLERANCE * varies, np.inf).tolist()
 
 
-def allowed_of(
-    rows: Rows, tolerance: Tolerance | None, outputs: tuple[int, ...] = tuple(range(6))
-) -> Allowed:
-    """Return what is allowed of some outputs of a table whose answers are made of these rows."""
-    moved = rows.displacement
+def allowed_of(rows: Rows, tolerance: Tolerance | None, outputs: tuple[int, ...] = ()) -> Allowed:
+    """Return what is allowed of some outputs of a table whose answers are made of these rows.
+
+    Of all outputs where none are named.
+    """
+    moved, space = rows.displacement, rows.space
+    count = len(space.outputs)
+    outputs = outputs or tuple(range(count))
     if not len(moved):
-        return Allowed(tolerance, np.zeros(6), np.zeros(6), outputs)
+        return Allowed(tolerance, np.zeros(count), np.zeros(count), outputs, space)
     low, high = moved.min(axis=0), moved.max(axis=0)
     ranges = np.maximum(high, 0.0) - np.minimum(low, 0.0)
-    return Allowed(tolerance, high - low, ranges, outputs)
+    return Allowed(tolerance, high - low, ranges, outputs, space)

@@ -20,7 +20,7 @@ from .surrogate import Surrogate
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit
 from .table.conflicts import row_conflicts
-from .table.rows import OUTPUTS, Floats, LoadRange, Rows, Tolerance, without_locked
+from .table.rows import Floats, LoadRange, Rows, Tolerance, without_locked
 
 
 class AnyTable:
@@ -67,7 +67,7 @@ class AnyTable:
         self.solver_error = None if solver_error is None else solver_error.grown(rows, load_range)
         self.bars_are_whole = bars_are_whole(rows, solver_error)
         self.rig_error = rig_error(rows, load_range)
-        self.reading = np.full(6, np.nan)
+        self.reading = np.full(rows.displacement.shape[1], np.nan)
         for outputs, group in self.groups:
             self.reading[list(outputs)] = group.reading[list(outputs)]
 
@@ -90,14 +90,13 @@ class AnyTable:
         if not self.rows.partial:
             return summary
         measured = np.isfinite(self.rows.displacement).sum(axis=0).tolist()
+        names = self.rows.space.output_names
         return {
             **summary,
             "rows": len(self.rows),
             **row_conflicts(self.rows, self.load_range),
-            "rows_per_output": dict(zip(OUTPUTS, measured, strict=True)),
-            "unmeasured": [
-                name for name, count in zip(OUTPUTS, measured, strict=True) if not count
-            ],
+            "rows_per_output": dict(zip(names, measured, strict=True)),
+            "unmeasured": [name for name, count in zip(names, measured, strict=True) if not count],
         }
 
 
@@ -147,16 +146,17 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
     Their slopes are 0 too: slopes of a displacement that is not there would contradict it.
     """
     if not rows.partial:
-        return [(tuple(range(6)), rows)]
+        return [(tuple(range(rows.displacement.shape[1])), rows)]
     known = np.isfinite(rows.displacement)
+    every = np.arange(known.shape[1])
     outputs_of: dict[bytes, list[int]] = {}
-    for output in range(6):
+    for output in every.tolist():
         outputs_of.setdefault(known[:, output].tobytes(), []).append(output)
     parts = []
     for outputs in outputs_of.values():
         some = rows.take(known[:, outputs[0]])
         if len(some):
-            own = np.isin(np.arange(6), outputs)
+            own = np.isin(every, outputs)
             moved = np.where(own, some.displacement, 0.0)
             slopes = np.where(own[:, None] | ~_sloped(some), some.compliance, 0.0)
             parts.append((tuple(outputs), replace(some, displacement=moved, compliance=slopes)))
@@ -181,10 +181,11 @@ def tangent_at_zero(table: AnyTable) -> tuple[Floats, str]:
     origin : str
         ``row``, a method, or ``none``.
     """
-    found, row = np.full((6, 6), np.nan), np.full((6, 6), np.nan)
+    space = table.load_range.space
+    found, row = np.full((2, len(space.outputs), len(space.inputs)), np.nan)
     for outputs, group in table.groups:
         own = list(outputs)
-        row[own] = group.exact.tangent([0.0] * 6)[own]
+        row[own] = group.exact.tangent([0.0] * len(space.inputs))[own]
         found[own] = _slopes_at_zero(group)[own]
     known = np.isfinite(row)
     if known.any():
@@ -194,9 +195,10 @@ def tangent_at_zero(table: AnyTable) -> tuple[Floats, str]:
 
 def _slopes_at_zero(group: Surrogate) -> Floats:
     """Return du/dw (6, 6), SI, of a group's default method; NaN by loads that no row tells."""
-    if not len(group.used):
-        return np.full((6, 6), np.nan)
-    zero, name = np.zeros((1, 6)), group.default
+    shape = group.fit.matrix.shape
+    if not group.can_answer:
+        return np.full(shape, np.nan)
+    zero, name = np.zeros((1, shape[1])), group.default
     if name == "linear":
         found = group.fit.matrix[None]
     elif group.by_kriging and group.kriging is not None:

@@ -13,7 +13,8 @@ from .composition.composition import Composition
 from .table.axes import AXES, LoadAxis
 from .table.compliance import ComplianceFit
 from .table.conflicts import row_conflicts
-from .table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from .table.rows import Floats, LoadRange, Rows
+from .table.space import LOADS, OUTPUTS
 
 MOST_SPOTS = 5
 MOST_VERTICES = 200
@@ -110,7 +111,7 @@ def summarise(
         "used_rows": len(used),
         "compliance": {
             "origin": fit.origin,
-            "loads": [LOADS[load] for load in np.flatnonzero(fit.known)],
+            "loads": [rows.space.input_names[load] for load in np.flatnonzero(fit.known)],
             "error": fit.error.tolist(),
         },
         **row_conflicts(rows, load_range),

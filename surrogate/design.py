@@ -27,7 +27,7 @@ from .answer import allowed_by
 from .build import AnyTable
 from .surrogate import Surrogate
 from .table.axes import AXES
-from .table.rows import CLEAN, LOADS, Floats, LoadRange, Tolerance
+from .table.rows import CLEAN, Floats, LoadRange, Tolerance
 from .table.spread import spread_wrenches
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
@@ -77,7 +77,7 @@ class Known:
             if key not in self.keys:
                 self.keys.add(key)
                 fresh.append(wrench)
-        return np.array(fresh).reshape(-1, 6)
+        return np.array(fresh).reshape(-1, len(self.scale))
 
 
 def first_count(span: LoadRange) -> int:
@@ -94,8 +94,9 @@ def first_design(span: LoadRange, known: Known, count: int) -> Floats:
     Fewer come from a span so narrow that there are not as many different wrenches in it.
     """
     middle, half = (span.low + span.high) / 2, (span.high - span.low) / 2
-    at_rest = np.clip(np.zeros(len(LOADS)), span.low, span.high)
-    corners = middle + OUT * CORNERS * half
+    at_rest = np.clip(np.zeros_like(half), span.low, span.high)
+    signs = CORNERS if span.space.is_default else np.empty((0, len(half)))
+    corners = middle + OUT * signs * half
     chosen = list(known.new(np.concatenate((at_rest[None], corners))))
     # A place of the sequence is refused only if it is known already. So many refusals mean that
     # the whole span is.
@@ -104,7 +105,7 @@ def first_design(span: LoadRange, known: Known, count: int) -> Floats:
         if len(chosen) >= count:
             break
         chosen.extend(known.new(spread_wrenches(span, 1, place)))
-    return np.array(chosen[:count]).reshape(-1, len(LOADS))
+    return np.array(chosen[:count]).reshape(-1, len(half))
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def next_wrenches(
     pending: ArrayLike | None = None,
     tolerance: Tolerance | None = None,
     span: LoadRange | None = None,
-    outputs: Sequence[int] = range(6),
+    outputs: Sequence[int] = (),
 ) -> Design:
     """Return at most `budget` wrenches that lower the error most, none of them known or pending.
 
@@ -144,11 +145,12 @@ def next_wrenches(
     span : LoadRange, optional
         The part of the load range that a scene needs; all of it by default.
     outputs : sequence of int
-        The outputs whose bars count.
+        The outputs whose bars count; all where none are named.
     """
-    waiting = np.empty((0, 6)) if pending is None else np.asarray(pending, dtype=float)
-    span = span or table.load_range
-    known = Known(table.load_range, table.rows.wrench, waiting.reshape(-1, 6))
+    wrenches = table.rows.wrench
+    waiting = np.asarray(() if pending is None else pending, dtype=float)
+    span, outputs = span or table.load_range, outputs or range(table.rows.displacement.shape[1])
+    known = Known(table.load_range, wrenches, waiting.reshape(-1, wrenches.shape[1]))
     # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
     _, surrogate = table.groups[0]
     if surrogate.linear:
@@ -163,9 +165,7 @@ def next_wrenches(
         )
     if surrogate.kriging is None:
         more = first_design(span, known, budget)
-        return _first(
-            more, "too few rows to compute error bars, so these wrenches are evenly spread"
-        )
+        return _first(more, "too few rows for error bars: these wrenches are evenly spread")
     limit = tolerance or surrogate.tolerance
     return _Refinement(surrogate, known, limit, span, list(outputs)).design(budget)
 
@@ -196,12 +196,12 @@ def _linear_design(surrogate: Surrogate, known: Known, budget: int, span: LoadRa
     is a part of the load range.
     """
     if surrogate.fit.complete:
-        return Design(np.empty((0, 6)), "met", "the 6x6 compliance is known")
-    needed = np.ones(6, dtype=bool)
+        return Design(known.pending[:0], "met", "the compliance is known")
+    needed = np.ones(len(span.low), dtype=bool)
     if span is not surrogate.load_range:
         needed = (span.low != 0) | (span.high != 0)
     if surrogate.fit.known[needed].all():
-        return Design(np.empty((0, 6)), "met", "the compliance is known in all loads that occur")
+        return Design(known.pending[:0], "met", "the compliance is known in all loads that occur")
     high, low = surrogate.load_range.high, surrogate.load_range.low
     full = np.where(high > 0, high, low)
     single = np.diag(np.where(full != 0, full, 1.0))[needed]
@@ -211,7 +211,7 @@ def _linear_design(surrogate: Surrogate, known: Known, budget: int, span: LoadRa
     if len(known.pending) and not len(surrogate.rows):
         fresh = fresh[:0]
     return Design(
-        fresh[:budget], "first", "the 6x6 compliance of a linear component needs no more solves"
+        fresh[:budget], "first", "the compliance of a linear component needs no more solves"
     )
 
 
@@ -230,7 +230,7 @@ class _Refinement:
         self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
         self.tolerance, self.span, self.outputs = tolerance, span, outputs
         spread = np.maximum(surrogate.ranges, np.finfo(float).tiny)
-        self.allowed = np.array(allowed_by(tolerance)) if tolerance else spread
+        self.allowed = np.array(allowed_by(tolerance, span.space)) if tolerance else spread
 
     def design(self, budget: int) -> Design:
         """Return the next round, or none where the tolerance is met once all pending is solved."""
@@ -245,7 +245,7 @@ class _Refinement:
                 f"the interpolation error of {within:.0%} of a sample of the range is within the "
                 "tolerance"
             )
-            return Design(np.empty((0, 6)), "met", reason)
+            return Design(sample[:0], "met", reason)
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
         reason = f"95 % of the interpolation errors are at most {worst:.3g} times {unit}"
         if not np.isfinite(worst):
@@ -292,7 +292,7 @@ class _Refinement:
 
     def _losses(self, wrenches: Floats) -> Floats:
         """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""
-        over = self._errors(np.empty((0, 6)), wrenches) / self.allowed
+        over = self._errors(wrenches[:0], wrenches) / self.allowed
         return over[:, self.outputs].max(axis=1)
 
     def _errors(self, solved: Floats, wrenches: Floats) -> Floats:
@@ -315,7 +315,8 @@ def _candidates(surrogate: Surrogate, span: LoadRange) -> Floats:
     """
     start = 1 + CANDIDATES + len(surrogate.rows)
     full = spread_wrenches(span, CANDIDATES, start)
-    if np.isfinite(surrogate.used.compliance).all(axis=(1, 2)).any():
+    has_tangents = np.isfinite(surrogate.used.compliance).all(axis=(1, 2)).any()
+    if has_tangents or not surrogate.has_axes:
         return full
     parts = [full]
     at_rest = np.clip(np.zeros(6), span.low, span.high)

@@ -70,5 +70,5 @@ class ExactRows:
         """Return the tangent (6, 6), SI, of the row at or near a wrench (6,); NaN if none has."""
         place = self.index.place(acting_one(wrench, self._locked))
         if place < 0:
-            return np.full((6, 6), np.nan)
+            return np.full(self.merged.compliance.shape[1:], np.nan)
         return without_locked(self.merged.compliance[self.owner[place]], self._locked)

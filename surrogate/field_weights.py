@@ -20,13 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from .kriging.correlation import (
-    LOADS,
-    PLACES,
     Hyperparameters,
     covariance,
     mean_terms,
 )
-from .kriging.equations import DECIMALS, OUTPUTS, Equations
+from .kriging.equations import DECIMALS, Equations
 from .kriging.factor import KrigingFactor, factorise
 from .kriging.settings import DEFAULTS, KrigingSettings
 from .table.rows import Floats, LoadRange
@@ -86,26 +84,23 @@ class FieldWeights:
         SingularCovarianceError
             If two rows are at one wrench.
         """
+        (count, loads), groups = wrenches.shape, load_range.space.kriging_groups
         if hyperparameters is None:
-            start = np.append(np.full(LOADS, settings.theta_starts[0]), settings.weight_start)
-            hyperparameters = Hyperparameters.of_logarithms(start)
-        count = len(wrenches)
-        known = np.ones((count, PLACES), dtype=bool)
+            start = np.append(np.full(loads, settings.theta_starts[0]), settings.weight_start)
+            hyperparameters = Hyperparameters.of_logarithms(start, groups)
+        known = np.ones((count, 1 + loads), dtype=bool)
         known[:, 1:] = load_range.high > load_range.low
-        blank = np.zeros((count, PLACES, OUTPUTS))
-        measured = np.ones((count, OUTPUTS), dtype=bool)
-        none = np.zeros((count, OUTPUTS))  # of uncertainty, and of readings whose noise is unknown
-        equations = Equations(
-            _scaled(wrenches, load_range), known, blank, measured, none, none, none
-        )
+        blank, none = np.zeros((count, 1 + loads, 1)), np.zeros((count, 1))  # no values, no noise
+        x, measured = _scaled(wrenches, load_range), np.ones((count, 1), dtype=bool)
+        equations = Equations(x, known, blank, measured, none, none, none, groups)
         one, rows = np.arange(1), np.arange(count)
         factor = factorise(equations, hyperparameters, one, rows, np.zeros(count), settings)
         return cls(np.array(wrenches, dtype=float), load_range, hyperparameters, equations, factor)
 
     def at(self, wrench: Floats) -> Weights:
         """Return the weights for one wrench (6,), N and N·m."""
-        x = _scaled(np.asarray(wrench, dtype=float).reshape(1, LOADS), self.load_range)
-        value = np.zeros((1, PLACES), dtype=bool)
+        x = _scaled(np.asarray(wrench, dtype=float).reshape(1, -1), self.load_range)
+        value = np.zeros((1, self.equations.places), dtype=bool)
         value[:, 0] = True
         own, factor = self.equations, self.factor
         reduced = factor.T @ covariance(own.x, own.known, x, value, self.hyperparameters)[:, 0]

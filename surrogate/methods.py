@@ -14,7 +14,8 @@ from .composition.composition import Composition
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from .table.axes import AXES, LoadAxis, clean_rows, count_full
 from .table.compliance import ComplianceFit
-from .table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from .table.rows import Floats, LoadRange, Rows
+from .table.space import LOADS, OUTPUTS
 
 CLEARLY = 0.8  # of the axes' error: a kriging that is no better than that is not worth its cost
 EXACT = 1e-9  # of the range: a kriging that errs by rounding alone needs no smaller error
@@ -166,6 +167,21 @@ def choose(
     if not scores["kriging"] < max(CLEARLY * axes[best], EXACT):
         return MethodChoice(method, f"kriging errs at left-out rows by {compared}; {why}", scores)
     return MethodChoice("kriging", f"its error at left-out rows is {compared}", scores)
+
+
+def choose_without_axes(
+    rows: Rows, fit: ComplianceFit, kriging: Callable[[], Kriging | None], linear: bool
+) -> MethodChoice:
+    """Return the default of a table of several interfaces or further inputs."""
+    if linear and fit.complete:
+        return MethodChoice("linear", "the component is linear: its compliance is exact", {})
+    made = None if linear else kriging()
+    if made is None:
+        reason = "there are too few rows for kriging: the compliance that fits them answers"
+        return MethodChoice("linear", reason, {})
+    size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
+    scores = {"kriging": _score(made.left_out(), size)}
+    return MethodChoice("kriging", "griddata and additive are of one interface alone", scores)
 
 
 def without_kriging(

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from .table.rows import Floats, LoadRange, Rows
+from .table.space import DEFAULT, Space
 
 _MOST_BY_SQUARE = 1.0
 """Of the share at small loads, at the full range: up to it growth follows the load's square,
@@ -51,18 +52,19 @@ class SolverError:
         If it is not of that form.
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, values: Mapping[str, Any], space: Space = DEFAULT) -> None:
         self.values = dict(values)
-        loads = _numbers(values.get("loads"), (6,), "loads")
-        self.mesh = None if values.get("mesh") is None else _numbers(values["mesh"], (6, 6), "mesh")
+        n, m = len(space.inputs), len(space.outputs)
+        loads, self._space = _numbers(values.get("loads"), (n,), "loads"), space
+        self.mesh = None if values.get("mesh") is None else _numbers(values["mesh"], (m, n), "mesh")
         linearity = values.get("linearity")
-        self.linearity = None if linearity is None else _numbers(linearity, (6,), "linearity")
-        self.growth = _numbers(values.get("mesh_growth", [0.0] * 6), (6,), "mesh_growth")
+        self.linearity = None if linearity is None else _numbers(linearity, (m,), "linearity")
+        self.growth = _numbers(values.get("mesh_growth", [0.0] * m), (m,), "mesh_growth")
         self.stiffness = None
         if "mesh_stiffness" in values:
-            stiffness = _shaped(values["mesh_stiffness"], (6, 6), "mesh_stiffness")
+            stiffness = _shaped(values["mesh_stiffness"], (n, m), "mesh_stiffness")
             self.stiffness = None if "linearity" in values else stiffness
-        matrix = np.zeros((6, 6)) if self.mesh is None else self.mesh
+        matrix = np.zeros((m, n)) if self.mesh is None else self.mesh
         shares = matrix * loads
         small = shares <= _NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
         self._matrix = np.where(small, 0.0, matrix)
@@ -90,13 +92,14 @@ class SolverError:
         (1,): 2 always, 1 of rows beyond the range, 0 never.
         """
         asks = 0.0 if self.stiffness is None else 1.0 + self.needs_tangent
-        stiffness = np.zeros((6, 6)) if self.stiffness is None else self.stiffness
+        none = np.zeros(self._matrix.T.shape)
+        stiffness = none if self.stiffness is None else self.stiffness
         return self._matrix, self._square, self._one_over, stiffness, np.array([asks])
 
     @classmethod
-    def read(cls, values: Mapping[str, Any] | None) -> SolverError | None:
+    def read(cls, values: Mapping[str, Any] | None, space: Space = DEFAULT) -> SolverError | None:
         """Return it from what was stored; None of nothing."""
-        return None if values is None else cls(values)
+        return None if values is None else cls(values, space)
 
     def grown(self, rows: Rows, load_range: LoadRange | None = None) -> SolverError:
         """Return this with what solved rows tell of the discretisation error beyond small loads.
@@ -132,7 +135,7 @@ class SolverError:
         beyond = np.maximum(lacking - size @ self.mesh.T, 0.0)
         growth = (beyond / (part * part)[:, None]).max(axis=0, initial=0.0)
         growth = np.maximum(growth, self.growth)
-        return SolverError({**self.values, "mesh_growth": growth.tolist()})
+        return SolverError({**self.values, "mesh_growth": growth.tolist()}, self._space)
 
     def share(self, wrench: Floats) -> Floats:
         """Return the whole share of an error bar at a wrench (6,), N and N·m: (6,), m and rad."""

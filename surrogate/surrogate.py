@@ -28,6 +28,7 @@ from .kriging import (
 from .methods import (
     MethodChoice,
     choose,
+    choose_without_axes,
     full_needed,
     interaction_of,
     knows_interaction,
@@ -67,6 +68,8 @@ class Surrogate:
         Whether one factor holds them: error bars then come from the kriging.
     choice : MethodChoice
         The default method, and why.
+    has_axes : bool
+        Whether straight direction influence is defined: of one interface without further inputs.
     evidence : Evidence
         Whether rows show interaction of axes, and the answer at no load.
     exact : ExactRows
@@ -86,14 +89,16 @@ class Surrogate:
         version: int = 0,
         before: Surrogate | None = None,
         locked: Sequence[int] = (),
-        outputs: tuple[int, ...] = tuple(range(6)),
+        outputs: tuple[int, ...] = (),
     ) -> None:
         """Build from rows; axes that another version has as well are taken from it.
 
-        `outputs` are those that the rows have; the others are 0 and count for nothing.
+        `outputs` are those that the rows have, all where none are named; the others are 0 and
+        count for nothing.
         """
         started = thread_time()
-        self.outputs = outputs
+        self.has_axes = load_range.space.is_default
+        self.outputs = outputs or tuple(range(len(load_range.space.outputs)))
         self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
         self.linear, self.version = linear, version
         self.off_axis: OffAxis = off_axis
@@ -104,7 +109,7 @@ class Surrogate:
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
         self.equations = self._equations()
         self.one_factor = fits_one_factor(self.equations)
-        if len(self.used) and not (linear and self.fit.complete):
+        if self.has_axes and len(self.used) and not (linear and self.fit.complete):
             # Not kept: versions would hold each other without end.
             known = before.composition_if_made if before is not None else None
             self.composition = self._compose(known)
@@ -145,7 +150,7 @@ class Surrogate:
     def reading(self) -> Floats:
         """Noise of one reading, 95 %, (6,), m and rad; NaN where it is not known."""
         if not self.by_kriging or self.kriging is None:
-            return np.full(6, np.nan)
+            return np.full(self.rows.displacement.shape[1], np.nan)
         return self.kriging.reading
 
     @property
@@ -178,7 +183,8 @@ class Surrogate:
     @cached_property
     def _summary(self) -> dict[str, Any]:
         """The summary, which takes seconds for 100,000 rows and is the same for one version."""
-        composition = None if self.default == "linear" else self.composition
+        no_axes = self.default == "linear" or not self.has_axes
+        composition = None if no_axes else self.composition
         summary = summarise(self.rows, self.used, self.load_range, self.fit, composition)
         return summary | {
             "method": self.default,
@@ -197,10 +203,24 @@ class Surrogate:
 
     @property
     def ranges(self) -> Floats:
-        """What each output varies by over the rows and from zero, shape (6,), m and rad."""
+        """What each output varies by over the rows and from zero, shape (m,), m and rad."""
         return self.allowed.ranges
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether the compliance answers by itself, with its own error bars."""
+        by_compliance = self.linear or (not self.has_axes and self.default == "linear")
+        return by_compliance and self.fit.complete
+
+    @property
+    def can_answer(self) -> bool:
+        """Whether there are rows to answer from, and a method that does."""
+        by_axes_or_kriging = self.has_axes or self.by_kriging
+        return len(self.used) > 0 and (by_axes_or_kriging or self.is_exact)
+
     def _evidence(self) -> Evidence:
+        if not self.has_axes:  # the kriging's own error bars tell what interaction is not known
+            return Evidence(True, False, 0, 0)
         rest_unknown = self.by_axes and not self.linear and not self.composition.at_rest.known
         return evidence_of(
             self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown
@@ -219,7 +239,10 @@ class Surrogate:
 
     def _choice(self) -> MethodChoice:
         if not len(self.used):
-            return MethodChoice("griddata", "there are no rows", {})
+            method = "griddata" if self.has_axes else "linear"
+            return MethodChoice(method, "there are no rows", {})
+        if not self.has_axes:
+            return choose_without_axes(self.used, self.fit, lambda: self.kriging, self.linear)
         if self.linear:
             return linear_choice(self.used, self.load_range, self.fit, self.composition_if_made)
         if not self.one_factor:

@@ -34,7 +34,7 @@ def over_tolerance(
     if solver_error is None:
         return []
     loads = np.array(solver_error["loads"])
-    allowed = np.repeat([translation, rotation], 3)
+    allowed = np.resize(np.repeat([translation, rotation], 3), loads.shape)
     found = []
     if solver_error.get("mesh") is not None:
         errors = np.array(solver_error["mesh"]) @ loads + np.array(
@@ -90,10 +90,12 @@ def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
     """Return the largest ratio of error to tolerance, and that in words."""
     ratios = errors / allowed
     output = int(ratios.argmax())
-    worst, unit = float(ratios[output]), "m" if output < 3 else "rad"
+    interface, freedom = divmod(output, len(_OUTPUTS))
+    worst, unit = float(ratios[output]), "m" if freedom < 3 else "rad"
+    where = f" of interface {interface + 1}" if len(errors) > len(_OUTPUTS) else ""
     return worst, (
-        f"{errors[output]:.2g} {unit} in {_OUTPUTS[output]}, {float(f'{worst:.2g}'):g} times "
-        "the tolerance"
+        f"{errors[output]:.2g} {unit} in {_OUTPUTS[freedom]}{where}, {float(f'{worst:.2g}'):g} "
+        "times the tolerance"
     )
 
 

@@ -8,13 +8,14 @@ range. The wrench opposite is solved too, since what pulls stiffens and what pus
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.solver.linear import LinearResponse
 from wrenchbook.fea.spec.schema import DeclaredRange
 
 Array = np.ndarray
@@ -36,7 +37,7 @@ class BeyondLinear:
     Attributes
     ----------
     deviation
-        Shape (6,), m and rad: at a load as large as its range, growing with the load's square;
+        Shape (6 i,), m and rad: at a load as large as its range, growing with the load's square;
         NaN where no nonlinear solve gave an answer.
     buckling
         The part of a corner's wrench at which the component buckles or snaps through, at or below
@@ -59,6 +60,8 @@ _MOST_REPORTED = (
 def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     """Solve a linear component nonlinearly at the corners of its range where it moves most.
 
+    A range of too many loads has no corners: `DeclaredRange.corners` raises a ValueError.
+
     Parameters
     ----------
     solver
@@ -71,11 +74,11 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
     other = Solver(nonlinear)
-    deviation, why = np.full(6, np.nan), ""
+    deviation, why = np.full(len(compliance), np.nan), ""
     factors: list[float] = []
     for corner in _corners(compliance, loads):
         factors.append(solver.buckling(corner)[0])
-        found = _Corner(other, compliance, corner, factors[-1])
+        found = _Corner(other, solver.linear, corner, factors[-1])
         deviation = np.fmax(deviation, found.deviation)
         factors += found.factors
         why = why or found.why
@@ -87,11 +90,11 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
 
 def _corners(compliance: Array, loads: DeclaredRange) -> list[Array]:
     """Return the corner that turns, or else moves, the interface most, and its opposite."""
-    corners = np.array(list(itertools.product(*zip(loads.low, loads.high, strict=True))))
-    moved = corners @ compliance.T
-    size = np.linalg.norm(moved[:, 3:], axis=1)
+    corners = loads.corners()
+    moved = (corners @ compliance.T).reshape(len(corners), -1, PER_INTERFACE)
+    size = np.linalg.norm(moved[:, :, 3:], axis=2).max(axis=1)
     if not size.max() > 0:
-        size = np.linalg.norm(moved[:, :3], axis=1)
+        size = np.linalg.norm(moved[:, :, :3], axis=2).max(axis=1)
     most = int(size.argmax())
     return [corners[most], corners[len(corners) - 1 - most]]
 
@@ -99,8 +102,10 @@ def _corners(compliance: Array, loads: DeclaredRange) -> list[Array]:
 class _Corner:
     """The nonlinear answer at one corner of the range, or at a part of it."""
 
-    def __init__(self, solver: Solver, compliance: Array, wrench: Array, buckling: float) -> None:
-        self.deviation = np.full(6, np.nan)
+    def __init__(
+        self, solver: Solver, linear: LinearResponse, wrench: Array, buckling: float
+    ) -> None:
+        self.deviation = np.full(len(linear.compliance), np.nan)
         self.factors: list[float] = []
         self.why = ""
         most = 1.0
@@ -114,6 +119,7 @@ class _Corner:
                 if failure.load_factor is not None:
                     self.factors.append(part * failure.load_factor)
                 continue
-            missed = np.abs(found.displacement - compliance @ (part * wrench)) / part**2
-            self.deviation = np.repeat(missed.reshape(2, 3).max(axis=1), 3)
+            expected = linear.compliance @ (part * wrench) + linear.sag_displacement
+            missed = np.abs(found.displacement - expected) / part**2
+            self.deviation = np.repeat(missed.reshape(-1, 3).max(axis=1), 3)
             return

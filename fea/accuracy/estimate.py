@@ -38,9 +38,10 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``mesh``: shape (6, 6) as lists, not negative, m/N, m/(N·m), rad/N, rad/(N·m): the bar at a
-        wrench is this times the size of each load. ``mesh_stiffness``: shape (6, 6), the inverse
-        units: what the mesh adds to the stiffness, signed. ``mesh_basis``, in words.
+        ``mesh``: shape (6 i, 6 i) for i interfaces, as lists, not negative, m/N, m/(N·m), rad/N,
+        rad/(N·m): the bar at a wrench is this times the size of each load. ``mesh_stiffness``: the
+        same shape, the inverse units: what the mesh adds to the stiffness, signed.
+        ``mesh_basis``, in words.
         ``cell_size``: the middle one of all edges' lengths, m. ``loads``: the largest of the range,
         six, N and N·m, 0 on locked freedoms: the guide takes these. Of a linear component also
         ``linearity`` (six numbers, m and rad, or None)
@@ -79,13 +80,13 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
 
 
 def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
-    """Return the report of `errors`, shape (n, 6, 6), the parts of the compliance's error."""
+    """Return the report of `errors`, shape (n, 6 i, 6 i), the parts of the compliance's error."""
     found = {"mesh": np.abs(errors).sum(axis=0).tolist(), "mesh_basis": basis}
     # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.
     acting = np.diag(compliance) > 0
     scale = np.sqrt(np.where(acting, np.diag(compliance), 1.0))
     own = np.ix_(acting, acting)
-    stiffness = np.zeros((6, 6))
+    stiffness = np.zeros_like(compliance)
     stiffness[own] = np.linalg.inv((compliance / np.outer(scale, scale))[own])
     stiffness /= np.outer(scale, scale)
     return found | {"mesh_stiffness": (stiffness @ errors.sum(axis=0) @ stiffness).tolist()}
@@ -126,10 +127,10 @@ def _largest(bundle: Bundle | None) -> list[float]:
     An error that grows with the square of the largest load must not grow with one that is not felt.
     """
     if bundle is None:
-        return [1.0] * 6
+        return [1.0] * len(FREEDOMS)
     largest = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
-    locked = bundle.interface.locked if bundle.interface else ()
-    return np.where([one in locked for one in FREEDOMS], 0.0, largest).tolist()
+    idle = [one in own.locked for own in bundle.interfaces for one in FREEDOMS]
+    return np.where(idle or False, 0.0, largest).tolist()
 
 
 def _linearity(solver: Solver, loads: DeclaredRange) -> dict[str, Any]:

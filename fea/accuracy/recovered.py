@@ -58,7 +58,7 @@ class _Piece(NamedTuple):
 
 
 def recovered_error(solver: Solver) -> Array:
-    """Return about what the compliance lacks for its mesh, shape (6, 6), SI; symmetric, >= 0.
+    """Return about what the compliance lacks for its mesh, shape (6 i, 6 i), SI; symmetric, >= 0.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def recovered_error(solver: Solver) -> Array:
     """
     pieces = list(_pieces(solver))
     smooth = _at_corners(pieces, len(solver.component.mesh.points))
-    error = np.zeros((6, 6))
+    error = np.zeros_like(solver.compliance)
     for piece in pieces:
         error += _energy(piece, smooth[piece.material])
     return 0.5 * (error + error.T)
@@ -111,7 +111,8 @@ def _at_corners(pieces: list[_Piece], nodes: int) -> dict[int, Array]:
     totals: dict[int, Array] = {}
     volumes: dict[int, Array] = {}
     for piece in pieces:
-        total = totals.setdefault(piece.material, np.zeros((nodes, 2 * 6 * 9)))
+        loads = piece.fields.shape[1]
+        total = totals.setdefault(piece.material, np.zeros((nodes, 2 * loads * 9)))
         volume = volumes.setdefault(piece.material, np.zeros(nodes))
         own = piece.weights.sum(axis=1)
         fit = np.linalg.pinv(piece.functions)
@@ -125,7 +126,7 @@ def _at_corners(pieces: list[_Piece], nodes: int) -> dict[int, Array]:
     return {
         material: (
             total / np.where(volumes[material] > 0, volumes[material], 1.0)[:, None]
-        ).reshape(nodes, 2, 6, 3, 3)
+        ).reshape(nodes, 2, -1, 3, 3)
         for material, total in totals.items()
     }
 
@@ -138,15 +139,16 @@ def _sums(corners: Array, nodes: int) -> csr_array:
 
 
 def _energy(piece: _Piece, smooth: Array) -> Array:
-    """Return the strain energies (6, 6) of the differences of smooth and found fields, twice."""
+    """Return twice the strain energies (loads, loads) of what smooth and found fields differ by."""
     cells, corners = piece.corners.shape
+    loads = piece.fields.shape[1]
     recovered = piece.functions @ smooth[piece.corners].reshape(cells, corners, -1)
-    recovered = recovered.reshape(cells, -1, 2, 6, 3, 3).transpose(2, 3, 0, 1, 4, 5)
+    recovered = recovered.reshape(cells, -1, 2, loads, 3, 3).transpose(2, 3, 0, 1, 4, 5)
     strain, stress = recovered - piece.fields
     if piece.projected:
         strain, stress = _deviatoric(strain), _deviatoric(stress)
     strain = strain * piece.weights[:, :, None, None]
-    return strain.reshape(6, -1) @ stress.reshape(6, -1).T
+    return strain.reshape(loads, -1) @ stress.reshape(loads, -1).T
 
 
 def _deviatoric(tensor: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wrenchbook.fea.assembly.movable import Movable
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
 from wrenchbook.fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
@@ -35,6 +36,8 @@ class ElasticBody:
         Its cells with their material, see `fea.assembly.blocks.filled_cells`.
     free
         Shape (n,), bool: the nodes whose displacement is unknown.
+    held
+        The nodes that slide, see `Movable`.
     """
 
     def __init__(
@@ -42,9 +45,11 @@ class ElasticBody:
         mesh: Mesh,
         filled: Sequence[tuple[CellBlock, CellStiffness]],
         free: Array,
+        held: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3))),
     ) -> None:
         self.points = mesh.points
         self.free = free
+        self.movable = Movable(free, held)
         self.cells = [block.nodes for block, _ in filled]
         self.parts = [stiffness for _, stiffness in filled]
 
@@ -233,7 +238,8 @@ class Tangent:
         """Return the matrices of some cells of a block, shape (k, size, size), N/m."""
         nodes = self._body.cells[number][cells]
         moved = None if self._displacement is None else gather(self._displacement, nodes)
-        return self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
+        own = self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
+        return self._body.movable.apart(own, nodes)
 
     def _leaf(self, number: int) -> Array:
         """Return the matrix of one leaf; a few leaves are made at once."""
@@ -288,7 +294,7 @@ class Tangent:
         """
         order = self._body.dissection.nodes
         found = np.zeros_like(loads)
-        columns = loads[order].reshape(3 * order.size, loads.shape[2])
+        columns = self._body.movable.released(loads)[order].reshape(3 * order.size, loads.shape[2])
         found[order] = self.factor.solve(columns).reshape(order.size, 3, loads.shape[2])
         return found
 

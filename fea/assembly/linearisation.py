@@ -23,7 +23,7 @@ class Balance:
     state
         The configuration.
     wrench
-        Shape (6,), N and N·m.
+        Shape (6 i,), N and N·m, of i interfaces.
     forces
         Shape (n, 3), N: internal nodal forces.
     energy
@@ -74,7 +74,7 @@ class Linearisation:
         self.border = coupling.bordered(balance.state, balance.forces, balance.wrench)
         pushed = tangent.times(self.border.ties, coupling.tied)
         columns = pushed + self.border.columns
-        self._columns = np.where(body.free[:, None, None], columns, 0.0)
+        self._columns = body.movable.released(columns)
         self._block = contract(self.border.ties, pushed) + self.border.block
 
     @cached_property
@@ -97,6 +97,7 @@ class Linearisation:
         border = self._softest_interface[1]
         field = self.border.ties @ border - self._solved @ border
         energy = self._body.strain_energy_products(field[:, :, None])[0, 0]
+        energy += self._coupling.spring_energies(border[:, None])[0, 0]
         return float(energy / (border @ (np.diagonal(self._block) * border)))
 
     @property
@@ -117,12 +118,13 @@ class Linearisation:
         nothing else, give the bordered matrix its negative eigenvalues.
         """
         factor, coupling = self.tangent.factor, self._coupling
-        if factor.definite:
+        if factor.definite and coupling.motions == coupling.active.size:
             return self._least_compliance > 0
-        constraints = coupling.border - coupling.active.size
-        if not constraints or not np.isfinite(self.schur).all():
+        constraints = coupling.border - coupling.motions
+        if not (constraints or factor.definite) or not np.isfinite(self.schur).all():
             return False
-        own = np.linalg.eigvalsh(self.schur + self.schur.T)
+        scale = self._border_scale
+        own = np.linalg.eigvalsh((self.schur + self.schur.T) * scale[:, None] * scale)
         return factor.negatives + int((own < 0).sum()) == constraints
 
     @property
@@ -175,44 +177,49 @@ class Linearisation:
 
     @cached_property
     def border_response(self) -> Array:
-        """Change of the border per change of the wrench, shape (border, 6), m/N and its like."""
+        """Change of the border per change of the wrench, shape (border, 6 i), m/N and its like."""
         return self._solve_border(self.wrench_columns)
 
     @property
     def nodal_response(self) -> Array:
-        """Change of all nodes per change of the wrench, shape (n, 3, 6), m/N and m/(N·m)."""
+        """Change of all nodes per change of the wrench, shape (n, 3, 6 i), m/N and m/(N·m)."""
         return (self.border.ties - self._solved) @ self.border_response
 
     @property
     def wrench_columns(self) -> Array:
-        """Change of the border's load per change of the wrench, shape (border, 6), dimensionless.
+        """Change of the border's load per change of the wrench, shape (border, 6 i), dimensionless.
 
         Columns of locked freedoms are zero.
         """
-        coupling = self._coupling
-        columns = np.zeros((coupling.border, 6))
-        columns[:, coupling.active] = coupling.wrench_columns(self.state)[:, coupling.active]
+        active, whole = self._coupling.active, self._coupling.wrench_columns(self.state)
+        columns = np.zeros_like(whole)
+        columns[:, active] = whole[:, active]
         return columns
 
     @property
     def compliance(self) -> Array:
-        """Change of the interface displacement per change of the wrench.
+        """Change of the interface displacements per change of the wrench.
 
-        Shape (6, 6): m/N, rad/N, m/(N·m) and rad/(N·m).
+        Shape (6 i, 6 i): m/N, rad/N, m/(N·m) and rad/(N·m).
         """
         return self._coupling.displacement_rows(self.border_response)
 
     def _solve_border(self, loads: Array) -> Array:
         """Solve with S, its rows and columns scaled to one size: they mix m, rad, N and N·m."""
-        scale = np.ones(len(loads))
-        for _ in range(3):
-            largest = np.abs(self.schur * scale[:, None] * scale).max(axis=1, initial=0.0)
-            scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+        scale = self._border_scale
         try:
             scaled = np.linalg.solve(self.schur * scale[:, None] * scale, scale[:, None] * loads)
         except np.linalg.LinAlgError:
             raise mechanism("The interface can move without any resistance.") from None
         return scale[:, None] * scaled
+
+    @cached_property
+    def _border_scale(self) -> Array:
+        scale = np.ones(len(self.schur))
+        for _ in range(3):
+            largest = np.abs(self.schur * scale[:, None] * scale).max(axis=1, initial=0.0)
+            scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+        return scale
 
 
 def contract(first: Array, second: Array) -> Array:

@@ -29,25 +29,42 @@ class System:
         How the wrench gets in.
     places
         Shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
+    weight
+        Shape (n, 3), N: the nodal forces of the body's own weight; None for none. They keep their
+        size and direction, so `Balance.forces` are the internal ones less these.
     """
 
-    def __init__(self, body: ElasticBody, coupling: Coupling, places: Array | None = None) -> None:
+    def __init__(
+        self,
+        body: ElasticBody,
+        coupling: Coupling,
+        places: Array | None = None,
+        weight: Array | None = None,
+    ) -> None:
         self._places = body.points if places is None else places
         self.body = body
         self.coupling = coupling
+        self.weight = weight
 
     @property
     def unknowns(self) -> int:
-        """Free nodal unknowns and interface freedoms."""
-        return self.body.dissection.unknowns + len(self.coupling.active)
+        """Free nodal unknowns and freedoms of interfaces and bushings."""
+        return self.body.dissection.unknowns + self.coupling.motions
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
-        """Weigh the internal forces of a state against a wrench, shape (6,), N and N·m."""
-        forces, energy, least = self.body.forces(state.nodes)
+        """Weigh the internal forces of a state against a wrench, shape (6 i,), N and N·m."""
+        forces, energy, least = self._forces(state.nodes)
+        energy += self.coupling.spring_energy(state)
         return self._balance(state, wrench, forces, energy, least)
 
+    def _forces(
+        self, nodes: Array, step: tuple[Array, Array] | None = None
+    ) -> tuple[Array, float, float]:
+        forces, energy, least = self.body.forces(nodes, step)
+        return (forces if self.weight is None else forces - self.weight), energy, least
+
     def reload(self, balance: Balance, wrench: Array) -> Balance:
-        """Return the balance of the same state under another wrench, shape (6,), N and N·m."""
+        """Return the balance of the same state under another wrench, shape (6 i,), N and N·m."""
         return self._balance(
             balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
         )
@@ -68,7 +85,7 @@ class System:
             `ElasticBody.tangent`.
         """
         if step is not None:
-            balance = replace(balance, forces=self.body.forces(balance.state.nodes, step)[0])
+            balance = replace(balance, forces=self._forces(balance.state.nodes, step)[0])
         tangent = self.body.tangent(balance.state.nodes, step)
         return Linearisation(self.body, self.coupling, balance, tangent)
 
@@ -97,13 +114,15 @@ class System:
     def balance_at_rest(self) -> Balance:
         """The undeformed, unloaded state."""
         state = self.coupling.start()
-        return self._balance(state, np.zeros(6), np.zeros_like(state.nodes), 0.0, 1.0)
+        return self._balance(
+            state, np.zeros_like(state.interface), np.zeros_like(state.nodes), 0.0, 1.0
+        )
 
     def _balance(
         self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float
     ) -> Balance:
         nodal, border = self.coupling.residual(state, forces, wrench)
-        nodal = np.where(self.body.free[:, None], nodal, 0.0)
+        nodal = self.body.movable.released(nodal)
         return Balance(state, wrench, forces, energy, least, nodal, border)
 
     def _require_supported(self, start: Linearisation) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from wrenchbook.fea.bundle.deck_table import read_deck
 from wrenchbook.fea.bundle.mesh_table import read_mesh
 from wrenchbook.fea.bundle.tables import (
     read_analysis,
-    read_interface,
+    read_interfaces,
     read_material,
     read_name,
     read_range,
@@ -58,6 +58,7 @@ _LINE = re.compile(r"\(at line (\d+), column (\d+)\)")
 _MOST_BYTES = 256 * 1024  # hundreds of faces chosen by number, of a geometry file
 # Begins where a word does, so that a long word is looked at once.
 _LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")
+_OR_HELD = ", or held = true in one [[interface]]: its reaction then balances the loads"
 _SOLVER_TABLES = ("material", "supports", "interface", "analysis")
 
 
@@ -94,20 +95,26 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
     """
     folder = Path(folder)
     top = Keys(table, [])
-    parts = {
+    parts: dict[str, Any] = {
         "name": read_name(top),
         "title": top.text("title"),
         "mesh": read_mesh(top.table("mesh", required=False), folder),
         "materials": tuple(read_material(keys) for keys in top.tables("material", required=False)),
         "supports": read_supports(top.table("supports", required=False)),
-        "interface": read_interface(top.table("interface", required=False)),
+    }
+    found = read_interfaces(top)
+    interfaces = [interface for interface, _ in found]
+    parts |= {
+        "interface": interfaces[0] if interfaces else None,
+        "others": tuple(interfaces[1:]),
         "analysis": read_analysis(top.table("analysis", required=False)),
-        "range": read_range(top.table("range")),
+        "range": read_range(top, found),
         "tolerance": read_tolerance(top.table("tolerance", required=False)),
         "deck": read_deck(top.table("deck", required=False), folder),
     }
-    _check_whole(top)
-    _check_frame(top, parts["deck"], parts["interface"])
+    _check_whole(top, any(one is not None and one.held for one in interfaces))
+    _check_frame(top, parts["deck"], interfaces)
+    _check_weight(top, parts["deck"], parts["materials"], parts["analysis"])
     top.close()
     if top.problems:
         raise BundleError(top.problems)
@@ -148,28 +155,48 @@ def _syntax_problem(error: Exception) -> BundleProblem:
     return BundleProblem(f"line {found[1]}", message)
 
 
-def _check_whole(top: Keys) -> None:
-    """Note tables that need each other."""
+def _check_whole(top: Keys, held: bool) -> None:
+    """Note tables that need each other; an interface that is held stands in for supports."""
     if "deck" in top:
         return
     if "mesh" in top:
         for key in _SOLVER_TABLES:
-            if key not in top:
+            if key not in top and not (held and key == "supports"):
                 brackets = "[[material]]" if key == "material" else f"[{key}]"
-                top.wrong(key, f"missing; a component with a [mesh] needs {brackets}")
+                more = _OR_HELD if key == "supports" and top.is_array("interface") else ""
+                top.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
     else:
         for key in _SOLVER_TABLES:
             if key in top:
                 top.wrong(key, "needs a [mesh] as well; without one a component is a table only")
 
 
-def _check_frame(top: Keys, deck: Deck | None, interface: Interface | None) -> None:
+def _check_frame(top: Keys, deck: Deck | None, interfaces: list[Interface | None]) -> None:
     """Note what an [interface] says that a deck would not heed."""
-    if deck is None or interface is None:
+    if deck is None or not interfaces or interfaces[0] is None:
         return
+    if len(interfaces) > 1:
+        top.wrong("interface", "a [deck] has one interface; several are the embedded solver's")
+        return
+    interface = interfaces[0]
     if (interface.axes != np.eye(3)).any():
         message = "a [deck] is not turned; write it in the interface frame and leave axes out"
         top.wrong("interface.axes", message)
     if interface.locked:
         message = "a [deck] is not changed; hold these freedoms in the deck and leave locked out"
         top.wrong("interface.locked", message)
+
+
+def _check_weight(
+    top: Keys, deck: Deck | None, materials: Sequence[Material | None], analysis: Analysis
+) -> None:
+    """Note what the component's own weight lacks."""
+    if analysis.gravity is None:
+        return
+    if deck is not None:
+        message = "a [deck] is not changed; write *DLOAD with GRAV in the deck, leave gravity out"
+        top.wrong("analysis.gravity", message)
+    for i, material in enumerate(materials):
+        if material is not None and material.density is None:
+            message = "missing; [analysis] gravity needs each material's density, in kg/m^3"
+            top.wrong(f"material[{i}].density", message)

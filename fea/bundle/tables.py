@@ -8,20 +8,24 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 
 from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
+from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import (
     COUPLINGS,
     FREEDOMS,
     INTEGRATIONS,
     LAWS,
     Analysis,
+    Bushing,
     DeclaredRange,
     DeclaredTolerance,
     Interface,
     Material,
+    Sliding,
     Supports,
 )
 from wrenchbook.fea.spec.toml_table import Keys
@@ -29,6 +33,12 @@ from wrenchbook.fea.spec.toml_table import Keys
 # Tables square loads and divide by them; the square root of the largest double, 1e154, is too near
 # since sums of such squares must be numbers too.
 LARGEST_LOAD = 1e100
+
+_DIRECTIONS = ("x", "y", "z")
+
+_ROUNDING = 1e-9  # of a stiffness, relative to its diagonal
+_NO_LOADS = DeclaredRange(np.zeros(len(FREEDOMS)), np.zeros(len(FREEDOMS)))
+"""Of an interface that is held."""
 
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
@@ -55,25 +65,119 @@ def read_supports(keys: Keys | None) -> Supports | None:
     """Return ``[supports]``."""
     if keys is None:
         return None
-    fixed = keys.texts("fixed", least=1)
+    fixed = keys.texts("fixed", required=False, least=1)
+    sliding = [_sliding(own) for own in keys.tables("sliding", required=False)]
+    bushings = [_bushing(own) for own in keys.tables("bushing", required=False)]
+    if not any(keys):
+        message = "holds nothing; write fixed, [[supports.sliding]] or [[supports.bushing]]"
+        keys.problems.append(BundleProblem(keys.where, message))
     keys.close()
-    return None if fixed is None else Supports(fixed)
+    return Supports(fixed or (), tuple(filter(None, sliding)), tuple(filter(None, bushings)))
 
 
-def read_interface(keys: Keys | None) -> Interface | None:
-    """Return ``[interface]``."""
-    if keys is None:
+def _sliding(keys: Keys) -> Sliding | None:
+    """Return one ``[[supports.sliding]]``."""
+    group = keys.text("group")
+    names = keys.texts("directions", least=1) or ()
+    for name in names:
+        if name not in _DIRECTIONS:
+            keys.wrong("directions", f'"{name}" is none of {", ".join(_DIRECTIONS)}')
+    axes = read_axes(keys)
+    keys.close()
+    if group is None or axes is None or not set(names) <= set(_DIRECTIONS):
         return None
-    section = keys.text("section")
+    return Sliding(group, axes[[_DIRECTIONS.index(name) for name in sorted(names)]])
+
+
+def _bushing(keys: Keys) -> Bushing | None:
+    """Return one ``[[supports.bushing]]``."""
+    stiffness = _stiffness(keys)
+    hold = _hold(keys, "group")
+    keys.close()
+    return None if hold is None or stiffness is None else Bushing(hold, stiffness)
+
+
+def _stiffness(keys: Keys) -> np.ndarray | None:
+    """Return six stiffnesses, or 6 x 6, as a matrix whose energy is never negative."""
+    rows, unit = keys.raw("stiffness", list), "N/m, N/rad and N·m/rad"
+    if rows is None:
+        return None
+    if len(rows) == len(FREEDOMS) and type(rows[0]) is list:
+        count = len(FREEDOMS)
+        read = [keys.as_numbers(f"stiffness[{i}]", row, count, unit) for i, row in enumerate(rows)]
+        matrix = None if None in read else np.array(read)
+    else:
+        own = keys.as_numbers("stiffness", rows, len(FREEDOMS), unit)
+        matrix = None if own is None else np.diag(own)
+    if matrix is None:
+        return None
+    scale = np.sqrt(np.where(np.diagonal(matrix) > 0, np.diagonal(matrix), 1.0))
+    scaled = matrix / scale / scale[:, None]
+    if np.abs(scaled - scaled.T).max() > _ROUNDING:
+        keys.wrong("stiffness", "must be symmetric")
+    elif np.linalg.eigvalsh(scaled)[0] < -_ROUNDING:
+        keys.wrong("stiffness", "some motion would give energy back: no eigenvalue may be negative")
+    elif not matrix.any():
+        keys.wrong("stiffness", "is zero; leave the bushing out")
+    else:
+        return 0.5 * (matrix + matrix.T)
+    return None
+
+
+def read_interfaces(top: Keys) -> list[tuple[Interface | None, DeclaredRange | None]]:
+    """Return ``[interface]``, without a range, or every ``[[interface]]`` with its own."""
+    if not top.is_array("interface"):
+        keys = top.table("interface", required=False)
+        return [] if keys is None else [(_interface(keys), None)]
+    found = [_named_interface(keys) for keys in top.tables("interface")]
+    if len(found) == 1:
+        top.wrong("interface", "is one alone; write [interface], without a name, or add others")
+    names = [own.name for own, _ in found if own is not None]
+    if len(set(names)) < len(names):
+        top.wrong("interface", "a name is there twice; each interface needs its own")
+    if sum(own is not None and own.held for own, _ in found) > 1:
+        top.wrong("interface", "only one can be held: it is the reference of all displacements")
+    return found
+
+
+def _named_interface(keys: Keys) -> tuple[Interface | None, DeclaredRange | None]:
+    """Return one ``[[interface]]`` and its range."""
+    name = read_name(keys)
+    held = keys.flag("held", required=False) or False
+    loads = keys.table("range", required=not held)
+    if held and ("locked" in keys or loads is not None):
+        keys.wrong("held", "an interface that is held takes neither locked nor range; leave it out")
+    return _interface(keys, name or "", held), _loads(loads) or _NO_LOADS
+
+
+def read_range(
+    top: Keys, interfaces: list[tuple[Interface | None, DeclaredRange | None]]
+) -> DeclaredRange | None:
+    """Return ``[range]``, or the ranges of several interfaces, as `read_interfaces` has them."""
+    own = [one for _, one in interfaces if one is not None]
+    if not own:
+        return _loads(top.table("range"))
+    if top.table("range", required=False) is not None:
+        top.wrong("range", "each [[interface]] has its own; write range = {force, moment} there")
+    low, high = (np.concatenate([getattr(one, end) for one in own]) for end in ("low", "high"))
+    return DeclaredRange(low, high)
+
+
+def _interface(keys: Keys, name: str = "", held: bool = False) -> Interface | None:
+    hold, locked = _hold(keys, "section"), _locked(keys)
+    keys.close()
+    return hold and replace(hold, locked=FREEDOMS if held else locked, name=name)
+
+
+def _hold(keys: Keys, group: str) -> Interface | None:
+    """Return a group of nodes as a section, with what moves with it."""
+    section = keys.text(group)
     point = keys.numbers("point", 3, "m", required=False)
     axes = read_axes(keys)
     coupling = keys.choice("coupling", COUPLINGS)
-    locked = _locked(keys)
-    keys.close()
     if section is None or axes is None or coupling is None:
         return None
-    at = None if point is None else np.array(point)
-    return Interface(section, at, axes, coupling, locked)
+    return Interface(section, None if point is None else np.array(point), axes, coupling)
 
 
 def _locked(keys: Keys) -> tuple[str, ...]:
@@ -92,17 +196,19 @@ def read_analysis(keys: Keys | None) -> Analysis:
         return Analysis()
     nonlinear = keys.flag("nonlinear")
     integration = keys.choice("integration", INTEGRATIONS, required=False)
+    gravity = keys.numbers("gravity", 3, "m/s^2", required=False)
     keys.close()
-    return Analysis(nonlinear is not False, integration or "reduced")
+    weight = (gravity[0], gravity[1], gravity[2]) if gravity and any(gravity) else None
+    return Analysis(nonlinear is not False, integration or "reduced", weight)
 
 
-def read_range(keys: Keys | None) -> DeclaredRange | None:
-    """Return ``[range]``, the loads expected in N and N·m."""
+def _loads(keys: Keys | None) -> DeclaredRange | None:
+    """Return the loads expected in N and N·m."""
     if keys is None:
         return None
     bounds = _bounds(keys, "force", "N") + _bounds(keys, "moment", "N·m")
     keys.close()
-    if len(bounds) != 6:
+    if len(bounds) != len(FREEDOMS):
         return None
     low, high = np.array(bounds).T
     return DeclaredRange(low, high)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.check.motions import describe, free_motions, middle, size_of
+from wrenchbook.fea.check.motions import describe, free_motions, middle, simplest, size_of
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies, gap
 from wrenchbook.fea.inspection.warnings import place_in_words
@@ -62,10 +62,10 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
 
 
 def _too_few_supports(component: ComponentModel, motions: Array) -> BundleProblem:
-    message = (
-        f"the part is a mechanism, {_motions_in_words(component, motions)}; fix at least three "
-        "points that are not on one line"
-    )
+    words = f"the part is a mechanism, {_motions_in_words(component, motions)}"
+    if len(component.sliding[0]) or component.bushings:
+        return BundleProblem("supports", f"{words}; hold these as well")
+    message = f"{words}; fix at least three points that are not on one line"
     return BundleProblem("supports.fixed", message)
 
 
@@ -86,9 +86,10 @@ def _motions_in_words(component: ComponentModel, motions: Array) -> str:
     if len(motions) == 6:
         return "it can move in all six ways, nothing holds it"
     points = component.mesh.points
-    if len(motions) == 1:
-        return f"it can {describe(motions[0], middle(points), size_of(points))}"
-    return f"{len(motions)} of its six rigid motions meet no resistance"
+    told = [describe(one, middle(points), size_of(points)) for one in simplest(motions)]
+    if len(told) == 1:
+        return f"it can {told[0]}"
+    return f"{len(told)} of its six rigid motions meet no resistance: {', '.join(told)}"
 
 
 def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:

@@ -8,15 +8,16 @@ q = (t, L theta) about the mesh's centre with L the mesh's size, and moves a nod
 
 Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
 of section and interface, a distributed one that the interface moves as the section does in the
-mean (least squares), and locked freedoms hold the interface. What satisfies all of this is the
-null space of a small dense matrix.
+mean (least squares), and locked freedoms hold the interface; each of several likewise. A bushing is
+tied to its group as an interface is, and held where its spring resists. What satisfies all of this
+is the null space of a small dense matrix.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies
 from wrenchbook.fea.spec.schema import FREEDOMS
 
@@ -24,6 +25,8 @@ Array = np.ndarray
 
 _ZERO = 1e-7
 """Singular value, relative to the largest, that counts as none."""
+
+_ROUNDOFF = 1e-14  # of a stiffness, relative to the largest
 
 
 def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
@@ -38,7 +41,12 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     equations = _Equations(component, bodies)
     equations.hold_supports()
     equations.join_bodies()
-    equations.tie_interface()
+    for number, interface in enumerate(component.interfaces, start=bodies.count):
+        equations.tie_interface(interface, number)
+    first = bodies.count + len(component.interfaces)
+    for number, (bushing, stiffness) in enumerate(component.bushings, start=first):
+        equations.tie_interface(bushing, number)
+        equations.hold_bushing(bushing, stiffness, number)
     free = equations.null_space()
     found = []
     for number in range(bodies.count):
@@ -62,8 +70,28 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
     return line if abs(pitch) < 1e-6 * extent else f"{line}, sliding along it"
 
 
+def simplest(motions: Array) -> Array:
+    """Return motions, shape (k, 6), of the same space: about and along axes as far as they can.
+
+    By row reduction, rotations first, so what only slides comes last.
+    """
+    rows, done = motions.copy(), 0
+    for column in (3, 4, 5, 0, 1, 2):
+        if done == len(rows):
+            break
+        best = done + int(np.abs(rows[done:, column]).argmax())
+        if abs(rows[best, column]) < 1e-6:
+            continue
+        rows[[done, best]] = rows[[best, done]]
+        rows[done] /= rows[done, column]
+        others = np.arange(len(rows)) != done
+        rows[others] -= np.outer(rows[others, column], rows[done])
+        done += 1
+    return rows
+
+
 class _Equations:
-    """Rows of a matrix over the motions of all bodies, the interface's last."""
+    """Rows of a matrix over the motions of all bodies, interfaces and bushings."""
 
     def __init__(self, component: ComponentModel, bodies: Bodies) -> None:
         self.component = component
@@ -81,6 +109,11 @@ class _Equations:
             fixed = nodes[np.isin(nodes, self.component.fixed_nodes)]
             if fixed.size:
                 self._add({number: _condensed(self._moves(fixed))})
+            chosen = np.isin(self.component.sliding[0], nodes)
+            if chosen.any():
+                sliding, held = (part[chosen] for part in self.component.sliding)
+                rows = held @ self._moves(sliding).reshape(-1, 3, 6)
+                self._add({number: _condensed(rows.reshape(-1, 6))})
 
     def join_bodies(self) -> None:
         if self.bodies.count == 1:
@@ -91,13 +124,12 @@ class _Equations:
                 moves = _condensed(self._moves(shared[self.owner[shared] == other]))
                 self._add({number: moves, other: -moves})
 
-    def tie_interface(self) -> None:
-        """Tie the interface to the section, and hold its locked freedoms."""
-        interface = self.bodies.count
-        section = self.component.section
+    def tie_interface(self, attached: AttachedInterface, interface: int) -> None:
+        """Tie an interface, the motion of that number, to its section; hold locked freedoms."""
+        section = attached.section
         owner = self.owner[section.node_ids]
         moves_of = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
-        if self.component.coupling == "rigid":
+        if attached.coupling == "rigid":
             for number, moves in moves_of.items():
                 tie = _condensed(moves)
                 self._add({number: tie, interface: -tie})
@@ -106,12 +138,19 @@ class _Equations:
             own = {n: (moves.T * weights[n]) @ moves for n, moves in moves_of.items()}
             whole = np.linalg.inv(sum(own.values(), np.zeros((6, 6))))
             self._add({n: -whole @ one for n, one in own.items()} | {interface: np.eye(6)})
-        at_point = self._moves_of(self.component.point[None])
-        for name in self.component.locked:
-            freedom = FREEDOMS.index(name)
-            axis = self.component.axes[freedom % 3]
-            row = axis @ at_point if freedom < 3 else np.concatenate([np.zeros(3), axis])
-            self._add({interface: row[None]})
+        for name in attached.locked:
+            self._add({interface: self._freedoms(attached)[FREEDOMS.index(name)][None]})
+
+    def hold_bushing(self, attached: AttachedInterface, stiffness: Array, number: int) -> None:
+        lengths = np.repeat([1.0, self.extent], 3)
+        sizes, motions = np.linalg.eigh(stiffness / lengths / lengths[:, None])
+        resisted = motions[:, sizes > _ROUNDOFF * sizes[-1]].T
+        self._add({number: resisted @ self._freedoms(attached)})
+
+    def _freedoms(self, attached: AttachedInterface) -> Array:
+        """Return ux to rz of a point by a motion, (6, 6), the rotations times the mesh's size."""
+        turns = np.concatenate([np.zeros((3, 3)), attached.axes], axis=1)
+        return np.concatenate([attached.axes @ self._moves_of(attached.point[None]), turns])
 
     def null_space(self) -> Array:
         matrix = np.concatenate(self.rows)
@@ -133,7 +172,8 @@ class _Equations:
         return moves.reshape(-1, 6)
 
     def _add(self, parts: dict[int, Array]) -> None:
-        rows = np.zeros((len(next(iter(parts.values()))), 6 * (self.bodies.count + 1)))
+        count = self.bodies.count + len(self.component.interfaces) + len(self.component.bushings)
+        rows = np.zeros((len(next(iter(parts.values()))), 6 * count))
         for number, part in parts.items():
             rows[:, 6 * number : 6 * number + 6] = part
         self.rows.append(rows)

@@ -17,8 +17,14 @@ from wrenchbook.fea.check import findings
 from wrenchbook.fea.check.cost import estimate
 from wrenchbook.fea.check.strength import strength
 from wrenchbook.fea.check.text import as_text
-from wrenchbook.fea.check.trial import deflection_warnings, frequency, solver_of, trial
-from wrenchbook.fea.component import ComponentModel, build, mesh_of
+from wrenchbook.fea.check.trial import (
+    deflection_warnings,
+    frequency,
+    solver_of,
+    trial,
+    weight_warnings,
+)
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of
 from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
@@ -57,7 +63,8 @@ def report(
         each a list of ``{"where", "message"}``. As far as it gets: ``name``, ``fingerprint``,
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
-        ``coincident_nodes``; ``materials``, ``section``, ``supports`` and ``estimate`` (see
+        ``coincident_nodes``; ``materials``, ``section`` (of several interfaces ``sections``, with
+        their names), ``supports`` and ``estimate`` (see
         `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density or a mass is given
         ``vibration`` (see `fea.check.trial`), and where a yield strength is given ``strength``
         (see `fea.check.strength`), and where it takes no longer than a check may ``solver_error``
@@ -140,6 +147,8 @@ def _try_out(
     if problems:
         raise BundleError(problems)
     _warn(summary, deflection_warnings(component, summary["trial"]["deflection"]))
+    if summary["trial"]["deflection"] is not None:
+        _warn(summary, weight_warnings(solver))
     summary["vibration"], warnings = frequency(solver, riding)
     _warn(summary, warnings)
     summary["strength"], warnings = strength(solver, nonlinear)
@@ -188,7 +197,7 @@ def _counts(mesh: Mesh) -> dict[str, Any]:
 
 def _what_is_set(component: ComponentModel) -> dict[str, Any]:
     numbers = component.material_of_cells
-    section = component.section
+    attached = [_section(one) for one in component.interfaces]
     return {
         "materials": [
             {
@@ -202,16 +211,28 @@ def _what_is_set(component: ComponentModel) -> dict[str, Any]:
             }
             for i, material in enumerate(component.materials)
         ],
-        "supports": {"nodes": len(component.fixed_nodes)},
-        "section": {
-            "nodes": len(section.node_ids),
-            "area": section.area if section.by_area else None,
-            "centre": section.centre.tolist(),
-            "point": component.point.tolist(),
-            "coupling": component.coupling,
-            "locked": list(component.locked),
-        },
+        "supports": {"nodes": len(component.fixed_nodes)} | _other_supports(component),
+        **({"sections": attached} if component.others else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
+    }
+
+
+def _other_supports(component: ComponentModel) -> dict[str, Any]:
+    """Return what holds the part besides fixed nodes, where there is any."""
+    counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
+    return {name: count for name, count in counts.items() if count}
+
+
+def _section(interface: AttachedInterface) -> dict[str, Any]:
+    section = interface.section
+    name = {"name": interface.name} if interface.name else {}
+    return name | {
+        "nodes": len(section.node_ids),
+        "area": section.area if section.by_area else None,
+        "centre": section.centre.tolist(),
+        "point": interface.point.tolist(),
+        "coupling": interface.coupling,
+        "locked": list(interface.locked),
     }
 
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from wrenchbook.fea.spec.schema import FREEDOMS
+
 _MOST_LINES = 60
 _WIDTH = 100
+_EACH = len(FREEDOMS)  # values of one interface
 
 
 def as_text(report: Mapping[str, Any]) -> str:
@@ -106,21 +109,34 @@ def _quality(report: Mapping[str, Any]) -> list[str]:
 
 
 def _set_up(report: Mapping[str, Any]) -> list[str]:
-    if "section" not in report:
+    if "supports" not in report:
         return []
-    section = report["section"]
-    area = "no area" if section["area"] is None else f"{1e6 * section['area']:.5g} mm^2"
-    locked = f", locked {', '.join(section['locked'])}" if section["locked"] else ""
     lines = [
         f"material {m['region']}: {_law(m)}{_optional(m)}{m['cells']} cells"
         for m in report["materials"]
     ]
     return [
         *lines,
-        f"supports: {report['supports']['nodes']} nodes fixed",
-        f"interface: {section['nodes']} nodes, {area}, {section['coupling']}{locked}, "
-        f"point at {_place(section['point'])} m",
+        f"supports: {_supports(report['supports'])}",
+        *(_interface(one) for one in report.get("sections", [report.get("section")])),
     ]
+
+
+def _supports(supports: Mapping[str, Any]) -> str:
+    sliding = f", {supports['sliding_nodes']} sliding" if "sliding_nodes" in supports else ""
+    bushings = f"; bushings: {supports['bushings']}" if "bushings" in supports else ""
+    return f"{supports['nodes']} nodes fixed{sliding}{bushings}"
+
+
+def _interface(section: Mapping[str, Any]) -> str:
+    area = "no area" if section["area"] is None else f"{1e6 * section['area']:.5g} mm^2"
+    locked = f", locked {', '.join(section['locked'])}" if section["locked"] else ""
+    locked = ", held" if len(section["locked"]) == _EACH else locked
+    name = f" {section['name']}" if "name" in section else ""
+    return (
+        f"interface{name}: {section['nodes']} nodes, {area}, {section['coupling']}{locked}, "
+        f"point at {_place(section['point'])} m"
+    )
 
 
 def _law(material: Mapping[str, Any]) -> str:
@@ -149,12 +165,27 @@ def _trial(report: Mapping[str, Any]) -> list[str]:
         return lines
     if one["deflection"] is None:
         return [*lines, "at full range: not tried, a solve takes too long for a check"]
-    moved = [f"{x:.3g}" for x in one["deflection"]]
-    return [
-        *lines,
-        f"at full range, linearly, it moves by ({', '.join(moved[:3])}) m and turns by "
-        f"({', '.join(moved[3:])}) rad at most",
-    ]
+    for name, own in _by_interface(report, one["sag"]) if "sag" in one else ():
+        sag = [f"{x:.3g}" for x in own]
+        lines.append(
+            f"own weight moves {name or 'it'} by ({', '.join(sag[:3])}) m and turns it by "
+            f"({', '.join(sag[3:])}) rad, linearly, in the interface frame: the answer at zero "
+            "load. Displacements are relative to the part of the mesh without its weight"
+        )
+    for name, own in _by_interface(report, one["deflection"]):
+        moved = [f"{x:.3g}" for x in own]
+        lines.append(
+            f"at full range, linearly, {name or 'it'} moves by ({', '.join(moved[:3])}) m and "
+            f"turns by ({', '.join(moved[3:])}) rad at most"
+        )
+    return lines
+
+
+def _by_interface(report: Mapping[str, Any], values: list[float]) -> list[tuple[str, list[float]]]:
+    """Return six values of each interface with its name, empty where there is one."""
+    names = [one["name"] for one in report.get("sections", [])] or [""]
+    ends = range(0, len(values), _EACH)
+    return [(name, values[i : i + _EACH]) for name, i in zip(names, ends, strict=True)]
 
 
 def _vibration(report: Mapping[str, Any]) -> list[str]:
@@ -163,10 +194,13 @@ def _vibration(report: Mapping[str, Any]) -> list[str]:
     one = report["vibration"]
     carried = f"with {one['riding_mass']:g} kg on it" if one["riding_mass"] else "by itself"
     weight = "not known" if one["mass"] is None else f"{one['mass']:.4g} kg"
+    moves = "; ".join(
+        f"{name or 'interface'} moves along {_place(own[:3])}, turns about {_place(own[3:])}"
+        for name, own in _by_interface(report, one["motion"])
+    )
     return [
-        f"mass {weight}; first natural frequency {one['first_frequency']:.4g} Hz "
-        f"{carried} (interface moves along {_place(one['motion'][:3])}, turns about "
-        f"{_place(one['motion'][3:])})"
+        f"mass {weight}; first natural frequency {one['first_frequency']:.4g} Hz {carried} "
+        f"({moves})"
     ]
 
 
@@ -178,8 +212,11 @@ def _strength(report: Mapping[str, Any]) -> list[str]:
         order = " to first order (--nonlinear solves)" if one["first_order"] else ""
         lines.append(
             f"largest von Mises stress of {one['region']} under the full range{order}: "
-            f"{one['largest'] / 1e6:.4g} MPa{ends}, near {_place(one['at'])} m under force "
-            f"{_place(one['wrench'][:3])} N, moment {_place(one['wrench'][3:])} N·m"
+            f"{one['largest'] / 1e6:.4g} MPa{ends}, near {_place(one['at'])} m under "
+            + "; ".join(
+                f"{name and name + ' '}force {_place(own[:3])} N, moment {_place(own[3:])} N·m"
+                for name, own in _by_interface(report, one["wrench"])
+            )
         )
     return lines
 

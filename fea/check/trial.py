@@ -7,16 +7,19 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.coupling.coupling import each_interface, largest_rotation
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.recovery.weight import nodal_masses
 from wrenchbook.fea.solve import MOST_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
 _MOST_SECONDS = 60.0  # of the linear solve by its estimate: an upload waits for it, 300 s at most
 _MOST_BYTES = 4e9  # of the same; the server's other solvers run at the same time
+
+_STANDARD_GRAVITY = 9.81  # m/s^2
 
 _WHERE = {"locking_material": "material", "inverted_elements": "mesh", "mechanism": "supports"}
 
@@ -43,8 +46,10 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     -------
     result
         ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a material tells no
-        density), ``deflection``: the largest of each output over the load range by the linear
-        compliance, six numbers, m and rad; None where it was not tried or ``failed`` (then true).
+        density), ``sag``: the interfaces' displacement under own weight, where ``gravity`` is
+        given; ``deflection``: the largest of each output over the load range by the linear
+        compliance, six numbers an interface, m and rad; None where it was not tried or ``failed``
+        (then true).
     problems
         ``mechanism`` and ``ill_conditioned``, in the words of the failure.
     """
@@ -59,11 +64,13 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
         result["failed"] = True
         return result, [_problem(failure)]
     result["deflection"] = largest(compliance, bundle.range.low, bundle.range.high).tolist()
+    if solver.component.analysis.gravity is not None:
+        result["sag"] = solver.linear.sag_displacement.tolist()
     return result, []
 
 
 def largest(compliance: Array, low: Array, high: Array) -> Array:
-    """Return max |C w| over a box of wrenches, each output's own, shape (6,), m and rad."""
+    """Return max |C w| over a box of wrenches, each output's own, shape (6 i,), m and rad."""
     ends = np.stack([compliance * low, compliance * high])
     most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
     return np.maximum(np.abs(most), np.abs(least))
@@ -76,7 +83,7 @@ def deflection_warnings(
     if deflection is None:
         return []
     moved, problems = np.array(deflection), []
-    degrees = float(np.degrees(np.linalg.norm(moved[3:])))
+    degrees = float(np.degrees(largest_rotation(moved)))
     if degrees > MOST_DEGREES:
         message = (
             f"turns the interface by {degrees:.3g} degrees at the full range, linearly: more than "
@@ -86,11 +93,12 @@ def deflection_warnings(
     limit = component.bundle.tolerance
     if limit is None:
         return problems
+    both = each_interface(moved)
     allowed = np.repeat([limit.translation, limit.rotation], 3)
-    free = np.array([name not in component.locked for name in FREEDOMS])
-    if free.any() and (moved <= allowed)[free].all():
+    free = component.active
+    if free.size and (both <= allowed).ravel()[free].all():
         message = (
-            f"moves the interface by {moved[:3].max():.2g} m and {moved[3:].max():.2g} rad at "
+            f"moves the interface by {both[:, :3].max():.2g} m and {both[:, 3:].max():.2g} rad at "
             f"most, less than the tolerance: the part is rigid for its users. {_UNITS}"
         )
         problems.append(BundleProblem("range", message))
@@ -134,8 +142,8 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     -------
     vibration
         ``mass`` (kg, of the component; None without any density), ``first_frequency`` (Hz),
-        ``motion`` of the interface (6 numbers, m and rad, of length one), ``riding_mass`` (kg);
-        empty where neither the bundle nor the argument tells a mass, or no frequency was found.
+        ``motion`` of the interfaces (6 numbers each, m and rad, of length one), ``riding_mass``
+        (kg); empty where neither bundle nor argument tells a mass, or no frequency was found.
     warnings
         Why not, or that some materials count as weightless.
     """
@@ -160,3 +168,40 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
         "riding_mass": carried.mass,
     }
     return result, warnings
+
+
+def sag_per_gravity(solver: Solver) -> Array:
+    """Return the interface's displacement by gravity, (6, 3), m and rad over m/s^2, first order.
+
+    By reciprocity: the work of the weight on the fields of the unit loads. Gravity is in the
+    interface frame; materials without a density weigh nothing.
+    """
+    masses = nodal_masses(solver.component, solver.body)
+    return np.einsum("n,nji->ij", masses, solver.linear.fields)
+
+
+def weight_warnings(solver: Solver) -> list[BundleProblem]:
+    """Return a warning where own weight without ``gravity`` moves more than the tolerance."""
+    component = solver.component
+    limit = component.bundle.tolerance
+    known = all(one.density is not None for one in component.materials)
+    if component.analysis.gravity is not None or limit is None or not known:
+        return []
+    by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver)
+    moved, turned = (np.linalg.svd(half)[1][0] for half in (by_gravity[:3], by_gravity[3:]))
+    if moved <= limit.translation and turned <= limit.rotation:
+        return []
+    down = np.linalg.svd(by_gravity[:3])[2][0] @ component.axes
+    message = (
+        f"is not given: own weight at 9.81 m/s^2 moves the interface by up to {moved:.2g} m and "
+        f"{turned:.2g} rad, with {_shown(down)} m/s^2 in the mesh's axes, more than the "
+        "tolerance; answers leave it out. If the part hangs in one direction, write it: "
+        "gravity = [0, 0, -9.81] under [analysis]"
+    )
+    return [BundleProblem("analysis.gravity", message)]
+
+
+def _shown(direction: Array) -> str:
+    largest = np.abs(direction).argmax()
+    down = -np.sign(direction[largest]) * direction * _STANDARD_GRAVITY
+    return "[" + ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6)) + "]"

@@ -2,9 +2,11 @@
 
 A coupling adds a few unknowns, the *border*, to the body's free nodes: the interface displacement
 (and multipliers). The body's stiffness stays sparse and positive definite; the border is eliminated
-last, by its Schur complement, which is also where the 6x6 tangent compliance comes from.
+last, by its Schur complement, which is also where the tangent compliance comes from, 6x6 an
+interface.
 
-All vectors are in the undeformed interface frame, its origin at the interface point.
+The body is in the undeformed frame of the first interface, its origin at that interface's point;
+each interface's displacement and wrench are in its own.
 """
 
 from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling

@@ -1,14 +1,30 @@
-"""The base class of the couplings, the state that they move and the border that they add."""
+"""The coupling of all interfaces, the state that it moves and the border that it adds."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from wrenchbook.fea.spec.schema import FREEDOMS
+
 Array = np.ndarray
+
+PER_INTERFACE = len(FREEDOMS)
+"""Freedoms of one interface: three translations, then a rotation vector."""
+
+
+def each_interface(vector: Array) -> Array:
+    """Return displacements or wrenches, shape (6 i,), by interface: (i, 6), in their units."""
+    return vector.reshape(-1, PER_INTERFACE)
+
+
+def largest_rotation(displacement: Array) -> float:
+    """Return the largest rotation, rad, among displacements of shape (6 i,), m and rad."""
+    return float(max(np.linalg.norm(own[3:]) for own in each_interface(displacement)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,10 +36,10 @@ class CoupledState:
     nodes
         Shape (n, 3), m: nodal displacements.
     interface
-        Shape (6,), m and rad: translation and rotation vector of the interface.
+        Shape (6 i,), m and rad: translation and rotation vector of each of the i interfaces.
     multipliers
-        Shape (6,), N and N/m: a distributed coupling's; node i feels w_i (l + m x b_i). Zero in a
-        rigid one.
+        Shape (6 i,), N and N/m: a distributed coupling's; node i feels w_i (l + m x b_i). Zero in a
+        rigid one. Those of bushings follow, then the bushings' motions, six each, m and rad.
     """
 
     nodes: Array
@@ -54,40 +70,165 @@ class Border(NamedTuple):
     block: Array
 
 
-class Coupling(ABC):
-    """Base class of the couplings.
+class SectionCoupling(ABC):
+    """How one interface holds its section: the base class of `Rigid` and `Distributed`.
 
-    Parameters
-    ----------
-    points
-        Shape (n, 3), m, measured from the interface point.
-    nodes
-        Shape (k,): the section's nodes.
-    active
-        Shape (k,), int64: indices of the interface freedoms that are not locked, ascending.
+    All is in the interface's own frame, from its point: `places` of the section's nodes, (s, 3), m,
+    undeformed. States, forces and fields are those of these nodes alone; the border is six
+    freedoms, locked ones too, and the `multipliers`.
     """
 
     multipliers = 0
-    """Number of multipliers; the border unknowns are the active freedoms and these."""
 
-    def __init__(self, points: Array, nodes: Array, active: Array) -> None:
+    def __init__(self, places: Array) -> None:
+        self.places = places
+
+    def placed(self, interface: Array) -> Array | None:
+        """Return where an interface at (6,), m and rad, puts the nodes, (s, 3), m; or None."""
+        return None
+
+    @abstractmethod
+    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
+        """Return what the coupling adds to the nodes, and what is out of balance in the border.
+
+        Internal forces have shape (s, 3), N, the wrench (6,), N and N·m; the results (s, 3), N, and
+        (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
+        """
+
+    @abstractmethod
+    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
+        """Return how the border joins the body's tangent.
+
+        Internal forces have shape (s, 3), N, the wrench (6,), N and N·m.
+        """
+
+    @abstractmethod
+    def wrench_columns(self, state: CoupledState) -> Array:
+        """Return minus the derivative of the border's residual by the wrench.
+
+        Shape (6 + multipliers, 6), dimensionless; rows of constraints are zero.
+        """
+
+
+class _Seat(NamedTuple):
+    """One section's place in the body and in the border.
+
+    `turn` times a vector of the body is the interface's, None if equal; `freedoms` are those of
+    this interface among all; `chosen` are the unknowns among the section's own border, and `border`
+    where they are in the whole one. `spring` is a bushing's stiffness, (6, 6); it has no wrench.
+    """
+
+    section: SectionCoupling
+    nodes: Array
+    turn: Array | None
+    freedoms: slice
+    chosen: Array
+    border: Array
+    spring: Array | None
+
+    def inwards(self, field: Array) -> Array:
+        """Take a nodal field (n, 3) of the body to the section: (s, 3), in its interface's axes."""
+        own = field[self.nodes]
+        return own if self.turn is None else own @ self.turn.T
+
+    def outwards(self, field: Array) -> Array:
+        """Turn a field of the section, (s, 3) or (s, 3, k), into the body's axes."""
+        if self.turn is None:
+            return field
+        return np.einsum("ji,sj...->si...", self.turn, field)
+
+
+class Coupling:
+    """Interfaces and bushings: one border of their freedoms, of anchors, and of multipliers.
+
+    Nodes and forces are in the body's frame, each interface's displacement and wrench in its own.
+    A bushing moves by q, translation and rotation vector, and stores q^T K q / 2: its force, and
+    the moment that works on the rotation vector, are K q, and K is its tangent at any rotation.
+    A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
+    border moves all components, leave one that has.
+
+    Parameters
+    ----------
+    size
+        Number of the body's nodes.
+    sections
+        For each interface its coupling, its section's nodes, shape (s,), and its axes in those of
+        the body, shape (3, 3), a row each; None where they are the same. No two share a node.
+    active
+        Shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
+    anchors
+        Shape (a,), int64: nodes that are in no rigid section.
+    springs
+        The last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
+
+    Attributes
+    ----------
+    freedoms, motions, border
+        How many: 6 i of i interfaces; unknowns of the border that move something; all of them, the
+        multipliers last.
+    """
+
+    def __init__(
+        self,
+        size: int,
+        sections: Sequence[tuple[SectionCoupling, Array, Array | None]],
+        active: Array,
+        anchors: Array,
+        springs: Sequence[Array] = (),
+    ) -> None:
         self.active = active
-        self.border = len(active) + self.multipliers
-        self._size = len(points)
-        self._nodes = nodes
+        self._sprung = PER_INTERFACE * len(springs)
+        self.freedoms = PER_INTERFACE * len(sections) - self._sprung
+        self._moving = active = np.append(active, self.freedoms + np.arange(self._sprung))
+        self.motions = len(active) + 3 * len(anchors)
+        self._anchors = anchors
+        self._anchored = np.arange(len(active), self.motions)
+        self._size = size
+        self._seats: list[_Seat] = []
+        forced = [np.empty(0, dtype=int)]
+        self.border = self.motions
+        spring_of = [*[None] * (len(sections) - len(springs)), *springs]
+        for number, (section, nodes, turn) in enumerate(sections):
+            first = PER_INTERFACE * number
+            own = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
+            more = np.arange(section.multipliers)
+            chosen = np.concatenate([active[own] - first, PER_INTERFACE + more])
+            border = np.concatenate([own, self.border + more])
+            freedoms = slice(first, first + PER_INTERFACE)
+            spring = spring_of[number]
+            self._seats.append(_Seat(section, nodes, turn, freedoms, chosen, border, spring))
+            forced.append(first + more)
+            self.border += len(more)
+        self._forced = np.concatenate(forced)
 
     @property
     def tied(self) -> Array:
-        """Nodes that follow the interface and are no unknowns, shape (k,), int64, indices."""
-        return self._nodes[:0]
+        """Nodes that follow an interface and are no unknowns, shape (k,), int64, indices."""
+        still = np.zeros(PER_INTERFACE)
+        found = [seat.nodes for seat in self._seats if seat.section.placed(still) is not None]
+        return np.concatenate([self._anchors, *found])
 
     def start(self) -> CoupledState:
         """Return the undeformed state."""
-        return CoupledState(np.zeros((self._size, 3)), np.zeros(6), np.zeros(6))
+        further = np.zeros(self.freedoms + 2 * self._sprung)
+        return CoupledState(np.zeros((self._size, 3)), np.zeros(self.freedoms), further)
 
-    @abstractmethod
+    def spring_energy(self, state: CoupledState) -> float:
+        """Return the energy of the bushings' springs, J."""
+        parts = [(seat.spring, own.interface) for seat, own in self._parts(state)]
+        return float(sum(0.5 * q @ spring @ q for spring, q in parts if spring is not None))
+
+    def spring_energies(self, border: Array) -> Array:
+        """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
+        total = np.zeros((border.shape[1],) * 2)
+        for seat in self._seats:
+            if seat.spring is not None:
+                motions = border[seat.border[:PER_INTERFACE]]
+                total += motions.T @ seat.spring @ motions
+        return total
+
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
-        """Return the state after a correction.
+        """Return the state after a correction; rigid sections are placed exactly.
 
         Parameters
         ----------
@@ -98,8 +239,18 @@ class Coupling(ABC):
         border
             Shape (border,): that of the interface freedoms, m and rad, and multipliers, N and N/m.
         """
+        motions, multipliers = self._unknowns(state)
+        motions[self._moving] += border[: len(self._moving)]
+        multipliers[self._forced] += border[self.motions :]
+        placed = state.nodes + nodes
+        placed[self._anchors] += border[self._anchored].reshape(-1, 3)
+        for seat in self._seats:
+            own = seat.section.placed(motions[seat.freedoms])
+            if own is not None:
+                placed[seat.nodes] = seat.outwards(own)
+        interface, sprung = np.split(motions, [self.freedoms])
+        return CoupledState(placed, interface, np.append(multipliers, sprung))
 
-    @abstractmethod
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what is out of balance.
 
@@ -110,7 +261,7 @@ class Coupling(ABC):
         forces
             Shape (n, 3), N: internal nodal forces in it.
         wrench
-            Shape (6,), N and N·m.
+            Shape (6 i,), N and N·m.
 
         Returns
         -------
@@ -119,8 +270,17 @@ class Coupling(ABC):
         border
             Shape (border,): N and N·m for interface freedoms, m and m^2 for constraints.
         """
+        nodal, border = forces.copy(), np.zeros(self.border)
+        loads = np.append(wrench, np.zeros(self._sprung))
+        for seat, own in self._parts(state):
+            added, rest = seat.section.residual(own, seat.inwards(forces), loads[seat.freedoms])
+            nodal[seat.nodes] += seat.outwards(added)
+            if seat.spring is not None:
+                rest[:PER_INTERFACE] += seat.spring @ own.interface
+            border[seat.border] = rest[seat.chosen]
+        border[self._anchored] = nodal[self._anchors].ravel()
+        return nodal, border
 
-    @abstractmethod
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return how the border joins the body's tangent.
 
@@ -131,21 +291,53 @@ class Coupling(ABC):
         forces
             Shape (n, 3), N: internal nodal forces in it.
         wrench
-            Shape (6,), N and N·m.
+            Shape (6 i,), N and N·m.
         """
+        # Field by field in memory, as the factorisation takes them.
+        ties, columns = np.moveaxis(np.zeros((2, self.border, self._size, 3)), 1, 3)
+        block = np.zeros((self.border, self.border))
+        loads = np.append(wrench, np.zeros(self._sprung))
+        for seat, own in self._parts(state):
+            found = seat.section.bordered(own, seat.inwards(forces), loads[seat.freedoms])
+            if seat.spring is not None:
+                found.block[:PER_INTERFACE, :PER_INTERFACE] += seat.spring
+            at = np.ix_(seat.nodes, np.arange(3), seat.border)
+            ties[at] = seat.outwards(found.ties[:, :, seat.chosen])
+            columns[at] = seat.outwards(found.columns[:, :, seat.chosen])
+            block[np.ix_(seat.border, seat.border)] = found.block[np.ix_(seat.chosen, seat.chosen)]
+        pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
+        block[self._anchored] += pushed
+        block[:, self._anchored] += pushed.T
+        ties[self._anchors[:, None], np.arange(3), self._anchored.reshape(-1, 3)] = 1.0
+        return Border(ties, columns, block)
 
-    @abstractmethod
     def wrench_columns(self, state: CoupledState) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
 
-        Shape (border, 6), dimensionless; rows of constraints are zero.
+        Shape (border, 6 i), dimensionless; rows of constraints are zero.
         """
+        columns = np.zeros((self.border, self.freedoms))
+        for seat, own in self._parts(state):
+            if seat.spring is None:
+                columns[seat.border, seat.freedoms] = seat.section.wrench_columns(own)[seat.chosen]
+        return columns
 
     def displacement_rows(self, border: Array) -> Array:
-        """Pick the interface displacement out of border unknowns: (border, k) -> (6, k).
+        """Pick the interface displacements out of border unknowns: (border, k) -> (6 i, k).
 
         In m and rad, or both over the unit of a load; locked freedoms are zero.
         """
-        rows = np.zeros((6, border.shape[1]))
+        rows = np.zeros((self.freedoms, border.shape[1]))
         rows[self.active] = border[: len(self.active)]
         return rows
+
+    def _parts(self, state: CoupledState) -> Iterator[tuple[_Seat, CoupledState]]:
+        motions, multipliers = self._unknowns(state)
+        for seat in self._seats:
+            own = seat.freedoms
+            yield seat, CoupledState(seat.inwards(state.nodes), motions[own], multipliers[own])
+
+    def _unknowns(self, state: CoupledState) -> tuple[Array, Array]:
+        """Return copies of the motions and multipliers of interfaces and bushings, six of each."""
+        multipliers, sprung = np.split(state.multipliers, [self.freedoms + self._sprung])
+        return np.append(state.interface, sprung), multipliers.copy()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE, Border, CoupledState, SectionCoupling
 from wrenchbook.fea.coupling.rotation import (
     rotation_less_identity,
     skew,
@@ -15,7 +15,7 @@ from wrenchbook.fea.coupling.rotation import (
 Array = np.ndarray
 
 
-class Distributed(Coupling):
+class Distributed(SectionCoupling):
     """Weighted mean translation and rotation of the section; the wrench is spread conjugately.
 
     With weights w_i of sum 1, section centre c, rho_i = x_i - c (undeformed), b_i = R rho_i:
@@ -28,92 +28,63 @@ class Distributed(Coupling):
 
     Parameters
     ----------
-    points
-        Shape (n, 3), m, measured from the interface point.
-    nodes
-        Shape (k,): the section's nodes.
+    places
+        Shape (s, 3), m: the section's nodes, from the interface point.
     weights
-        Shape (k,): area weights, of any scale.
-    active
-        Indices of the interface freedoms that are not locked.
+        Shape (s,): area weights, of any scale.
     """
 
-    multipliers = 6
+    multipliers = PER_INTERFACE
 
-    def __init__(self, points: Array, nodes: Array, weights: Array, active: Array) -> None:
-        super().__init__(points, nodes, active)
+    def __init__(self, places: Array, weights: Array) -> None:
+        super().__init__(places)
         self._weights = weights / weights.sum()
-        self._places = points[nodes]
-        self._centre = self._weights @ self._places
-        self._arms = self._places - self._centre
-
-    def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
-        """Return the state after a correction of nodes, shape (n, 3), m, and border.
-
-        The border's correction has shape (border,): m and rad, then the multipliers' N and N/m.
-        """
-        interface = state.interface.copy()
-        interface[self.active] += border[:-6]
-        return CoupledState(state.nodes + nodes, interface, state.multipliers + border[-6:])
+        self._centre = self._weights @ places
+        self._arms = places - self._centre
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what is out of balance under forces (n, 3), N, and a wrench (6,), N and N·m.
+        """Return what the multipliers push, and what is out of balance under a wrench (6,).
 
-        Shape (n, 3), N, at the nodes; shape (border,) in the interface freedoms, N and N·m, and in
+        Shape (s, 3), N, at the nodes; shape (12,) in the interface freedoms, N and N·m, and in
         the six constraints, m and m^2.
         """
         own = _Turned(self, state)
-        nodes = forces.copy()
-        nodes[self._nodes] += self._weights[:, None] * (own.force + np.cross(own.moment, own.arms))
-        border = np.concatenate(
-            [
-                -own.force - wrench[:3],
-                own.spin.T @ (own.carried_moment() - wrench[3:]),
-            ]
-        )
-        moved = state.nodes[self._nodes]
-        gaps = np.concatenate(
-            [
-                self._weights @ moved
-                - state.interface[:3]
-                - rotation_less_identity(state.interface[3:]) @ self._centre,
-                self._weights @ np.cross(own.arms, own.places),
-            ]
-        )
-        return nodes, np.concatenate([border[self.active], gaps])
+        nodal = self._weights[:, None] * (own.force + np.cross(own.moment, own.arms))
+        turning = own.spin.T @ (own.carried_moment() - wrench[3:])
+        gaps = [
+            self._weights @ state.nodes
+            - state.interface[:3]
+            - rotation_less_identity(state.interface[3:]) @ self._centre,
+            self._weights @ np.cross(own.arms, own.places),
+        ]
+        return nodal, np.concatenate([-own.force - wrench[:3], turning, *gaps])
 
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return the derivatives of the residual by the border; nothing is tied.
 
-        Forces have shape (n, 3), N, the wrench shape (6,), N and N·m.
+        Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
         """
         own = _Turned(self, state)
         weighted_arms = self._weights[:, None, None] * skew(own.arms)
-        columns = np.zeros((self._size, 3, 12))
-        columns[self._nodes, :, 3:6] = -skew(own.moment) @ weighted_arms @ own.spin
-        columns[self._nodes, :, 6:9] = self._weights[:, None, None] * np.eye(3)
-        columns[self._nodes, :, 9:] = -weighted_arms
-        block = np.zeros((12, 12))
+        columns = np.zeros((len(self.places), 3, 2 * PER_INTERFACE))
+        columns[:, :, 3:6] = -skew(own.moment) @ weighted_arms @ own.spin
+        columns[:, :, 6:9] = self._weights[:, None, None] * np.eye(3)
+        columns[:, :, 9:] = -weighted_arms
+        block = np.zeros((2 * PER_INTERFACE, 2 * PER_INTERFACE))
         self._fill(block, own)
         excess = own.carried_moment() - wrench[3:]
         block[3:6, 3:6] += spin_slope(state.interface[3:], excess)
-        chosen = self._chosen
-        columns = columns[:, :, chosen]
-        return Border(np.zeros_like(columns), columns, block[np.ix_(chosen, chosen)])
+        return Border(np.zeros_like(columns), columns, block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
 
-        Shape (border, 6), dimensionless; the rows of the six constraints are zero.
+        Shape (12, 6), dimensionless; the rows of the six constraints are zero.
         """
-        columns = np.zeros((12, 6))
+        columns = np.zeros((2 * PER_INTERFACE, PER_INTERFACE))
         columns[:3, :3] = np.eye(3)
         columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T
-        return columns[self._chosen]
-
-    @property
-    def _chosen(self) -> Array:
-        return np.concatenate([self.active, np.arange(6, 12)])
+        return columns
 
     def _fill(self, block: Array, own: _Turned) -> None:
         """Write the border's own derivatives, less those of the spin itself."""
@@ -141,7 +112,7 @@ class _Turned:
         self.spin = spin_per_vector(state.interface[3:])
         self.arms = coupling._arms + coupling._arms @ R_minus_I.T
         self.centre = coupling._centre + R_minus_I @ coupling._centre
-        self.places = coupling._places + state.nodes[coupling._nodes]
+        self.places = coupling.places + state.nodes
         self.weights = coupling._weights
         self.force, self.moment = state.multipliers[:3], state.multipliers[3:]
 

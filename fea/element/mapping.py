@@ -24,10 +24,13 @@ class Gradients:
         Shape (cells, points, 3, nodes), 1/m: dN_a/dX_J at each quadrature point.
     weights
         Shape (cells, points), m^3: the volume that each point stands for.
+    values
+        Shape (points, nodes), dimensionless: the shape functions at the quadrature points.
     """
 
     slopes: Array
     weights: Array
+    values: Array
 
 
 def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradients:
@@ -54,7 +57,7 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     _require_unfolded(points, block)
     inverse = np.linalg.inv(jacobian)
     slopes = inverse.transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)
-    return Gradients(np.ascontiguousarray(slopes), determinant * element.weights)
+    return Gradients(np.ascontiguousarray(slopes), determinant * element.weights, element.values)
 
 
 def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:

@@ -2,9 +2,10 @@
 
 ``python -m wrenchbook.fea.export.calculix BUNDLE > plate.inp`` prints it.
 
-The deck is complete: mesh, materials, supports, a rigid interface and one step that takes the
-wrench from $FX $FY $FZ $MX $MY $MZ. It is the start of a ``[deck]`` that an expert then goes on
-with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx`` ships.
+The deck is complete: mesh, materials, supports, rigid interfaces and one step that takes the
+wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on. It
+is the start of a ``[deck]`` that an expert then goes on with (contact, plasticity, bolts), and the
+example that ``data/components/plate_ccx`` ships.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
-from wrenchbook.fea.component import ComponentModel, build
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
@@ -31,6 +32,7 @@ PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
+_ROUNDOFF = 1e-12  # of a direction's component
 _PER_LINE = 10  # CalculiX reads at most 16 numbers a line
 
 # The increments are halved by CalculiX where they are too large. Its default tolerance leaves up to
@@ -50,7 +52,7 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
 
     Its global axes are the interface frame's, so the wrench and the motion need no turning. The
     printed motion is that of the sets REF (translation) and ROT (rotation vector), as the reader
-    "calculix-dat" takes it.
+    "calculix-dat" takes it; of an interface with a name REF_NAME and ROT_NAME.
 
     Parameters
     ----------
@@ -63,7 +65,7 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
     ------
     BundleError
         If CalculiX has no counterpart: a distributed coupling, whose mean motion it does not
-        report, or cells it has no element for.
+        report, interfaces of different axes, or cells it has no element for.
     """
     _require_counterparts(component)
     lines = [*(f"** {comment}" for comment in comments), *_body(component), *_step(component)]
@@ -72,12 +74,20 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
 
 def _require_counterparts(component: ComponentModel) -> None:
     problems = []
-    if component.coupling != "rigid":
-        message = (
-            f'CalculiX does not report the motion of a "{component.coupling}" coupling; write the '
-            'deck of the component with coupling = "rigid"'
-        )
-        problems.append(BundleProblem("interface.coupling", message))
+    for one in component.interfaces:
+        if one.coupling != "rigid":
+            message = (
+                f'CalculiX does not report the motion of a "{one.coupling}" coupling; write the '
+                'deck of the component with coupling = "rigid"'
+            )
+            problems.append(BundleProblem(f"{one.key}.coupling", message))
+        if not np.array_equal(one.axes, component.axes):
+            message = "a deck has one frame; give every interface the axes of the first"
+            problems.append(BundleProblem(f"{one.key}.axes", message))
+    for one, _ in component.bushings:
+        if one.coupling != "rigid":
+            message = 'a deck has no spring on a mean motion; write it with coupling = "rigid"'
+            problems.append(BundleProblem(f"{one.key}.coupling", message))
     for block in component.mesh.blocks:
         if block.kind not in _ELEMENTS:
             known = ", ".join(_ELEMENTS)
@@ -90,29 +100,83 @@ def _require_counterparts(component: ComponentModel) -> None:
 def _body(component: ComponentModel) -> Iterator[str]:
     """Yield everything above the step."""
     points = component.mesh.points @ component.axes.T
-    place = _numbers(component.axes @ component.point)
-    ref, rot = len(points) + 1, len(points) + 2
     yield "*NODE, NSET=ALL"
     yield from (f"{i}, {_numbers(point)}" for i, point in enumerate(points, start=1))
-    yield f"*NODE, NSET=REF\n{ref}, {place}"
-    yield f"*NODE, NSET=ROT\n{rot}, {place}"
+    for i, one in enumerate(component.interfaces):
+        place = _numbers(component.axes @ one.point)
+        yield f"*NODE, NSET={_set('REF', one)}\n{len(points) + 2 * i + 1}, {place}"
+        yield f"*NODE, NSET={_set('ROT', one)}\n{len(points) + 2 * i + 2}, {place}"
     yield from _elements(component)
     for i, material in enumerate(component.materials):
         yield f"*MATERIAL, NAME=M{i}"
         yield from _elasticity(material, component.analysis.nonlinear)
+        if component.analysis.gravity is not None and material.density is not None:
+            yield f"*DENSITY\n{_numbers([material.density])}"
         place = ""
         if material.orthotropic is not None:
             yield from _orientation(i, material.orthotropic, component.axes)
             place = f", ORIENTATION=O{i}"
         yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
-    yield "*NSET, NSET=FIXED"
-    yield from _rows(component.fixed_nodes + 1)
-    yield "*NSET, NSET=SECTION"
-    yield from _rows(component.section.node_ids + 1)
-    yield f"*RIGID BODY, NSET=SECTION, REF NODE={ref}, ROT NODE={rot}"
-    yield "*BOUNDARY\nFIXED, 1, 3"
-    for name in component.locked:
-        yield f"{_place(name)}, {_axis(name)}"
+    if component.fixed_nodes.size:
+        yield "*NSET, NSET=FIXED"
+        yield from _rows(component.fixed_nodes + 1)
+    yield from _sliding(component)
+    yield from _bushings(component)
+    for i, one in enumerate(component.interfaces):
+        ref = len(points) + 2 * i + 1
+        yield f"*NSET, NSET={_set('SECTION', one)}"
+        yield from _rows(one.section.node_ids + 1)
+        yield f"*RIGID BODY, NSET={_set('SECTION', one)}, REF NODE={ref}, ROT NODE={ref + 1}"
+    yield "*BOUNDARY"
+    if component.fixed_nodes.size:
+        yield "FIXED, 1, 3"
+    for one in component.interfaces:
+        yield from (f"{_place(name, one)}, {_axis(name)}" for name in one.locked)
+
+
+def _set(kind: str, interface: AttachedInterface) -> str:
+    return f"{kind}_{interface.name}".upper() if interface.name else kind
+
+
+def _bushings(component: ComponentModel) -> Iterator[str]:
+    """Yield each bushing as a rigid body, and a spring for each eigenvector of its stiffness.
+
+    The spring is on a node of its own, whose displacement is that combination of the six freedoms.
+    """
+    node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
+    element = sum(len(block) for block in component.mesh.blocks) + 1
+    for i, (own, stiffness) in enumerate(component.bushings):
+        ref, place = node, _numbers(component.axes @ own.point)
+        yield f"*NODE\n{ref}, {place}\n{ref + 1}, {place}\n*NSET, NSET=BUSHING{i}"
+        yield from _rows(own.section.node_ids + 1)
+        yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={ref}, ROT NODE={ref + 1}"
+        node += 2
+        turn = np.kron(np.eye(2), own.axes @ component.axes.T)
+        sizes, motions = np.linalg.eigh(stiffness)
+        for size, motion in zip(sizes, motions.T, strict=True):
+            if size <= 0:
+                continue
+            terms = [(ref + j // 3, j % 3 + 1, x) for j, x in enumerate(motion @ turn)]
+            terms = [term for term in terms if abs(term[2]) > _ROUNDOFF]
+            words = [f"{at}, {axis}, {_numbers([x])}" for at, axis, x in [(node, 1, -1.0), *terms]]
+            yield f"*NODE\n{node}, {place}\n*BOUNDARY\n{node}, 2, 3\n*EQUATION\n{len(words)}"
+            yield from (", ".join(words[j : j + 4]) for j in range(0, len(words), 4))
+            yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
+            yield f"*SPRING, ELSET=K{element}\n1\n{_numbers([size])}"
+            node, element = node + 1, element + 1
+
+
+def _sliding(component: ComponentModel) -> Iterator[str]:
+    """Yield what holds sliding nodes: a boundary condition along an axis, or an equation."""
+    nodes, held = component.sliding
+    for node, own in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
+        first = np.argsort(-np.diagonal(own))[: round(np.trace(own))]  # a dependent one each
+        rows = np.linalg.solve(own[np.ix_(first, first)], own[first])
+        for axis, row in zip(first, rows, strict=True):
+            others = [i for i in range(3) if i not in first and abs(row[i]) > _ROUNDOFF]
+            words = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
+            equation = f"*EQUATION\n{len(words)}\n" + ", ".join(words)
+            yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
 
 
 def _elasticity(material: Material, nonlinear: bool) -> Iterator[str]:
@@ -155,17 +219,32 @@ def _element(block: CellBlock, component: ComponentModel) -> str:
 
 def _step(component: ComponentModel) -> Iterator[str]:
     yield from _NONLINEAR if component.analysis.nonlinear else _LINEAR
+    if component.analysis.gravity is not None:
+        yield "*DLOAD"
+        pull = component.axes @ np.array(component.analysis.gravity)
+        size = float(np.linalg.norm(pull))
+        used = {int(i) for block in component.material_of_cells for i in np.unique(block)}
+        yield from (f"E{i}, GRAV, {_numbers([size, *(pull / size)])}" for i in sorted(used))
     yield "*CLOAD"
-    for name, placeholder in zip(FREEDOMS, PLACEHOLDERS, strict=True):
-        if name in component.locked:
-            yield f"** {placeholder} acts on a freedom that is held"
-        else:
-            yield f"{_place(name)}, {_axis(name)}, {placeholder}"
-    yield from ["*NODE PRINT, NSET=REF", "U", "*NODE PRINT, NSET=ROT", "U", "*END STEP"]
+    for one in component.interfaces:
+        for name, placeholder in zip(FREEDOMS, placeholders(one.name), strict=True):
+            if name in one.locked:
+                yield f"** {placeholder} acts on a freedom that is held"
+            else:
+                yield f"{_place(name, one)}, {_axis(name)}, {placeholder}"
+    for one in component.interfaces:
+        for kind in ("REF", "ROT"):
+            yield from [f"*NODE PRINT, NSET={_set(kind, one)}", "U"]
+    yield "*END STEP"
 
 
-def _place(freedom: str) -> str:
-    return "REF" if freedom.startswith("u") else "ROT"
+def placeholders(name: str) -> tuple[str, ...]:
+    """Return where the wrench of an interface goes, its name empty if it is the only one."""
+    return tuple(f"${name}.{word[1:]}" if name else word for word in PLACEHOLDERS)
+
+
+def _place(freedom: str, interface: AttachedInterface) -> str:
+    return _set("REF" if freedom.startswith("u") else "ROT", interface)
 
 
 def _axis(freedom: str) -> int:

@@ -75,7 +75,8 @@ def write_state(path: Path, component: ComponentModel, displacements: Array) -> 
         If the file cannot be written.
     """
     mesh = component.mesh
-    marks = {"supported": component.fixed_nodes, "interface": component.section.node_ids}
+    sections = np.concatenate([one.section.node_ids for one in component.interfaces])
+    marks = {"supported": component.supported_nodes, "interface": sections}
     point_data: dict[str, Any] = {"displacement": displacements}
     for name, nodes in marks.items():
         point_data[name] = np.zeros(len(mesh.points), dtype=np.int8)

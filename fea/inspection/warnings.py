@@ -72,20 +72,22 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Bundl
 
 def place_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on where the section and the supports are."""
-    mesh, section = component.mesh, component.section
-    problems = []
-    if not section.by_area:
-        message = (
-            "is a bare set of nodes that bounds no face, so every node counts the same; name a "
-            "facet group, or all nodes of the face, for area weights"
-        )
-        problems.append(BundleProblem("interface.section", message))
+    mesh, constrained = component.mesh, component.fixed_nodes
     surface = outer_surface(mesh.blocks).node_ids
-    inside = np.setdiff1d(section.node_ids, surface)
-    if inside.size:
-        message = f"{inside.size} of its nodes are inside the body, not on its surface"
-        problems.append(BundleProblem("interface.section", message))
-    constrained = np.union1d(component.fixed_nodes, section.node_ids)
+    problems = []
+    for one in component.interfaces:
+        section, key = one.section, f"{one.key}.section"
+        if not section.by_area:
+            message = (
+                "is a bare set of nodes that bounds no face, so every node counts the same; name "
+                "a facet group, or all nodes of the face, for area weights"
+            )
+            problems.append(BundleProblem(key, message))
+        inside = np.setdiff1d(section.node_ids, surface)
+        if inside.size:
+            message = f"{inside.size} of its nodes are inside the body, not on its surface"
+            problems.append(BundleProblem(key, message))
+        constrained = np.union1d(constrained, section.node_ids)
     between = sum(int(np.isin(block.nodes, constrained).all(axis=1).sum()) for block in mesh.blocks)
     if between:
         message = (
@@ -98,14 +100,17 @@ def place_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 def support_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return a warning if the supports hold single nodes only, which answer to mesh size."""
-    surface = outer_surface(component.mesh.blocks)
-    if facets_within(surface, component.fixed_nodes).blocks:
+    surface, nodes = outer_surface(component.mesh.blocks), component.supported_nodes
+    if not nodes.size:  # an interface is held in their place
+        return []
+    if facets_within(surface, nodes).blocks:
         return []
     message = (
-        f"holds {len(component.fixed_nodes)} nodes and no whole face: elastic bodies give way "
+        f"holds {len(nodes)} nodes and no whole face: elastic bodies give way "
         "without limit at points, so the answer depends on the mesh size; fix faces"
     )
-    return [BundleProblem("supports.fixed", message)]
+    only_fixed = len(nodes) == len(component.fixed_nodes)
+    return [BundleProblem("supports.fixed" if only_fixed else "supports", message)]
 
 
 def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
@@ -121,14 +126,17 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
             problems.append(BundleProblem(f"material[{number}].youngs_modulus", message))
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
-    away = component.point - np.clip(component.point, low_corner, high_corner)
-    lever, size = float(np.linalg.norm(away)), float(np.linalg.norm(high_corner - low_corner))
-    if lever > _LONGEST_LEVER * size:
+    size = float(np.linalg.norm(high_corner - low_corner))
+    for one in component.interfaces:
+        away = one.point - np.clip(one.point, low_corner, high_corner)
+        lever = float(np.linalg.norm(away))
+        if lever <= _LONGEST_LEVER * size:
+            continue
         message = (
             f"is {lever:.4g} m away from a mesh {size:.4g} m large; if it was meant in the "
             "mesh's unit, write it in m"
         )
-        problems.append(BundleProblem("interface.point", message))
+        problems.append(BundleProblem(f"{one.key}.point", message))
     return problems
 
 

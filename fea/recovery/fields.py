@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.equivalent_stress import von_mises
-from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress
+from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress, stress_of
 from wrenchbook.fea.recovery.surface import surface_of
 from wrenchbook.fea.solution import Solution
 
@@ -21,7 +21,7 @@ MOST_POINTS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class SolveFields:
-    """Surface and stresses of one solve, in the undeformed interface frame from its point.
+    """Surface and stresses of one solve, in the undeformed frame of the first interface.
 
     Attributes
     ----------
@@ -32,14 +32,16 @@ class SolveFields:
     whole_vertices
         Of the outer surface before it was simplified.
     displacement, displacement_slopes
-        Shapes (v, 3), m, and (v, 3, 6), m/N and m/(N·m): its change with the wrench.
+        Shapes (v, 3), m, and (v, 3, 6 i), m/N and m/(N·m): its change with the wrench.
     stress, stress_slopes
-        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, 6), Pa/N and Pa/(N·m);
+        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, 6 i), Pa/N and Pa/(N·m);
         p = 0 where there are more points than `MOST_POINTS`.
     places, materials
         Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`.
     regions
         The materials' regions.
+    weight
+        Whether the component's own weight acts.
     largest, largest_at, largest_region
         The largest von Mises stress over all integration points, Pa, its place, m, and region.
     """
@@ -58,6 +60,7 @@ class SolveFields:
     largest: float
     largest_at: tuple[float, float, float]
     largest_region: str
+    weight: bool = False
 
 
 def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
@@ -70,8 +73,8 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     solution
         With its `tangents`.
     """
-    linear = not component.analysis.nonlinear
-    axes = component.axes
+    linear, axes = not component.analysis.nonlinear, component.axes
+    hangs = component.analysis.gravity is not None
     nodes = solution.nodes @ axes.T
     assert solution.tangents is not None
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
@@ -79,7 +82,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     kept = slice(None) if len(places) <= MOST_POINTS else slice(0)
     if linear:
         changes = small_stress(body, slopes)
-        stress = changes @ solution.wrench
+        stress = stress_of(component, body, solution) if hangs else changes @ solution.wrench
     else:
         # Changes that nobody keeps are not made: they take six times the stresses.
         fields = slopes if kept.stop is None else slopes[:, :, :0]
@@ -96,11 +99,12 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         displacement=nodes[surface.nodes],
         displacement_slopes=slopes[surface.nodes],
         stress=stress[kept],
-        stress_slopes=changes[kept] if kept.stop is None else np.empty((0, 6, 6)),
+        stress_slopes=changes[kept] if kept.stop is None else changes[:0],
         places=places[kept],
         materials=materials[kept],
         regions=regions,
         largest=float(equivalent[worst]),
         largest_at=(float(places[worst, 0]), float(places[worst, 1]), float(places[worst, 2])),
         largest_region=regions[int(materials[worst])],
+        weight=hangs,
     )

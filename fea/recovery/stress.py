@@ -1,4 +1,4 @@
-"""Stresses at the solver's integration points, in the interface frame."""
+"""Stresses at the solver's integration points, in the first interface's frame."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ def cauchy_stress(body: ElasticBody, displacement: Array, tangents: Array) -> tu
     displacement
         Shape (n, 3), m.
     tangents
-        Shape (n, 3, 6): its change with the wrench, m/N and m/(N·m).
+        Shape (n, 3, 6 i): its change with the wrenches, m/N and m/(N·m).
 
     Returns
     -------
     stresses
         Shape (p, 6), Pa: xx, yy, zz, xy, xz, yz.
     changes
-        Shape (p, 6, 6), Pa/N and Pa/(N·m).
+        Shape (p, 6, 6 i), Pa/N and Pa/(N·m).
     """
     stresses, changes = [], []
     for part, nodes in zip(body.parts, body.cells, strict=True):

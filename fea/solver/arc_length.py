@@ -67,7 +67,7 @@ class ArcPath:
     system
         The equations.
     direction
-        Shape (6,): the load per unit of the size.
+        Shape (6 i,): the load per unit of the size.
     whole
         The size of the full load.
     start

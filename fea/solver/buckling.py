@@ -43,7 +43,7 @@ def buckling_factors(system: System, fields: Array) -> tuple[float, float]:
     matrix = geometric_stiffness(system.body, fields)
     if not matrix.count_nonzero():
         return np.inf, np.inf
-    stressed = Inertia(system, -matrix, np.zeros((6, 6)))
+    stressed = Inertia(system, -matrix, np.zeros((system.coupling.freedoms,) * 2))
     values = _extremes(stressed)
     return _factor(values.max()), _factor(-values.min())
 

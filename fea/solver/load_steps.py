@@ -8,7 +8,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.coupling import CoupledState
+from wrenchbook.fea.coupling.coupling import CoupledState, each_interface
 from wrenchbook.fea.coupling.rotation import rotation, rotation_vector
 from wrenchbook.fea.failure import (
     SolveFailed,
@@ -62,9 +62,11 @@ class LoadPath:
     system
         The equations.
     wrench
-        Shape (6,), N and N·m; not zero.
+        Shape (6 i,), N and N·m, of i interfaces; not zero.
     progress
         Called with the fraction done and a message.
+    rest
+        The equilibrium at no wrench, under the component's own weight (`hang`); None without.
 
     Attributes
     ----------
@@ -74,7 +76,13 @@ class LoadPath:
         External work so far, J.
     """
 
-    def __init__(self, system: System, wrench: Array, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        system: System,
+        wrench: Array,
+        progress: Progress | None = None,
+        rest: Equilibrium | None = None,
+    ) -> None:
         self._system = system
         self._wrench = wrench
         self._size = float(np.abs(wrench).max())
@@ -84,8 +92,8 @@ class LoadPath:
         self.work = 0.0
         self._factor = 0.0
         self._step = FIRST_STEP
-        self._balance = system.balance_at_rest
-        self._tangent = system.undeformed
+        self._balance = system.balance_at_rest if rest is None else rest.balance
+        self._tangent = system.undeformed if rest is None else rest.tangent
 
     def follow(
         self, check: Callable[[Balance], None], guess: CoupledState | None = None
@@ -240,9 +248,12 @@ class LoadPath:
 
     def _advance(self, found: Equilibrium) -> float:
         """Advance in a step, conjugate to the wrench: translation and spin along its direction."""
-        before, after = self._balance.state.interface, found.balance.state.interface
-        spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
-        return float(self._direction @ np.concatenate([(after - before)[:3], spin]))
+        ends = (self._balance.state.interface, found.balance.state.interface)
+        advance: list[Array] = []
+        for before, after in zip(*(each_interface(end) for end in ends), strict=True):
+            spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
+            advance += [(after - before)[:3], spin]
+        return float(self._direction @ np.concatenate(advance))
 
     def _reporter(self, target: float) -> Report:
         def report(iteration: int, norm: float) -> None:
@@ -252,3 +263,35 @@ class LoadPath:
                 self._progress(done, f"load factor {target:.2f}, iteration {iteration}")
 
         return report
+
+
+def hang(system: System) -> Equilibrium:
+    """Return the equilibrium under the component's own weight and no wrench.
+
+    The whole weight is tried at once; where that fails it grows in 2, 4, .. up to 32 equal steps.
+
+    Raises
+    ------
+    SolveFailed
+        ``snap_through``: no stable equilibrium was found.
+    """
+    assert system.weight is not None
+    count = 1
+    while count <= 1 / _LEAST_STEP:
+        try:
+            return _hang_in(system, system.weight, count)
+        except Stuck:
+            count *= 2
+    raise snap_through("Under its own weight alone no stable equilibrium was found.")
+
+
+def _hang_in(system: System, weight: Array, count: int) -> Equilibrium:
+    """Return the equilibrium under a weight (n, 3), N, that grows in `count` equal steps."""
+    found = Equilibrium(system.balance_at_rest, system.undeformed, 0)
+    for number in range(1, count + 1):
+        part = System(system.body, system.coupling, weight=weight * (number / count))
+        start = part.balance(found.balance.state, np.zeros_like(found.balance.state.interface))
+        found = find_equilibrium(part, start, found.tangent, lambda iteration, norm: None)
+        if found.balance.least_stretch <= 0 or not found.tangent.stable:
+            raise Stuck("the state under the weight is unstable")
+    return found

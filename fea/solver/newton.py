@@ -9,6 +9,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.coupling.coupling import largest_rotation
 
 Array = np.ndarray
 
@@ -211,7 +212,7 @@ def _require_near(change: Array, border: Array, extent: float) -> None:
 def _require_sane(balance: Balance) -> None:
     if not np.isfinite(balance.norm):
         raise Stuck("the iteration ran away to forces that are not finite")
-    if np.linalg.norm(balance.state.interface[3:]) > _FAR_ROTATION:
+    if largest_rotation(balance.state.interface) > _FAR_ROTATION:
         raise Stuck("the iteration turned the interface by more than 115 degrees")
 
 

@@ -11,6 +11,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from wrenchbook.fea.assembly.linearisation import contract
 from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.coupling.rotation import skew
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
@@ -85,7 +86,7 @@ class Riding:
     def matrix(self) -> Array:
         """The mass matrix about the interface point, shape (6, 6): kg, kg·m and kg·m^2."""
         arm = skew(self.centre)
-        whole = np.zeros((6, 6))
+        whole = np.zeros((PER_INTERFACE, PER_INTERFACE))
         whole[:3, :3] = self.mass * np.eye(3)
         whole[:3, 3:] = -self.mass * arm
         whole[3:, :3] = self.mass * arm
@@ -104,7 +105,7 @@ class Vibration:
     frequency
         Hz.
     interface
-        Shape (6,): the motion of the interface in it, m and rad, of length one.
+        Shape (6 i,): the motion of the i interfaces in it, m and rad, of length one.
     """
 
     mass: float
@@ -131,60 +132,76 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     Raises
     ------
     ValueError
-        If nothing has a mass, or what has one cannot move: locked freedoms hold it.
+        If nothing has a mass, or what has one cannot move: locked freedoms hold it; or if a mass
+        stands on one of several interfaces.
     SolveFailed
         ``mechanism`` or ``ill_conditioned``.
     """
-    interface_mass = np.zeros((6, 6))
-    active = system.coupling.active
-    interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
+    active, count = system.coupling.active, system.coupling.freedoms
+    interface_mass = np.zeros((count, count))
+    if count == PER_INTERFACE:
+        interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
+    elif riding.matrix.any():
+        raise ValueError("a mass on one of several interfaces is not there yet; leave it out")
     inertia = Inertia(system, mass, interface_mass)
     own = float(mass.sum())
     x = _lowest(inertia) if mass.nnz else _massless(inertia)
     fields, interface = inertia.fields(x)
     stiffness = system.body.strain_energy_products(fields[:, :, None])[0, 0]
+    stiffness += system.coupling.spring_energies(inertia.border(x))[0, 0]
     square = stiffness / float(x @ inertia.times(x))
     return Vibration(own, float(np.sqrt(square) / (2 * np.pi)), _directed(interface))
 
 
 class Inertia:
-    """The mass matrix over free nodes and active interface freedoms, and K^-1."""
+    """The mass matrix over free nodes, active interface freedoms and anchors, and K^-1.
+
+    `first` is where the interface freedoms begin among the `size` unknowns.
+    """
 
     def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
         self._mass, self.interface_mass = mass, interface_mass
         self._start = system.undeformed
         self.active = system.coupling.active
         self._free = np.flatnonzero(system.body.free)
+        self._movable = system.body.movable
         self._nodes = system.body.size
-        self._ties = self._start.border.ties[:, :, : self.active.size]
-        self._multipliers = system.coupling.border - self.active.size
-        self.size = 3 * self._free.size + self.active.size
+        self._motions = system.coupling.motions
+        self._ties = self._start.border.ties[:, :, : self._motions]
+        self._multipliers = system.coupling.border - self._motions
+        self.first = 3 * self._free.size
+        self.size = self.first + self._motions
 
     def fields(self, x: Array) -> tuple[Array, Array]:
-        """Return all nodes' motion (n, 3), m, and the interface's (6,), m and rad."""
-        border = x[3 * self._free.size :]
+        """Return all nodes' motion (n, 3), m, and the interfaces' (6 i,), m and rad."""
+        border = x[self.first :]
         nodes = self._ties @ border
-        nodes[self._free] += x[: 3 * self._free.size].reshape(-1, 3)
-        interface = np.zeros(6)
-        interface[self.active] = border
+        moved = np.zeros_like(nodes)
+        moved[self._free] = x[: self.first].reshape(-1, 3)
+        nodes += self._movable.released(moved)
+        interface = np.zeros(len(self.interface_mass))
+        interface[self.active] = border[: self.active.size]
         return nodes, interface
+
+    def border(self, x: Array) -> Array:
+        """Return the whole border's motion, shape (border, 1); its multipliers are zero."""
+        return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
 
     def times(self, x: Array) -> Array:
         """Multiply by the mass matrix: shape (size,) to (size,), kg times the unit given."""
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
         border = contract(self._ties, forces[:, :, None])[:, 0]
-        border += (self.interface_mass @ interface)[self.active]
-        return np.concatenate([forces[self._free].ravel(), border])
+        border[: self.active.size] += (self.interface_mass @ interface)[self.active]
+        return np.concatenate([self._movable.released(forces)[self._free].ravel(), border])
 
     def solved(self, loads: Array) -> Array:
         """Return K^-1 times loads: shape (size,), N and N·m, to (size,), m and rad."""
         loads = np.asarray(loads).reshape(-1)
         nodal = np.zeros((self._nodes, 3, 1))
-        nodal[self._free, :, 0] = loads[: 3 * self._free.size].reshape(-1, 3)
-        border = np.append(loads[3 * self._free.size :], np.zeros(self._multipliers))
-        nodes, moved = self._start.solve(nodal, border[:, None])
-        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self.active.size, 0]])
+        nodal[self._free, :, 0] = loads[: self.first].reshape(-1, 3)
+        nodes, moved = self._start.solve(nodal, self.border(loads))
+        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self._motions, 0]])
 
 
 class _Applied(LinearOperator):
@@ -213,10 +230,11 @@ def _massless(inertia: Inertia) -> Array:
     With C = L L^T the largest eigenvalue of L^T M L is 1 / omega^2.
     """
     count = inertia.active.size
+    own = slice(inertia.first, inertia.first + count)
     units = np.zeros((count, inertia.size))
-    units[:, -count:] = np.eye(count)
+    units[:, own] = np.eye(count)
     moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
-    compliance = moved[-count:]
+    compliance = moved[own]
     lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
     carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
     values, motions = np.linalg.eigh(lower.T @ carried @ lower)

@@ -36,7 +36,7 @@ class WarmFolder:
     fingerprint
         The component's; files of other fingerprints are not looked at.
     scale
-        Shape (6,), N and N·m: wrenches are near or far in units of it.
+        Shape (6 i,), N and N·m, of i interfaces: wrenches are near or far in units of it.
     """
 
     def __init__(self, folder: Path, fingerprint: str, scale: Array) -> None:
@@ -50,7 +50,7 @@ class WarmFolder:
         Parameters
         ----------
         wrench
-            Shape (6,), N and N·m.
+            Shape (6 i,), N and N·m.
         points
             Number of points of the mesh.
         """
@@ -60,7 +60,7 @@ class WarmFolder:
         for distance, path in sorted(kept, key=lambda pair: pair[0]):
             if distance > limit:
                 return None
-            state = _read_state(path, points)
+            state = _read_state(path, points, self._scale.shape)
             if state is not None:
                 return state
         return None
@@ -97,18 +97,18 @@ class WarmFolder:
                 np.load(raw, allow_pickle=False) as file,
             ):
                 wrench = file["wrench"]
-                if wrench.shape == (6,) and np.isfinite(wrench).all():
+                if wrench.shape == self._scale.shape and np.isfinite(wrench).all():
                     yield path, wrench
 
 
-def _read_state(path: Path, points: int) -> CoupledState | None:
+def _read_state(path: Path, points: int, loads: tuple[int, ...]) -> CoupledState | None:
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             state = CoupledState(file["nodes"], file["interface"], file["multipliers"])
     except _UNREADABLE:
         return None
     arrays = tuple(vars(state).values())
-    if [a.shape for a in arrays] != [(points, 3), (6,), (6,)]:
+    if [a.shape for a in arrays[:2]] != [(points, 3), loads] or state.multipliers.ndim != 1:
         return None
     sound = all(a.dtype == float and np.isfinite(a).all() for a in arrays)
     return state if sound else None

@@ -13,7 +13,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from wrenchbook.fea.spec.schema import Analysis, Deck, Interface, Material, MeshSource, Supports
+from wrenchbook.fea.spec.schema import (
+    Analysis,
+    Bushing,
+    Deck,
+    Interface,
+    Material,
+    MeshSource,
+    Supports,
+)
 
 DIGITS = 16
 
@@ -43,6 +51,14 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         "analysis": _analysis(parts["analysis"]),
         "deck": _deck(parts["deck"]),
     }
+    if parts["others"]:
+        content["interface"] = [
+            {"name": one.name, "is": _interface(one)}
+            for one in (parts["interface"], *parts["others"])
+        ]
+    if parts["analysis"].gravity is not None:
+        densities = sorted((one.region, one.density) for one in parts["materials"])
+        content["weight"] = {"gravity": parts["analysis"].gravity, "densities": densities}
     if parts["analysis"].nonlinear and parts["mesh"] is not None and parts["deck"] is None:
         content["solver"] = NONLINEAR_SOLVER
     # json writes floats by repr, so equal numbers give equal text and different ones do not.
@@ -64,7 +80,7 @@ def _mesh(source: MeshSource | None) -> object:
 
 
 def _material(material: Material) -> list[object]:
-    # Neither density nor yield strength: no static displacement depends on them.
+    # No yield strength: no displacement depends on it. Densities: with the gravity only.
     content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
         content.append(material.law)
@@ -74,7 +90,17 @@ def _material(material: Material) -> list[object]:
 
 
 def _supports(supports: Supports | None) -> object:
-    return None if supports is None else sorted(supports.fixed)
+    if supports is None or not (supports.sliding or supports.bushings):
+        return None if supports is None else sorted(supports.fixed)
+    return {
+        "fixed": sorted(supports.fixed),
+        "sliding": sorted([own.group, own.directions.tolist()] for own in supports.sliding),
+        "bushings": sorted(map(_bushing, supports.bushings), key=json.dumps),
+    }
+
+
+def _bushing(bushing: Bushing) -> list[object]:
+    return [_interface(bushing.hold), bushing.stiffness.tolist()]
 
 
 def _interface(interface: Interface | None) -> object:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,8 @@ COUPLINGS = ("rigid", "distributed")
 MOMENTS = ("spatial", "conjugate")
 INTEGRATIONS = ("reduced", "full")
 LAWS = ("isotropic", "orthotropic", "neo-hookean")
+
+_MOST_LOADS = 18  # of three interfaces: 2^18 corners of 18 loads are 38 MB
 
 UNITS: Mapping[str, float] = {
     "m": 1.0,
@@ -120,7 +124,7 @@ class Material:
         Between -1 and 0.5, both excluded; of an orthotropic material that of the nearest isotropic
         one, which tells cells that would lock.
     density
-        kg/m^3; None where the bundle does not give it. It changes no static answer.
+        kg/m^3; None where the bundle does not give it. Static answers depend on it under gravity.
     yield_strength
         Pa, compared with the von Mises stress; None where the bundle does not give it.
     law
@@ -138,19 +142,25 @@ class Material:
     orthotropic: Orthotropic | None = None
 
 
-@dataclass(frozen=True)
-class Supports:
-    """The facet or node groups whose nodes do not move."""
+@dataclass(frozen=True, eq=False)
+class Sliding:
+    """A facet or node group that does not move along some directions.
 
-    fixed: tuple[str, ...]
+    `directions` has shape (d, 3): unit vectors in the mesh's axes.
+    """
+
+    group: str
+    directions: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Interface:
-    """The section where the rigid side is attached.
+    """A section where a rigid side is attached.
 
     Attributes
     ----------
+    name
+        Empty where it is the component's only one.
     section
         A facet group or node group.
     point
@@ -168,14 +178,50 @@ class Interface:
     axes: Array
     coupling: str
     locked: tuple[str, ...] = ()
+    name: str = ""
+
+    @property
+    def held(self) -> bool:
+        """Whether it does not move: the others' displacements are relative to it."""
+        return self.locked == FREEDOMS
+
+
+@dataclass(frozen=True, eq=False)
+class Bushing:
+    """A group on an elastic spring to the ground.
+
+    Attributes
+    ----------
+    hold
+        The group as a section, with the point and the axes of the spring.
+    stiffness
+        Shape (6, 6), symmetric and positive semidefinite: N/m, N/rad and N·m/rad over translation
+        and rotation vector.
+    """
+
+    hold: Interface
+    stiffness: Array
+
+
+@dataclass(frozen=True)
+class Supports:
+    """The groups whose nodes do not move, those that slide, and those on springs."""
+
+    fixed: tuple[str, ...] = ()
+    sliding: tuple[Sliding, ...] = ()
+    bushings: tuple[Bushing, ...] = ()
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """How to solve: geometrically nonlinear or not, and the integration of hex20 cells."""
+    """How to solve: geometrically nonlinear or not, the integration of hex20 cells, own weight.
+
+    `gravity` is the acceleration of gravity in the mesh's axes, m/s^2; None for no weight.
+    """
 
     nonlinear: bool = True
     integration: str = "reduced"
+    gravity: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,11 +231,24 @@ class DeclaredRange:
     Attributes
     ----------
     low, high
-        Each of shape (6,), N and N·m.
+        Each of shape (6 i,), N and N·m, of i interfaces; zero for one that is held.
     """
 
     low: Array
     high: Array
+
+    def corners(self) -> Array:
+        """Return the corners of the range, shape (k, 6 i), N and N·m.
+
+        Raises
+        ------
+        ValueError
+            If there are more than 2^18: three interfaces have so many.
+        """
+        ends = [tuple(dict.fromkeys(pair)) for pair in zip(self.low, self.high, strict=True)]
+        if math.prod(len(pair) for pair in ends) > 2**_MOST_LOADS:
+            raise ValueError(f"a range of more than {_MOST_LOADS} loads has too many corners")
+        return np.array(list(product(*ends)))
 
 
 @dataclass(frozen=True)
@@ -242,6 +301,8 @@ class Bundle:
     ----------
     fingerprint
         16 hexadecimal digits over everything that can change an answer.
+    interface, others
+        The interface, or the first of several, and the others in their order.
     """
 
     folder: Path
@@ -256,6 +317,12 @@ class Bundle:
     tolerance: DeclaredTolerance | None
     deck: Deck | None
     fingerprint: str
+    others: tuple[Interface, ...] = ()
+
+    @property
+    def interfaces(self) -> tuple[Interface, ...]:
+        """All interfaces, in the order of their loads and displacements."""
+        return () if self.interface is None else (self.interface, *self.others)
 
     @property
     def has_fea(self) -> bool:

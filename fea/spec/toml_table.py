@@ -48,6 +48,10 @@ class Keys:
     def __iter__(self) -> Iterator[str]:
         return iter(self._table)
 
+    def is_array(self, key: str) -> bool:
+        """Return whether `key` is an array, as ``[[key]]`` makes it."""
+        return isinstance(self._table.get(key), list)
+
     def path(self, key: str) -> str:
         """Return the full path of `key`, as problems name it."""
         return f"{self.where}.{key}" if self.where else key

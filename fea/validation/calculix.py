@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.coupling.coupling import each_interface
 from wrenchbook.fea.coupling.rotation import spin_per_vector
-from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
+from wrenchbook.fea.export.calculix import deck_of, placeholders
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.validation.finding import Finding
 
@@ -34,7 +35,7 @@ class CalculixResult(NamedTuple):
     Attributes
     ----------
     displacement
-        Shape (6,), m and rad: of the interface.
+        Shape (6 i,), m and rad: of the i interfaces.
     seconds
         Wall time.
     """
@@ -63,10 +64,10 @@ def solve_rigid(
     part
         In any analysis; CalculiX follows it.
     wrench
-        Shape (6,), N and N·m.
+        Shape (6 i,), N and N·m.
     rotation
-        The rotation vector that the answer will have, shape (3,), rad: CalculiX takes the moment
-        that works on the rotation vector, m = J_left(rotation)^-T M. None where it is small.
+        The rotation vectors that the answer will have, shape (i, 3) or (3,), rad: CalculiX takes
+        the moment that works on one, m = J_left(rotation)^T M. None where they are small.
     tight
         Nonlinear: converge to 1e-7 instead of CalculiX's default, which leaves up to 5e-3 in small
         rotations.
@@ -80,13 +81,17 @@ def solve_rigid(
     """
     loads = np.array(wrench, dtype=float)
     if rotation is not None:
-        loads[3:] = spin_per_vector(rotation).T @ loads[3:]
-    deck = deck_of(part)
-    for placeholder, load in zip(PLACEHOLDERS, loads, strict=True):
-        deck = deck.replace(placeholder, f"{load:.12e}")
+        for own, turn in zip(each_interface(loads), np.atleast_2d(rotation), strict=True):
+            own[3:] = spin_per_vector(turn).T @ own[3:]
+    deck, places = deck_of(part), [one.name for one in part.interfaces]
+    for name, own in zip(places, each_interface(loads), strict=True):
+        for placeholder, load in zip(placeholders(name), own, strict=True):
+            deck = deck.replace(placeholder, f"{load:.12e}")
     rows, seconds = _run(deck if tight else deck.replace(_TIGHT, ""), timeout)
-    count = len(part.mesh.points)
-    return CalculixResult(np.array(rows[count + 1] + rows[count + 2]), seconds)
+    first = len(part.mesh.points) + 1
+    return CalculixResult(
+        np.concatenate([rows[first + i] for i in range(2 * len(places))]), seconds
+    )
 
 
 def solve_distributed(
@@ -120,7 +125,7 @@ def _with_loads(part: ComponentModel, loads: Array) -> str:
     linear = replace(part.analysis, nonlinear=False)
     deck = deck_of(replace(part, coupling="rigid", analysis=linear))
     above = deck[: deck.index("*CLOAD")].splitlines()
-    lines = [line for line in above if not line.startswith("*RIGID BODY")]
+    lines = [line for line in above if not line.startswith("*RIGID BODY, NSET=SECTION")]
     lines.append("*CLOAD")
     for node, load in zip(part.section.node_ids + 1, loads, strict=True):
         lines += [f"{node}, {i + 1}, {load[i]:.12e}" for i in range(3)]

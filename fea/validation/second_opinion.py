@@ -107,7 +107,7 @@ def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIM
             reply = calculix.solve_distributed(part, loads, timeout=timeout)
     except SolveFailed as error:
         return Opinion(loads, tolerance=tolerance, failed=f"not solved: {error}")
-    except (RuntimeError, subprocess.TimeoutExpired) as error:
+    except (BundleError, RuntimeError, subprocess.TimeoutExpired) as error:
         return Opinion(loads, tolerance=tolerance, failed=str(error))
     return Opinion(
         loads,
@@ -218,6 +218,9 @@ def _made_ready(
     if bundle.deck is not None:
         message = "answers in place of the embedded solver, so there is nothing to compare with"
         raise BundleError([BundleProblem("deck", message)])
+    if bundle.others:
+        message = "comparisons of several interfaces are not there yet"
+        raise BundleError([BundleProblem("interface", message)])
     part, notes = comparable(build(bundle))
     wrenches = chosen_wrenches(part, texts)
     deck_of(replace(part, coupling="rigid"))  # what CalculiX has no counterpart of, before a solve

@@ -147,8 +147,13 @@ class DeformedSurfaces:
             geometry = self._geometry(component, row)
         except DamagedFieldsError as error:
             raise NoFieldsError(component, str(error)) from error
-        moved = row.displacement_slopes @ wrench
-        stress = largest_stress(component, geometry, row.stress_slopes @ wrench, 0.0)
+        moved, stresses = row.displacement_slopes @ wrench, row.stress_slopes @ wrench
+        if row.meta.get("weight"):
+            solved = np.array(row.meta["wrench"])
+            moved += row.displacement - row.displacement_slopes @ solved
+            if len(stresses):
+                stresses += row.stress - row.stress_slopes @ solved
+        stress = largest_stress(component, geometry, stresses, 0.0)
         return Deformed(
             component=component.name,
             wrench=tuple(wrench.tolist()),

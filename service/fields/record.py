@@ -58,7 +58,8 @@ class RowFields(NamedTuple):
     stress, stress_slopes
         Shapes (p, 6), Pa, and (p, 6, 6), Pa/N and Pa/(N·m).
     meta
-        ``wrench``, ``linear``, ``geometry`` (its digest), ``largest``, ``at``, ``region``.
+        ``wrench``, ``linear``, ``geometry`` (its digest), ``largest``, ``at``, ``region``;
+        ``weight`` (true) where the fields at zero load are those of the component's own weight.
     """
 
     displacement: Array
@@ -114,6 +115,8 @@ def _row_file(wrench: tuple[float, ...], fields: Any, geometry: str) -> bytes:
         "at": list(fields.largest_at),
         "region": fields.largest_region,
     }
+    if fields.weight:
+        meta["weight"] = True
     slopes = FINE if fields.linear else SLOPES
     return pack(
         meta,

@@ -24,7 +24,7 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.build import COMPILERS
 from wrenchbook.surrogate.kernel.build import FLAGS as KERNEL_FLAGS
 from wrenchbook.surrogate.kernel.build import sources as kernel_sources
-from wrenchbook.surrogate.table.rows import OUTPUTS
+from wrenchbook.surrogate.table.space import OUTPUTS
 
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 LOAD_UNITS = ("N",) * 3 + ("N.m",) * 3

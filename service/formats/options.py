@@ -100,7 +100,7 @@ class Options:
     def from_json(cls, values: Mapping[str, Any]) -> Options:
         """Return options from the result of `as_json`."""
         span = values["load_range"]
-        arrays = {"load_range": LoadRange(*map(np.array, span)) if span else None}
+        arrays = {"load_range": LoadRange(np.array(span[0]), np.array(span[1])) if span else None}
         return cls(**{**values, "ignore": tuple(values["ignore"]), **arrays})
 
 

@@ -40,7 +40,8 @@ from wrenchbook.service.http.parsing import (
 )
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.sandbox import MIB, Limits, Part, run
-from wrenchbook.surrogate.table.rows import LOADS, Tolerance
+from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.space import LOADS
 
 # A million wrenches as Python's lists and numbers are 400 MB, next to the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)

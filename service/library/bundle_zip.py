@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from wrenchbook.fea.bundle.read import BundleError, BundleProblem, read_bundle
+from wrenchbook.fea.bundle.read import Bundle, BundleError, BundleProblem, read_bundle
 from wrenchbook.service.sandbox import Part
 from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
 
@@ -51,12 +51,19 @@ def unpacked(archive: Path, target: str) -> Iterator[Part]:
         folder = extract(archive, Path(target))
         _refuse_links(folder)
         bundle = read_bundle(folder)
+        require_one_interface(bundle)
     except BundleError as error:
         problems = [[one.where, one.message] for one in error.problems[:MOST_PROBLEMS]]
         yield Part({"problems": problems})
     else:
         inside = folder.relative_to(target).as_posix()
         yield Part({"problems": [], "folder": inside, "deck": bundle.deck is not None})
+
+
+def require_one_interface(bundle: Bundle) -> None:
+    """Raise a BundleError if the bundle has several interfaces."""
+    if bundle.others:
+        raise one_problem("interface", "tables of several interfaces are not there yet")
 
 
 def checked(folder: Path) -> Iterator[Part]:

@@ -19,6 +19,11 @@ from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.service.contract import MOMENT_POINT
 from wrenchbook.surrogate.table.rows import LoadRange, Tolerance, acting
 
+HANGING = (
+    "relative to the unloaded part without its weight, the geometry of its mesh: at zero load it "
+    "is the sag under gravity"
+)
+
 FileStamp = tuple[tuple[int, int] | None, ...]
 
 
@@ -176,7 +181,8 @@ def interface_of(component: Component) -> dict[str, Any] | None:
     dict
         ``section``, ``point`` (shape (3,), m; None for the section's area centre, until a check has
         found it), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and
-        ``moment``, in words.
+        ``moment``, in words. Of a component under its own weight also ``gravity`` (shape (3,),
+        m/s^2, in the mesh's axes) and ``displacement``, what it is relative to, in words.
     """
     return _interface(component.folder, component.fingerprint)
 
@@ -211,10 +217,12 @@ def vibration_of(folder: Path) -> dict[str, Any] | None:
 @lru_cache(maxsize=256)
 def _interface(folder: Path, _fingerprint: str) -> dict[str, Any] | None:
     """Read once for each fingerprint: reading a bundle hashes its mesh."""
-    interface = read_bundle(folder).interface
+    bundle = read_bundle(folder)
+    interface, gravity = bundle.interface, bundle.analysis.gravity
     if interface is None:
         return None
     point = interface.point
+    own_weight = {"gravity": list(gravity), "displacement": HANGING} if gravity else {}
     return {
         "section": interface.section,
         "point": _report(folder).get("section", {}).get("point")
@@ -224,6 +232,7 @@ def _interface(folder: Path, _fingerprint: str) -> dict[str, Any] | None:
         "coupling": interface.coupling,
         "locked": list(interface.locked),
         "moment": f"about {MOMENT_POINT}",
+        **own_weight,
     }
 
 

@@ -19,7 +19,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.bundle.tables import is_slug
 from wrenchbook.service.files.durable import sync_folder, sync_tree
 from wrenchbook.service.library.arrival import check_mesh, copy_bundle, toml_text, unpack
-from wrenchbook.service.library.bundle_zip import one_problem
+from wrenchbook.service.library.bundle_zip import one_problem, require_one_interface
 from wrenchbook.service.library.component import (
     CHECK_FILE,
     BrokenComponentError,
@@ -303,7 +303,9 @@ class Library:
             self._broken.pop(folder.name, None)
 
     def _register(self, folder: Path, *, shipped: bool) -> Component:
-        component = component_of(read_bundle(folder), shipped=shipped)
+        bundle = read_bundle(folder)
+        require_one_interface(bundle)
+        component = component_of(bundle, shipped=shipped)
         if not shipped:
             self._refuse_other_name(folder, component.name)
         self._put({**self._components, component.name: component})

@@ -18,7 +18,7 @@ from scipy.io import savemat
 
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.tables.served import ServedTable
-from wrenchbook.surrogate.table.rows import OUTPUT_UNITS, OUTPUTS
+from wrenchbook.surrogate.table.space import OUTPUT_UNITS, OUTPUTS
 
 AXES = {"x": (0, 4, 5), "y": (1, 5, 3), "z": (2, 3, 4)}
 GRIDS = (5, 9, 17, 25)

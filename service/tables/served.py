@@ -150,9 +150,9 @@ class ServedTable:
         matrix, half_width, known = (
             self.packed.arrays[f"g0/fit/{name}"] for name in ("matrix", "bar", "known")
         )
-        return ComplianceFit(
-            matrix, known.astype(bool), half_width, self.summary["compliance"]["origin"]
-        )
+        origin = self.summary["compliance"]["origin"]
+        offset = self.packed.arrays.get("g0/fit/offset", np.zeros(6))
+        return ComplianceFit(matrix, known.astype(bool), half_width, origin, offset)
 
     @property
     def steepest(self) -> Floats:

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from ..table.rows import Floats, LoadRange, Rows
+from ..table.space import LOADS, OUTPUTS
 from .finding import RigFinding
 from .response import RobustFit
 

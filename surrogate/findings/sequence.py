@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..table.rows import OUTPUTS, Floats, Rows
+from ..table.rows import Floats, Rows
+from ..table.space import OUTPUTS
 from .finding import RigFinding
 from .response import NORMAL, RobustFit
 

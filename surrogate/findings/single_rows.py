@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..table.rows import OUTPUTS, Floats, LoadRange, Rows
+from ..table.rows import Floats, LoadRange, Rows
+from ..table.space import OUTPUTS
 from .finding import RigFinding
 from .response import NORMAL, RobustFit
 

@@ -118,6 +118,10 @@ static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const
             size += fabs(w[k]) * fabs(row[k]);
             most += t->scale[k] * fabs(row[k]);
         }
+        if (g->fit.offset) {
+            a->outputs[q] += g->fit.offset[q];
+            size += fabs(g->fit.offset[q]);
+        }
         a->error[q] = g->fit.bar[q] + ROUNDING * size;
         a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= ROUNDING * most) << q;
     }
@@ -235,7 +239,8 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
     wb_composed c;
     a->method = wb_method_of(g, o), a->reasons = 0, a->solved = 0;
     if (!g->used) {
-        wb_add_reason(a, g->rows.count ? WB_REASON_ONLY_BEYOND : WB_REASON_EMPTY);
+        int rows = g->rows.count ? WB_REASON_ONLY_BEYOND : WB_REASON_EMPTY;
+        wb_add_reason(a, g->near ? WB_REASON_FEW_ROWS : rows);
         for (int q = 0; q < t->outputs; q++) a->outputs[q] = a->error[q] = NAN;
         a->coverage = WB_OUTSIDE, a->method = WB_ESTIMATE;
         wb_finish(t, g, o, work, w, with_reasons, a);

@@ -46,7 +46,7 @@ typedef struct {
 } wb_cut;
 
 typedef struct {
-    const double *matrix, *bar; /* (m, n); (m) */
+    const double *matrix, *bar, *offset; /* (m, n); (m); (m) or NULL: at zero load */
     const int32_t *known;       /* (n) */
 } wb_fit;
 

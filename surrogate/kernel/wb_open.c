@@ -136,6 +136,8 @@ static void read_solver(reader *r) {
 static void read_fit(reader *r, wb_fit *fit) {
     fit->matrix = doubles(r, "fit/matrix", 2, (int64_t)r->t->outputs, (int64_t)r->t->inputs);
     fit->bar = doubles(r, "fit/bar", 1, (int64_t)r->t->outputs);
+    if (exists(r, "fit/offset"))
+        fit->offset = doubles(r, "fit/offset", 1, (int64_t)r->t->outputs);
     fit->known = ints(r, "fit/known", r->t->inputs);
 }
 

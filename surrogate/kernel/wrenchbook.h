@@ -75,7 +75,8 @@ enum {
     WB_REASON_AXIS_ERRORS_UNKNOWN = 18, /* axis; value: rows left out; limit: least of them */
     WB_REASON_TOO_FAR = 19,         /* value: sigma; limit: largest sigma with known errors */
     WB_REASON_NOT_IN_SCENE = 20,    /* index: input; value: the load; limit: the end passed */
-    WB_REASON_AXIS_TOGETHER = 21    /* axis; value: rows with several loads; limit: rows needed */
+    WB_REASON_AXIS_TOGETHER = 21,   /* axis; value: rows with several loads; limit: rows needed */
+    WB_REASON_FEW_ROWS = 22         /* too few for kriging, and for the compliance */
 };
 
 typedef struct wb_table wb_table;

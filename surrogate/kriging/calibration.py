@@ -21,11 +21,12 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
 from scipy.special import gammaincinv
 
-from ..table.axes import AXES, CLEAN, has_levels
+from ..table.axes import CLEAN, has_levels
 from ..table.rows import Floats, LoadRange
+from ..table.space import Space
 from ..table.spread import spread_wrenches
-from .correlation import LOADS, PLACES, Hyperparameters, block, numbers
-from .equations import OUTPUTS, Equations, Scaling
+from .correlation import Hyperparameters, block, numbers
+from .equations import Equations, Scaling
 from .left_out import left_out
 from .neighbourhood import Neighbourhoods, deviations, local_factor, noise_of
 from .settings import DEFAULTS, KrigingSettings
@@ -88,12 +89,18 @@ class Level(NamedTuple):
         See `left_out.LeftOutRows`.
     sigma : ndarray, shape (k,), process deviations
         As an answer at the row would have it.
+    places : int
+        Values and slopes that a row can bring.
+    outputs : int
+        Of the table, all of which the confidence is for.
     """
 
     groups: Labels
     errors: Floats
     sizes: Floats
     sigma: Floats
+    places: int = 7
+    outputs: int = 6
 
 
 def groupings(places: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[Labels]:
@@ -180,8 +187,9 @@ def _factors(
     size = np.sqrt(np.where(square > 0, square, 1.0))
     scatter = (squares**2).mean(axis=0) / size**4 - 1
     # Values and slopes of a row are up to seven independent numbers; rows of one group are alike.
-    scatter = np.maximum(scatter, 2 / PLACES if count == len(group) else 2.0)
-    widened = _widened(np.maximum(count - coefficients, 1.0), scatter, settings.confidence)
+    scatter = np.maximum(scatter, 2 / level.places if count == len(group) else 2.0)
+    least = np.maximum(count - coefficients, 1.0)
+    widened = _widened(least, scatter, settings.confidence, level.outputs)
     missed = square > 0  # an output of which nothing is missed says nothing of the tail
     columns = missed if missed.any() else np.ones_like(missed)
     tail = _quantile((ratios / size)[:, columns], weights, settings.level)
@@ -193,12 +201,12 @@ def _factors(
     return None if (matter & bad).any() else factors
 
 
-def _widened(groups: float, scatter: Floats, confidence: float) -> Floats:
+def _widened(groups: float, scatter: Floats, confidence: float, outputs: int) -> Floats:
     """Return by how much sizes may be larger than groups show, (q,), at a confidence in all.
 
     The factor of normal tolerance intervals, sqrt(f / chi2_a(f)): with it an interval holds its
     content at confidence 1 - a, the centre being known (Krishnamoorthy and Mathew 2009,
-    "Statistical Tolerance Regions"). a is a sixth of 1 - confidence, for six outputs (Bonferroni).
+    "Statistical Tolerance Regions"). a is 1 - confidence over the number of outputs (Bonferroni).
     f is the degrees of freedom of a chi square whose variance is that of the mean square
     (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven times
     that where values and slopes of single rows are alike, and few where a few groups make most of
@@ -212,7 +220,7 @@ def _widened(groups: float, scatter: Floats, confidence: float) -> Floats:
         Variance of the groups' mean squares over their squared mean.
     """
     freedom = 2 * groups / scatter
-    return np.sqrt(freedom / (2 * gammaincinv(freedom / 2, (1 - confidence) / OUTPUTS)))
+    return np.sqrt(freedom / (2 * gammaincinv(freedom / 2, (1 - confidence) / outputs)))
 
 
 def _quantile(ratios: Floats, weights: Floats, level: float) -> float:
@@ -224,7 +232,9 @@ def _quantile(ratios: Floats, weights: Floats, level: float) -> float:
     return float(flat[order][min(place, len(flat) - 1)])
 
 
-def _typical_places(span: Floats, full: NDArray[np.bool_], settings: KrigingSettings) -> Floats:
+def _typical_places(
+    span: Floats, full: NDArray[np.bool_], space: Space, settings: KrigingSettings
+) -> Floats:
     """Return places like those of queries: spread over the span of rows, (m, 6), half ranges.
 
     Where nearly all rows load one axis each, so do these.
@@ -234,10 +244,10 @@ def _typical_places(span: Floats, full: NDArray[np.bool_], settings: KrigingSett
     # A load that no row varies stays as the rows have it: off that the mean is unsettled.
     still = high - low <= STILL * settings.same
     low, high = np.where(still, (low + high) / 2, [low, high])
-    places = spread_wrenches(LoadRange(low, high), QUERIES)
+    places = spread_wrenches(LoadRange(low, high, space), QUERIES)
     if full.sum() < min(settings.full_rows, len(full) / 2):
-        inputs = [np.isin(np.arange(6), axis.inputs) for axis in AXES]
-        places = places * np.stack(inputs)[np.arange(QUERIES) % len(AXES)]
+        groups = space.kriging_groups[:-1]
+        places = places * groups[np.arange(QUERIES) % len(groups)]
     return places
 
 
@@ -254,9 +264,10 @@ def calibrated(
     own, outputs = equations.take(spread.factor.rows), len(spread.factor.outputs)
     if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
-    at_rest = scaling.loads(np.zeros((1, LOADS)))
+    at_rest = scaling.loads(np.zeros((1, own.x.shape[1])))
     loaded = np.abs(own.x - at_rest) > CLEAN
-    full = ~np.any([~loaded[:, axis.others].any(axis=1) for axis in AXES], axis=0)
+    groups = equations.groups[:-1] > 0  # the last sees all loads
+    full = ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
     # Queries load all axes too, and rows at the corners of one axis err more.
     rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(own))
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
@@ -267,7 +278,7 @@ def calibrated(
         if (level := _level(equations, hyperparameters, spread, table, labels, rows, settings))
         is not None
     )
-    queries = _typical_places(span, full, settings)
+    queries = _typical_places(span, full, scaling.space, settings)
     across = block(queries, equations.x, hyperparameters, slopes_x=False, slopes_v=True)
     sigma = deviations(queries, across.reshape(len(queries), -1), hyperparameters, spread)
     # The mean's coefficients, which all rows settle: these in proportion.
@@ -318,7 +329,7 @@ def _level(
     errors = _of_the_mean(errors, out.variances[known_rows], own_noise)
     by_value = np.abs(errors) / sigma[:, None]
     sizes = np.where((own_noise > 0)[:, None], by_value, out.sizes[known_rows])
-    return Level(labels[known_rows], errors, sizes, sigma)
+    return Level(labels[known_rows], errors, sizes, sigma, *equations.data.shape[1:])
 
 
 def _of_the_mean(errors: Floats, variances: Floats, noise: Floats) -> Floats:

@@ -10,26 +10,18 @@ Slopes are its derivatives by x and by v (Morris, Mitchell and Ylvisaker 1993).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.axes import AXES
 from ..table.rows import Floats
+from ..table.space import DEFAULT
 
 Mask = NDArray[np.bool_]
 
-LOADS = 6
-PLACES = 1 + LOADS  # of one row: its value, then its slope by each load
 PAIRS = 100_000  # of rows at once: differences by each load within some 5 MB, blocks within 40 MB
-
-# Which loads each of the four terms sees: the three axes, then all.
-GROUPS = np.zeros((4, LOADS))
-for _place, _axis in enumerate(AXES):
-    GROUPS[_place, list(_axis.inputs)] = 1.0
-GROUPS[3] = 1.0
 
 
 @dataclass(frozen=True)
@@ -42,20 +34,25 @@ class Hyperparameters:
         One over the squared length of each load, in half ranges.
     weight : float
         Variance of the term of all loads over that of one axis.
+    groups : ndarray, shape (g, n)
+        Which loads each term sees, the last all: see `Space.kriging_groups`.
     """
 
     inverse_squares: Floats
     weight: float
+    groups: Floats = field(default_factory=lambda: DEFAULT.kriging_groups)
 
     @classmethod
-    def of_logarithms(cls, logarithms: Floats) -> Hyperparameters:
-        """Return the hyperparameters of their seven logarithms, shape (7,), dimensionless."""
+    def of_logarithms(
+        cls, logarithms: Floats, groups: Floats = DEFAULT.kriging_groups
+    ) -> Hyperparameters:
+        """Return the hyperparameters of their logarithms, shape (n + 1,), dimensionless."""
         values = np.exp(np.asarray(logarithms, dtype=float))
-        return cls(values[:LOADS], float(values[LOADS]))
+        return cls(values[:-1], float(values[-1]), groups)
 
     @property
     def logarithms(self) -> Floats:
-        """The seven logarithms, shape (7,), dimensionless."""
+        """The logarithms, shape (n + 1,), dimensionless."""
         return np.log(np.append(self.inverse_squares, self.weight))
 
     @property
@@ -64,7 +61,9 @@ class Hyperparameters:
 
         Both are dimensionless.
         """
-        return GROUPS * self.inverse_squares, np.array([1.0, 1.0, 1.0, self.weight])
+        weights = np.ones(len(self.groups))
+        weights[-1] = self.weight
+        return self.groups * self.inverse_squares, weights
 
     @cached_property
     def prior(self) -> Floats:
@@ -95,8 +94,8 @@ def block(
     x: Floats, v: Floats, hyperparameters: Hyperparameters, slopes_x: bool, slopes_v: bool
 ) -> Floats:
     """Return the covariance of rows at x (n, 6) and v (m, 6), shape (n, 1 or 7, m, 1 or 7)."""
-    apart = x[:, None, :] - v[None, :, :]
-    out = np.zeros((len(x), 1 + LOADS * slopes_x, len(v), 1 + LOADS * slopes_v))
+    apart, loads = x[:, None, :] - v[None, :, :], x.shape[1]
+    out = np.zeros((len(x), 1 + loads * slopes_x, len(v), 1 + loads * slopes_v))
     for rates, weight in zip(*hyperparameters.terms, strict=True):
         value, first, second, _ = matern(apart**2 @ rates)
         out[:, 0, :, 0] += weight * value
@@ -127,14 +126,14 @@ def covariance(
         Which of value and slopes each row brings; equations count row by row.
     """
     out = np.empty((int(known_x.sum()), int(known_v.sum())))
-    first_x, first_v = numbers(known_x), numbers(known_v)
+    first_x, first_v, loads = numbers(known_x), numbers(known_v), x.shape[1]
     for slopes_v in (False, True):
         columns = np.flatnonzero(known_v[:, 1:].any(axis=1) == slopes_v)
-        there = known_v[columns, : 1 + LOADS * slopes_v]
+        there = known_v[columns, : 1 + loads * slopes_v]
         for slopes_x in (False, True):
             every = np.flatnonzero(known_x[:, 1:].any(axis=1) == slopes_x)
             for rows in np.array_split(every, 1 + len(every) * len(columns) // PAIRS):
-                here = known_x[rows, : 1 + LOADS * slopes_x]
+                here = known_x[rows, : 1 + loads * slopes_x]
                 if not (here.size and there.size):
                     continue
                 found = block(x[rows], v[columns], hyperparameters, slopes_x, slopes_v)
@@ -154,8 +153,8 @@ def mean_terms(x: Floats, known: Mask) -> Floats:
 
     The scaled loads (n, 6) and the terms are dimensionless.
     """
-    terms = np.zeros((len(x), PLACES, PLACES))
+    terms = np.zeros((len(x), *known.shape[1:] * 2))
     terms[:, 0, 0] = 1.0
     terms[:, 0, 1:] = x
-    terms[:, 1:, 1:] = np.eye(LOADS)
+    terms[:, 1:, 1:] = np.eye(x.shape[1])
     return terms[known]

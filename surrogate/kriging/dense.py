@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from ..table.rows import Floats
 from .calibration import Calibration, calibrated
 from .correlation import (
-    LOADS,
-    PLACES,
     Hyperparameters,
     Mask,
     block,
     covariance,
     mean_terms,
 )
-from .equations import OUTPUTS, Equations, Scaling
+from .equations import Equations, Scaling
 from .factor import KrigingFactor, Share, factorise
 from .left_out import left_out
 from .neighbourhood import Neighbourhoods, deviations, neighbourhoods_of, row_by_row
@@ -73,9 +71,9 @@ class Dense:
         """
         across = block(x, self.equations.x, self.hyperparameters, slopes_x=False, slopes_v=True)
         across = across.reshape(len(x), -1)
-        values = row_by_row(across, self.weights.reshape(-1, OUTPUTS))
+        values = row_by_row(across, self.weights.reshape(-1, self.weights.shape[2]))
         values += self.coefficients[0] + row_by_row(x, self.coefficients[1:])
-        errors, known = np.empty((len(x), OUTPUTS)), np.empty((len(x), OUTPUTS), dtype=bool)
+        errors, known = np.empty_like(values), np.empty(values.shape, dtype=bool)
         for share, found in zip(self.shares, self.calibrations, strict=True):
             sigma, outputs = (
                 deviations(x, across, self.hyperparameters, share),
@@ -91,7 +89,7 @@ class Dense:
         across = block(x, self.equations.x, self.hyperparameters, slopes_x=True, slopes_v=True)[
             :, 1:
         ]
-        slopes = across.reshape(len(x), LOADS, -1) @ self.weights.reshape(-1, OUTPUTS)
+        slopes = across.reshape(*x.shape, -1) @ self.weights.reshape(-1, self.weights.shape[2])
         return (slopes + self.coefficients[1:]).transpose(0, 2, 1)
 
     def sigmas_with(self, pending: Floats, x: Floats) -> Floats:
@@ -100,10 +98,10 @@ class Dense:
         The ratio, below 1, is of the whole factor of the outputs that most rows tell.
         """
         factor = max((share.factor for share in self.shares), key=lambda own: len(own.rows))
-        known = np.zeros((len(pending), PLACES), dtype=bool)
+        known = np.zeros((len(pending), self.equations.places), dtype=bool)
         known[:, 0] = True
         known[:, 1:] = self.equations.known[:, 1:].any(axis=0)
-        value = np.zeros((len(x), PLACES), dtype=bool)
+        value = np.zeros((len(x), self.equations.places), dtype=bool)
         value[:, 0] = True
         new, new_left = self._unexplained(factor, pending, known)
         here, here_left = self._unexplained(factor, x, value)
@@ -146,7 +144,7 @@ def dense(
         factor = factorise(equations, hyperparameters, *share, settings, table)
         spreads.append(neighbourhoods_of(equations, hyperparameters, factor, table, settings))
     weights, coefficients, deviation = _together(equations, [own.factor for own in spreads])
-    errors = np.full((len(equations), OUTPUTS), np.nan)
+    errors = np.full(equations.measured.shape, np.nan)
     for own in spreads:
         alone = left_out(equations, own.factor, np.arange(len(own.factor.rows)))
         errors[np.ix_(own.factor.rows, own.factor.outputs)] = alone.errors
@@ -183,8 +181,9 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
 
 def _together(equations: Equations, factors: list[KrigingFactor]) -> tuple[Floats, Floats, Floats]:
     """Return weights (n, 7, 6), coefficients (7, 6) and process deviations (6,) of all outputs."""
-    weights = np.zeros((len(equations), PLACES, OUTPUTS))
-    coefficients, deviation = np.empty((PLACES, OUTPUTS)), np.empty(OUTPUTS)
+    weights = np.zeros(equations.data.shape)
+    coefficients = np.empty(equations.data.shape[1:])
+    deviation = np.empty(equations.data.shape[2])
     for factor in factors:
         own = equations.known & np.isin(np.arange(len(equations)), factor.rows)[:, None]
         for column, output in enumerate(factor.outputs):

@@ -12,10 +12,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from ..table.rows import Floats, LoadRange, RowError, Rows
-from .correlation import PLACES, Mask
+from ..table.space import Space
+from .correlation import Mask
 from .settings import DEFAULTS, KrigingSettings
-
-OUTPUTS = 6
 
 SOLVED = "fea"  # the source of a row that repeats exactly
 
@@ -56,16 +55,16 @@ def readings_of(rows: Rows, owner: NDArray[np.intp] | None = None) -> Readings:
     stated = present & ((rows.uncertainty > 0) | solved[:, None])
     if owner is None:
         return Readings(np.where(present & ~stated, 1.0, 0.0), np.zeros_like(rows.displacement))
-    size = int(owner.max(initial=-1)) + 1
-    count, stated_count, total, scatter = (np.zeros((size, 6)) for _ in range(4))
+    size, outputs = int(owner.max(initial=-1)) + 1, rows.displacement.shape[1]
+    count, stated_count, total, scatter = (np.zeros((size, outputs)) for _ in range(4))
     value = np.where(present, rows.displacement, 0.0)
-    for output in range(6):
+    for output in range(outputs):
         count[:, output] = np.bincount(owner, present[:, output], size)
         stated_count[:, output] = np.bincount(owner, stated[:, output], size)
         total[:, output] = np.bincount(owner, value[:, output], size)
     mean = (total / np.maximum(count, 1))[owner]
     apart = np.where(present, rows.displacement - mean, 0.0) ** 2
-    for output in range(6):
+    for output in range(outputs):
         scatter[:, output] = np.bincount(owner, apart[:, output], size)
     unstated = stated_count == 0
     return Readings(np.where(unstated, count, 0.0), np.where(unstated, scatter, 0.0))
@@ -93,6 +92,7 @@ class Scaling:
         Mean and standard deviation of each output over the rows; a spread of none is 1.
     silent : ndarray of bool, shape (6,)
         Outputs that vary by rounding only.
+    space : Space
     """
 
     centre: Floats
@@ -101,6 +101,7 @@ class Scaling:
     offset: Floats
     spread: Floats
     silent: Mask
+    space: Space
 
     def loads(self, wrenches: Floats) -> Floats:
         """Return wrenches (n, 6), N and N·m, in half ranges from the centre; inert loads are 0."""
@@ -133,6 +134,8 @@ class Equations:
         Readings of unstated noise whose mean a value is; 0 where noise is stated, or there is none.
     scatter : ndarray, shape (n, 6), spreads squared
         Sum of these readings' squared differences from their mean.
+    groups : ndarray, shape (g, n)
+        Which loads each term of the covariance sees: `Space.kriging_groups`.
     """
 
     x: Floats
@@ -142,9 +145,15 @@ class Equations:
     noise: Floats
     readings: Floats
     scatter: Floats
+    groups: Floats
 
     def __len__(self) -> int:
         return len(self.x)
+
+    @property
+    def places(self) -> int:
+        """Of one row: its value, then its slope by each load."""
+        return self.known.shape[1]
 
     @property
     def count(self) -> int:
@@ -153,7 +162,7 @@ class Equations:
 
     def take(self, which: NDArray[np.intp]) -> Equations:
         """Return the equations of some rows, whose indices have shape (k,)."""
-        return Equations(*(column[which] for column in self._columns))
+        return Equations(*(column[which] for column in self._columns), groups=self.groups)
 
     def with_reading_noise(self, variance: Floats) -> Equations:
         """Return the equations with the noise of readings, whose variance is (6,), dimensionless.
@@ -211,7 +220,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     centre = (load_range.low + load_range.high) / 2
     offset = np.nanmean(rows.displacement, axis=0)
     spread = np.nanstd(rows.displacement, axis=0)
-    largest = np.repeat(spread.reshape(2, 3).max(axis=1), 3)
+    largest = load_range.space.largest_of_kind(spread)
     # An output that nothing moves is judged by its own size, where no other of its kind moves.
     size = np.maximum(largest, np.abs(offset) * settings.rounding)
     silent = spread <= settings.rounding * size
@@ -222,6 +231,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
         offset=offset,
         spread=np.where(spread > 0, spread, 1.0),
         silent=silent,
+        space=load_range.space,
     )
 
 
@@ -254,10 +264,11 @@ def equations_of(
     behind = readings_of(rows) if readings is None else readings
     sloped = _with_slopes(rows)
     measured = np.isfinite(rows.displacement)
-    known = np.zeros((len(rows), PLACES), dtype=bool)
+    loads, outputs = rows.wrench.shape[1], rows.displacement.shape[1]
+    known = np.zeros((len(rows), 1 + loads), dtype=bool)
     known[:, 0] = True
     known[:, 1:] = sloped[:, None] & scaling.active
-    data = np.zeros((len(rows), PLACES, OUTPUTS))
+    data = np.zeros((len(rows), 1 + loads, outputs))
     data[:, 0] = np.where(measured, (rows.displacement - scaling.offset) / scaling.spread, 0.0)
     slopes = rows.compliance * scaling.half / scaling.spread[:, None]
     data[:, 1:] = np.where(known[:, 1:, None], slopes.transpose(0, 2, 1), 0.0)
@@ -271,6 +282,7 @@ def equations_of(
         noise=np.where(behind.number > 0, 0.0, (half_widths / settings.half_width) ** 2),
         readings=behind.number,
         scatter=behind.scatter / scaling.spread**2,
+        groups=scaling.space.kriging_groups,
     )
     return _merged(whole, settings)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..table.rows import Floats
 from .correlation import Hyperparameters
-from .equations import OUTPUTS, Equations, Scaling
+from .equations import Equations, Scaling
 from .factor import Share, factorise, shares_of
 from .likelihood import maximise, maximise_with_noise
 from .reading_noise import reading_noise
@@ -48,7 +48,7 @@ def estimated(
     is one more hyperparameter, first of all outputs together, then of each by itself.
     """
     chosen = equations.take(spread_rows(equations, settings.likelihood_equations))
-    variance, reading = np.ones(OUTPUTS), np.zeros(OUTPUTS)
+    variance, reading = np.ones_like(scaling.spread), np.zeros_like(scaling.spread)
     unstated = bool((chosen.readings > 0).any())
     if unstated:
         bounds = settings.theta_bounds[0], settings.noise_theta_most

@@ -17,7 +17,7 @@ from scipy.linalg.lapack import get_lapack_funcs
 
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance, mean_terms, numbers
-from .equations import OUTPUTS, Equations
+from .equations import Equations
 from .settings import DEFAULTS, KrigingSettings
 
 ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
@@ -53,7 +53,7 @@ def shares_of(
     # Below the nugget noise changes nothing.
     size = np.log(np.maximum(noise, settings.nugget))
     groups: list[list[int]] = []
-    for output in range(OUTPUTS):
+    for output in range(noise.shape[1]):
         for group in groups:
             rows = equations.measured[:, group[0]]
             same = (rows == equations.measured[:, output]).all()

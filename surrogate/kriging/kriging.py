@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..table.rows import Floats, LoadRange, Rows
-from .correlation import LOADS, PLACES, Hyperparameters
+from .correlation import Hyperparameters
 from .dense import Dense, dense
 from .equations import (
-    OUTPUTS,
     Readings,
     Scaling,
     TooFewRowsError,
@@ -104,7 +103,7 @@ class Kriging:
                 f"{len(equations)}: solve or import more"
             )
         tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
-        tangent = tangents.mean(axis=0) if len(tangents) else np.zeros((OUTPUTS, LOADS))
+        tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
         if not fits_one_factor(equations.count, settings):
             raise TooManyRowsError(
                 f"{len(equations)} rows bring {equations.count} equations, more than the "
@@ -136,7 +135,7 @@ class Kriging:
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
         x, spread, offset = self.scaling.loads(wrenches), self.scaling.spread, self.scaling.offset
-        displacement, bars = np.empty((len(x), OUTPUTS)), np.empty((len(x), OUTPUTS))
+        displacement, bars = np.empty((2, len(x), len(spread)))
         with one_thread():
             for part in self._chunks(len(x)):
                 values, errors, known = self.inside.answers(x[part])
@@ -153,7 +152,8 @@ class Kriging:
         Exact of the interpolant. By a load that takes no part it is the rows' mean tangent.
         """
         x = self.scaling.loads(wrenches)
-        out, rate = np.empty((len(x), OUTPUTS, LOADS)), self.scaling.spread[:, None]
+        rate = self.scaling.spread[:, None]
+        out = np.empty((len(x), len(rate), x.shape[1]))
         with one_thread():
             for part in self._chunks(len(x)):
                 by_load = self.inside.slopes(x[part]) * rate / self.scaling.half
@@ -176,7 +176,7 @@ class Kriging:
             What is being solved (with slopes, if rows bring them), and where to tell the bars.
         """
         others, places = self.scaling.loads(pending), self.scaling.loads(at)
-        spread, bars = self.scaling.spread, np.empty((len(at), OUTPUTS))
+        spread, bars = self.scaling.spread, np.empty((len(at), len(self.scaling.spread)))
         with one_thread():
             for part in self._chunks(len(at)):
                 bars[part] = self.inside.answers(places[part])[1] * spread
@@ -206,8 +206,9 @@ def equation_count(rows: Rows, load_range: LoadRange, settings: KrigingSettings 
         If too few rows lie in the load range.
     """
     sloped = np.isfinite(rows.compliance).all(axis=(1, 2))
-    if len(rows) * PLACES <= settings.dense_equations or not sloped.any():
-        return len(rows) + (PLACES - 1) * int(sloped.sum())
+    loads = rows.wrench.shape[1]
+    if len(rows) * (1 + loads) <= settings.dense_equations or not sloped.any():
+        return len(rows) + loads * int(sloped.sum())
     inside = within(rows, load_range, settings)
     loads = int(scaling_of(inside, load_range, settings).active.sum())
     return len(inside) + loads * int(np.isfinite(inside.compliance).all(axis=(1, 2)).sum())

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..table.rows import Floats
-from .correlation import PLACES
 from .equations import Equations
 from .factor import KrigingFactor
 
@@ -59,7 +58,7 @@ def left_out(equations: Equations, factor: KrigingFactor, labels: NDArray[np.int
         np.full((len(own), len(factor.outputs)), np.nan),
         np.full((len(own), len(factor.outputs)), np.nan),
         np.full(len(own), np.nan),
-        np.full((len(own), PLACES, PLACES), np.nan),
+        np.full((len(own), own.places, own.places), np.nan),
     )
     for label in np.unique(labels):
         rows = np.flatnonzero(labels == label)

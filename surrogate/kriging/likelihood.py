@@ -14,9 +14,6 @@ from scipy.optimize import minimize
 
 from ..table.rows import Floats
 from .correlation import (
-    GROUPS,
-    LOADS,
-    PLACES,
     Hyperparameters,
     matern,
     numbers,
@@ -105,10 +102,11 @@ def negative_log_likelihood(
     The gradient is by the hyperparameters' logarithms, shape (7,), or (8,) with that of the
     variance of one reading of unstated noise over the process variance; all is dimensionless.
     """
-    hyperparameters = Hyperparameters.of_logarithms(logarithms[:PLACES])
-    ratio = float(np.exp(logarithms[PLACES])) if len(logarithms) > PLACES else 0.0
+    places = equations.places
+    hyperparameters = Hyperparameters.of_logarithms(logarithms[:places], equations.groups)
+    ratio = float(np.exp(logarithms[places])) if len(logarithms) > places else 0.0
     outputs = sum(len(share.outputs) for share in shares)
-    value, gradient = 0.0, np.zeros(PLACES + 1)
+    value, gradient = 0.0, np.zeros(places + 1)
     for share in shares:
         try:
             found = profile(equations, hyperparameters, share, ratio, settings)
@@ -118,12 +116,12 @@ def negative_log_likelihood(
         value += part * float(found.values.mean())
         unit = factor.weights / np.sqrt(found.variance * len(share.outputs))
         sensitivity = factor.T.T @ factor.T - unit @ unit.T
-        gradient[:PLACES] += (
+        gradient[:places] += (
             0.5 * part * _contracted(sensitivity, own, hyperparameters, factor.nugget)
         )
         values = numbers(own.known)[:, 0]
         by_ratio = ratio * reading_parts(equations, share) @ np.diag(sensitivity)[values]
-        gradient[PLACES] += part * (0.5 * by_ratio + found.by_noise)
+        gradient[places] += part * (0.5 * by_ratio + found.by_noise)
     return value, gradient[: len(logarithms)]
 
 
@@ -133,21 +131,21 @@ def _contracted(
     """Return the sum of a symmetric matrix (e, e) times the covariance's seven derivatives."""
     if not own.known[:, 1:].any():
         return _contracted_values(sensitivity, own, hyperparameters, nugget)
-    n = len(own)
-    whole = np.zeros((n, PLACES, n, PLACES))
+    n, count, groups = len(own), own.places, hyperparameters.groups
+    whole = np.zeros((n, count, n, count))
     places = np.flatnonzero(own.known)
-    whole.reshape(n * PLACES, n * PLACES)[np.ix_(places, places)] = sensitivity
+    whole.reshape(n * count, n * count)[np.ix_(places, places)] = sensitivity
     apart = own.x[:, None, :] - own.x[None, :, :]
-    by_rate, by_weight = np.zeros(LOADS), 0.0
+    by_rate, by_weight = np.zeros(count - 1), 0.0
     for group, (rates, weight) in enumerate(zip(*hyperparameters.terms, strict=True)):
-        loads = np.flatnonzero(GROUPS[group])
+        loads = np.flatnonzero(groups[group])
         seen = np.append(0, 1 + loads)
         term = _one_term(whole[:, seen][:, :, :, seen], apart[..., loads], rates[loads])
         by_rate[loads] += weight * term[0]
-        by_weight += weight * term[1] if group == len(GROUPS) - 1 else 0.0
+        by_weight += weight * term[1] if group == len(groups) - 1 else 0.0
     diagonal = np.where(own.known, np.einsum("ipip->ip", whole), 0.0).sum(axis=0)
     terms, weights = hyperparameters.terms
-    by_rate += nugget * 1.4 * diagonal[1:] * (weights @ GROUPS)
+    by_rate += nugget * 1.4 * diagonal[1:] * (weights @ groups)
     by_weight += nugget * (
         hyperparameters.weight * diagonal[0]
         + 1.4 * hyperparameters.weight * diagonal[1:] @ terms[-1]
@@ -165,7 +163,7 @@ def _contracted_values(
     one, other = np.triu_indices(len(own), 1)
     squares = (own.x[one] - own.x[other]).T ** 2
     pairs, trace = 2 * sensitivity[one, other], np.trace(sensitivity)
-    by_rate = np.zeros(LOADS)
+    by_rate = np.zeros(own.x.shape[1])
     itself = np.zeros_like(pairs)
     for rates, weight in zip(*hyperparameters.terms, strict=True):
         loads = np.flatnonzero(rates)
@@ -209,8 +207,9 @@ def maximise(
     settings: KrigingSettings = DEFAULTS,
 ) -> Hyperparameters:
     """Return the most likely hyperparameters, from two starts or from those before."""
-    found = _best(_starts(before, settings), _bounds(settings), equations, shares, settings)
-    return Hyperparameters.of_logarithms(found)
+    starts, bounds = _starts(equations, before, settings), _bounds(equations, settings)
+    found = _best(starts, bounds, equations, shares, settings)
+    return Hyperparameters.of_logarithms(found, equations.groups)
 
 
 def maximise_with_noise(
@@ -223,21 +222,26 @@ def maximise_with_noise(
 
     All outputs are taken to have the same noise over their process variance here.
     """
-    bounds = [*_bounds(settings), settings.ratio_bounds]
-    starts = [np.append(start, settings.ratio_start) for start in _starts(before, settings)]
+    bounds = [*_bounds(equations, settings), settings.ratio_bounds]
+    starts = [
+        np.append(start, settings.ratio_start) for start in _starts(equations, before, settings)
+    ]
     found = _best(starts, bounds, equations, shares, settings)
-    return Hyperparameters.of_logarithms(found[:PLACES])
+    return Hyperparameters.of_logarithms(found[: equations.places], equations.groups)
 
 
-def _bounds(settings: KrigingSettings) -> list[tuple[float, float]]:
-    return [settings.theta_bounds] * LOADS + [settings.weight_bounds]
+def _bounds(equations: Equations, settings: KrigingSettings) -> list[tuple[float, float]]:
+    return [settings.theta_bounds] * equations.x.shape[1] + [settings.weight_bounds]
 
 
-def _starts(before: Hyperparameters | None, settings: KrigingSettings) -> list[Floats]:
-    """Return where the search begins: the logarithms of seven hyperparameters each."""
+def _starts(
+    equations: Equations, before: Hyperparameters | None, settings: KrigingSettings
+) -> list[Floats]:
+    """Return where the search begins: the logarithms of the hyperparameters."""
     if before is not None:
-        return [np.clip(before.logarithms, *np.array(_bounds(settings)).T)]
-    return [np.array([theta] * LOADS + [settings.weight_start]) for theta in settings.theta_starts]
+        return [np.clip(before.logarithms, *np.array(_bounds(equations, settings)).T)]
+    loads = equations.x.shape[1]
+    return [np.array([theta] * loads + [settings.weight_start]) for theta in settings.theta_starts]
 
 
 def _best(

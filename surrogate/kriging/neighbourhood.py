@@ -16,8 +16,6 @@ from scipy.spatial import KDTree
 
 from ..table.rows import Floats
 from .correlation import (
-    GROUPS,
-    PLACES,
     Hyperparameters,
     covariance,
     mean_terms,
@@ -58,7 +56,8 @@ class Finder:
         self.rows = rows
         self.size = equations.known[rows].sum(axis=1)
         self.most_rows, self.most_equations = most_rows, most_equations
-        self.roots = np.sqrt(hyperparameters.inverse_squares) * GROUPS[[3, 0, 1, 2]]
+        all_first = np.roll(hyperparameters.groups, 1, axis=0)
+        self.roots = np.sqrt(hyperparameters.inverse_squares) * all_first
         self.trees = [KDTree(equations.x[rows] * root) for root in self.roots]
 
     def nearest(self, x: Floats) -> Places:
@@ -197,7 +196,7 @@ def local_factor(
         The covariance of all a equations of the table, where it is at hand.
     """
     own = equations.take(members)
-    places = (members[:, None] * PLACES + np.arange(PLACES))[own.known]
+    places = (members[:, None] * own.places + np.arange(own.places))[own.known]
     if table is None:
         matrix = covariance(own.x, own.known, own.x, own.known, hyperparameters)
     else:
@@ -258,7 +257,7 @@ def neighbourhoods_of(
     settings: KrigingSettings,
 ) -> Neighbourhoods:
     """Return the neighbourhoods of a factor's rows."""
-    limits = settings.deviation_rows, settings.deviation_equations
+    limits = settings.deviation_rows, settings.deviation_solves * equations.places
     finder = Finder(equations, factor.rows, hyperparameters, *limits)
     noise = noise_of(equations, factor)
     around = tuple(

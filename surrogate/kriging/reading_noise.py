@@ -6,8 +6,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..table.rows import Floats
-from .correlation import LOADS, Hyperparameters, covariance
-from .equations import OUTPUTS, Equations, Scaling
+from .correlation import Hyperparameters, covariance
+from .equations import Equations, Scaling
 from .factor import SingularCovarianceError, shares_of
 from .likelihood import REFUSED, profile
 from .settings import KrigingSettings
@@ -36,14 +36,14 @@ def reading_noise(
     count = max(min(int(ends), len(equations)), 1)
     chosen = equations.take(np.linspace(0, len(equations) - 1, count).round().astype(np.intp))
     ratios = np.arange(*settings.ratio_bounds, settings.ratio_step)
-    kernels = [hyperparameters, *_smooth(settings)]
+    kernels = [hyperparameters, *_smooth(equations.groups, settings)]
     curves = [_curves(chosen, kernel, before, ratios, settings) for kernel in kernels]
     if not chosen.known[:, 1:].any():
         curves += [
             _curves(chosen, hyperparameters, before, ratios, settings, part)
             for part in settings.noise_rough
         ]
-    variance, reading = before.copy(), np.zeros(OUTPUTS)
+    variance, reading = before.copy(), np.zeros_like(before)
     for output in np.flatnonzero(~scaling.silent):
         values = np.array([found[:, output] for found, _ in curves])
         readings = np.array([ratios + found[:, output] for _, found in curves])
@@ -54,10 +54,10 @@ def reading_noise(
     return variance, reading
 
 
-def _smooth(settings: KrigingSettings) -> list[Hyperparameters]:
+def _smooth(groups: Floats, settings: KrigingSettings) -> list[Hyperparameters]:
     """Return kernels of one length in all loads."""
     return [
-        Hyperparameters.of_logarithms(np.array([theta] * LOADS + [weight]))
+        Hyperparameters.of_logarithms(np.array([theta] * groups.shape[1] + [weight]), groups)
         for theta in settings.noise_thetas
         for weight in settings.noise_weights
     ]
@@ -79,7 +79,7 @@ def _curves(
     table = covariance(x, known, x, known, hyperparameters)
     if rough:
         table = table + rough * sum(np.exp(-np.abs(one[:, None] - one)) for one in x.T)
-    values, variances = np.full((2, len(ratios), OUTPUTS), REFUSED)
+    values, variances = np.full((2, len(ratios), len(before)), REFUSED)
     for share in shares_of(equations, before, settings):
         if not len(share.rows):
             continue

@@ -76,7 +76,7 @@ class KrigingSettings:
     # are nearly as sharp as all (correlation 0.93 to 0.998, measured on a plate), and cost a fixed
     # 140 x 140 triangle; 40 measured ones keep the triangles of 2,500 rows within 32 MB.
     deviation_rows: int = 40
-    deviation_equations: int = 140
+    deviation_solves: int = 20
     # Answers at once, so that their covariances with 400 solved rows stay within 25 MB.
     chunk: int = 1000
     # Decimals of the logarithms that the estimate ends at: a length to 0.05 %, and the same one

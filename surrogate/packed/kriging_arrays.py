@@ -8,14 +8,13 @@ column after column, which a processor's vectors multiply as they lie.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
-from ..kriging.correlation import LOADS, PLACES
-from ..kriging.equations import OUTPUTS
 from ..kriging.neighbourhood import Neighbourhoods
 from ..table.rows import Floats
 
@@ -41,14 +40,14 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     rows = len(inside.equations)
     stride = -(-rows // LANES) * LANES
     rates, weights = inside.hyperparameters.terms
-    x = np.zeros((LOADS, stride))
+    x = np.zeros((inside.equations.x.shape[1], stride))
     x[:, :rows] = inside.equations.x.T
-    weights_by_place = np.zeros((OUTPUTS, PLACES, stride))
+    weights_by_place = np.zeros((*inside.weights.shape[:0:-1], stride))
     weights_by_place[:, :, :rows] = inside.weights.transpose(2, 1, 0)
     yield "x", x
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", inside.hyperparameters.inverse_squares
-    yield "weights", weights_by_place.reshape(OUTPUTS, -1)
+    yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
     yield "coefficients", inside.coefficients
     yield "centre", scaling.centre
     yield "rate", np.where(scaling.active, 1 / scaling.half, 0.0)
@@ -62,20 +61,24 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "span_loads", scaling.wrenches(inside.span)
     yield "shares", np.array([len(inside.shares)], dtype=np.int32)
     for number, (share, found) in enumerate(zip(inside.shares, inside.calibrations, strict=True)):
-        for name, array in (*_share_arrays(share, rows, stride), *_levels(share, found)):
+        outputs, places = len(inside.deviation), inside.equations.places
+        arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
+        for name, array in chain(*arrays):
             yield f"share{number}/{name}", array
 
 
-def _levels(share: Neighbourhoods, found: Calibration) -> Iterator[tuple[str, Array]]:
+def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
     """Yield a calibration with l levels: ``sigma`` (l), ``factors`` (l, m) and ``reach`` (1)."""
-    factors = np.zeros((len(found.sigma), OUTPUTS))
+    factors = np.zeros((len(found.sigma), outputs))
     factors[:, share.factor.outputs] = found.factors.reshape(len(found.sigma), -1)
     yield "sigma", found.sigma
     yield "factors", factors
     yield "reach", np.array([found.reach])
 
 
-def _share_arrays(share: Neighbourhoods, rows: int, stride: int) -> Iterator[tuple[str, Array]]:
+def _share_arrays(
+    share: Neighbourhoods, stride: int, outputs: int, places_of_row: int
+) -> Iterator[tuple[str, Array]]:
     """Yield what gives sigma for the outputs of one factor.
 
     With k neighbourhoods of at most e equations: ``outputs`` (m), which; ``number`` (s), each row's
@@ -90,15 +93,15 @@ def _share_arrays(share: Neighbourhoods, rows: int, stride: int) -> Iterator[tup
     number, least = np.zeros(stride, dtype=np.int32), np.full(stride, np.inf)
     places = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
-    unsettled = np.zeros((count, PLACES, padded))
+    unsettled = np.zeros((count, places_of_row, padded))
     for place, (row, local) in enumerate(zip(share.factor.rows, share.around, strict=True)):
         size = len(local.places)
-        at_row, of_row = np.divmod(local.places, PLACES)
+        at_row, of_row = np.divmod(local.places, places_of_row)
         places[place, :size] = of_row * stride + at_row
         panels[place] = _panels(local.T, padded)
         unsettled[place, :, :size] = local.TF.T
         number[row], least[row] = place, local.least
-    yield "outputs", np.isin(np.arange(OUTPUTS), share.factor.outputs).astype(np.int32)
+    yield "outputs", np.isin(np.arange(outputs), share.factor.outputs).astype(np.int32)
     yield "number", number
     yield "places", places
     yield "panels", panels

@@ -12,6 +12,10 @@ from .format import Packed
 
 EMPTY = "the table has no rows"
 ONLY_BEYOND = "all rows of the table are outside its load range"
+FEW_ROWS = (
+    "there are too few rows: kriging needs four in the load range that have each output, the "
+    "compliance one for each input; solve or import more"
+)
 UNKNOWN_AT_REST = (
     "no row is at zero load and the rows of no axis surround it: what the component does without "
     "load is not known"
@@ -215,10 +219,11 @@ _WORDS: dict[int, Maker] = {
     19: _fixed(TOO_FAR),
     20: _not_in_scene,
     21: _several_at_once,
+    22: _fixed(FEW_ROWS),
 }
 """By code: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
 
-FIXED = frozenset({1, 2, 11, 12, 15, 16, 17, 19})
+FIXED = frozenset({1, 2, 11, 12, 15, 16, 17, 19, 22})
 """Codes whose words are the same for every wrench, but for the numbers of the reason itself."""
 
 

@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..answer import METHODS
+from ..answer import METHODS, allowed_by
 from ..build import AnyTable, tangent_at_zero
 from ..describe import axis_gaps
 from ..kriging import Kriging
 from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods import ENOUGH_FULL
 from ..surrogate import Surrogate
-from ..table.rows import CLEAN, LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS, Floats, Tolerance
+from ..table.rows import CLEAN, Floats, Tolerance
+from ..table.space import Space
 from .axes_arrays import axes_arrays
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays
@@ -63,7 +64,7 @@ def pack(
     words = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
-        "space": _space_words(),
+        "space": table.load_range.space.words(),
         "groups": [_group_words(outputs, group) for outputs, group in groups],
         "sources": sources.words,
         "solver_error": None if table.solver_error is None else table.solver_error.values,
@@ -91,8 +92,8 @@ def _rows_words(table: AnyTable) -> dict[str, Any]:
 
 def _gaps(table: AnyTable) -> list[dict[str, Any]] | None:
     """Return the gaps of each axis; None where the compliance answers, which needs no axes."""
-    exact = table.linear and table.fit.complete
-    return None if exact else axis_gaps(table.composition, table.load_range)
+    no_axes = not table.load_range.space.is_default or (table.linear and table.fit.complete)
+    return None if no_axes else axis_gaps(table.composition, table.load_range)
 
 
 def _plain(value: Any) -> Any:
@@ -117,19 +118,6 @@ def write(table: AnyTable, path: Path, **about: Any) -> None:
     write_file(path, pack(table, **about))
 
 
-def _space_words() -> dict[str, Any]:
-    kinds = ("force",) * 3 + ("moment",) * 3
-    return {
-        "inputs": [
-            {"name": name, "unit": unit, "kind": kind}
-            for name, unit, kind in zip(LOADS, LOAD_UNITS, kinds, strict=True)
-        ],
-        "outputs": [
-            {"name": name, "unit": unit} for name, unit in zip(OUTPUTS, OUTPUT_UNITS, strict=True)
-        ],
-    }
-
-
 def _space_arrays(table: AnyTable, groups: int) -> Iterator[tuple[str, Array]]:
     """Yield what is the same for all outputs.
 
@@ -138,25 +126,26 @@ def _space_arrays(table: AnyTable, groups: int) -> Iterator[tuple[str, Array]]:
     of the length of three outputs from ``vector_first``, and ``rig_error`` (m) where there
     is one: m and rad.
     """
-    span = table.load_range
-    yield "space/sizes", np.array([6, 6, groups], dtype=np.int32)
+    span, space = table.load_range, table.load_range.space
+    inputs, outputs = len(space.inputs), len(space.outputs)
+    yield "space/sizes", np.array([inputs, outputs, groups], dtype=np.int32)
     yield "space/range", np.stack((span.low, span.high))
     yield "space/ends", span.ends
     yield "space/scale", span.scale
     yield "space/small", CLEAN * span.scale
-    yield "space/locked", np.isin(np.arange(6), table.locked).astype(np.int32)
-    yield "space/tolerance", _six(table.tolerance)
+    yield "space/locked", np.isin(np.arange(inputs), table.locked).astype(np.int32)
+    yield "space/tolerance", _allowed(table.tolerance, space)
     if table.rig_error.any():
         yield "space/rig_error", table.rig_error
-    yield "space/limit", np.repeat([TRANSLATION_LIMIT, np.inf], 3)
-    yield "space/vector_first", np.array([3], dtype=np.int32)
-    yield "space/vector_limit", np.array([LONGEST])
+    yield "space/limit", np.where(space.is_rotation, np.inf, TRANSLATION_LIMIT)
+    rotations = np.flatnonzero(space.is_rotation)[::3]  # three an interface
+    yield "space/vector_first", rotations.astype(np.int32)
+    yield "space/vector_limit", np.full(len(rotations), LONGEST)
 
 
-def _six(tolerance: Tolerance | None) -> Floats:
-    if tolerance is None:
-        return np.full(6, np.nan)
-    return np.repeat([tolerance.translation, tolerance.rotation], 3)
+def _allowed(tolerance: Tolerance | None, space: Space) -> Floats:
+    none = np.full(len(space.outputs), np.nan)
+    return none if tolerance is None else np.array(allowed_by(tolerance, space), dtype=float)
 
 
 def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
@@ -167,9 +156,9 @@ def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
     error is known, whether the component is linear, whether its linearity is known, whether all
     parts of the error are known.
     """
-    error = table.solver_error
-    matrix, square, one_over = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
-    stiffness, asks = np.zeros((6, 6)), np.zeros(1)
+    error, shape = table.solver_error, table.fit.matrix.shape
+    matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
+    stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
     known, linear, linearity_known = table.bars_are_whole, False, True
     if error is not None:
         matrix, square, one_over, stiffness, asks = error.packed
@@ -226,8 +215,7 @@ def _group_arrays(
     interpolation error of a covered answer, m and rad; ``near``, the used rows: scaled loads and
     outputs.
     """
-    used = len(group.used) > 0
-    exact = group.linear and group.fit.complete
+    used, exact = group.can_answer, group.is_exact
     mode, missed = _reference(group, exact) if used else (0, None)
     evidence = group.evidence
     flags = [
@@ -235,17 +223,19 @@ def _group_arrays(
         *(exact, used, evidence.full_wrenches, evidence.needed),
     ]
     yield "flags", np.array(flags, dtype=np.int32)
-    yield "outputs", np.isin(np.arange(6), outputs).astype(np.int32)
+    yield "outputs", np.isin(np.arange(len(group.fit.matrix)), outputs).astype(np.int32)
     yield "allowed", np.array(group.allowed.of(None), dtype=float)
     yield "near/wrench", group.used.wrench / group.load_range.scale
     yield "near/moved", group.used.displacement
     yield "fit/matrix", group.fit.matrix
     yield "fit/bar", group.fit.error
+    if group.fit.offset.any():
+        yield "fit/offset", group.fit.offset
     yield "fit/known", group.fit.known.astype(np.int32)
     yield "fit/rows", np.array(_linear_rows(group), dtype=np.int64)
     yield from _row_arrays(group, sources)
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
-    if used:
+    if used and group.has_axes:
         parts.append(("axes", axes_arrays(group.composition, group.members)))
     for name, kriging in (("kriging", group.kriging), ("missed", missed)):
         if kriging is not None:
@@ -257,7 +247,7 @@ def _group_arrays(
 def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
     """Return the bits of what errors are measured against, and the kriging of what axes miss."""
     if exact:  # its default needs no reference: none is built
-        return _ADDITIVE, None
+        return _ADDITIVE if group.has_axes else 0, None
     if group.by_kriging:
         return _KRIGING, None
     missed = group.interaction
@@ -307,7 +297,7 @@ def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Arra
 def _group_words(outputs: tuple[int, ...], group: Surrogate) -> dict[str, Any]:
     kriging = group.kriging
     return {
-        "outputs": [OUTPUTS[output] for output in outputs],
+        "outputs": [group.rows.space.output_names[output] for output in outputs],
         "method": group.default,
         "method_reason": group.choice.reason,
         "kriging": "" if kriging is None else kriging.detail,

@@ -14,7 +14,8 @@ from ..kernel.binding import PackedTable
 from ..packed.format import pieces
 from ..packed.numbering import DIMENSION, FIRST_CELL, buckets_of
 from ..table.axes import AXES
-from ..table.rows import OUTPUTS, Floats
+from ..table.rows import Floats
+from ..table.space import OUTPUTS
 from .need import Mask, Need
 
 Arrays = dict[str, NDArray[Any]]

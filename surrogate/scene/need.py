@@ -9,15 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..table.axes import AXES
-from ..table.rows import (
-    LOAD_UNITS,
-    LOADS,
-    ON_END,
-    OUTPUTS,
-    Floats,
-    LoadRange,
-    Tolerance,
-)
+from ..table.rows import ON_END, Floats, LoadRange, Tolerance
+from ..table.space import LOAD_UNITS, LOADS, OUTPUTS
 
 Mask = NDArray[np.bool_]
 

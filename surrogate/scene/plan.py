@@ -18,7 +18,8 @@ from ..design import Design, Known, first_count, first_design, next_wrenches
 from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
 from ..packed.reasons import UNKNOWN_ERROR
-from ..table.rows import LOADS, OUTPUT_UNITS, OUTPUTS, Floats, LoadRange
+from ..table.rows import Floats, LoadRange
+from ..table.space import LOADS, OUTPUT_UNITS, OUTPUTS
 from ..table.spread import spread_wrenches
 from .need import Need
 
@@ -70,13 +71,15 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
     solves = first_solves(table, table.load_range), first_solves(table, need.span)
     limit = need.tolerance or table.tolerance
     need = replace(need, tolerance=limit)
-    if solved and not need.occurring.any():
+    hangs = any(group.fit.offset.any() for _, group in table.groups)
+    if solved and not need.occurring.any() and not hangs:
         return ScenePlan(need, "rigid", NO_LOAD, np.zeros(6), None, (solves[0], 0))
     bound, why = _bound(table, need)
     if table.linear:
         decision: Decision = "linear"
         reason, matrix = _linear_reason(table), _restricted(table.fit.matrix, need)
-        compliance = matrix if table.fit.known[need.occurring].all() else None
+        known = table.fit.known[need.occurring].all() and not hangs  # C w alone is no answer
+        compliance = matrix if known else None
     else:
         compliance, missed = _one_compliance(table, need)
         decision = "table" if compliance is None else "linear"
@@ -142,7 +145,7 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
                 f"no row tells the influence of {', '.join(names)}" if len(surrogate.used) else why
             )
             continue
-        most = np.abs(fit.matrix) @ full + fit.error + solver
+        most = np.abs(fit.matrix) @ full + np.abs(fit.offset) + fit.error + solver
         if not surrogate.linear:
             if not found.coverage.any():  # slopes of a table that is thin here prove nothing
                 most = np.fmin(most, _reach(packed_of(table), need) + found.errors.max(axis=0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from .rows import Floats, LoadRange, Rows
 RANK = 1e-9  # relative singular value below which the rows do not tell a load
 LONE = 1e-6  # of a row's own weight in its prediction: with less to spare the others do not tell it
 LEAST = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
+SAME_LINE = 1e-5  # a linear deck's gap to its compliance: fea/deck/solving.py refuses more
 SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
 
@@ -30,12 +31,16 @@ class ComplianceFit:
         95 % error bar of `matrix @ wrench` on the rows.
     origin : str
         "stored" (mean of the rows' own compliances), "fitted" or "none".
+    offset : ndarray, shape (6,), m and rad
+        The displacement at zero load: that of the component's own weight, if a linear solve
+        stored it; else zero.
     """
 
     matrix: Floats
     known: NDArray[np.bool_]
     error: Floats
     origin: str
+    offset: Floats = field(default_factory=lambda: np.zeros(6))
 
     @property
     def complete(self) -> bool:
@@ -56,34 +61,56 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
     # Rounding errs too: no bar is 0.
     full = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
     moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ full)
-    kinds = np.repeat([moved[:3].max(), moved[3:].max()], 3)
+    kinds = load_range.space.largest_of_kind(moved)
     least = np.maximum(LEAST * kinds, SMALLEST)
     return replace(fit, error=np.maximum(fit.error, least))
 
 
 def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
-    stored = rows.compliance[np.isfinite(rows.compliance).all(axis=(1, 2))]
+    known = np.isfinite(rows.compliance).all(axis=(1, 2))
+    stored = rows.compliance[known]
     if linear and len(stored):
-        return _from_stored(stored, load_range)
+        offset = _offset(rows.wrench[known], rows.displacement[known], stored)
+        return replace(_from_stored(stored, load_range), offset=offset)
     fit = _from_rows(rows, load_range, linear=linear)
     if len(stored) and not fit.complete:
         matrix = np.where(fit.known, fit.matrix, stored.mean(axis=0))
-        return ComplianceFit(matrix, np.ones(6, dtype=bool), fit.error, fit.origin)
+        return ComplianceFit(
+            matrix, np.ones(len(load_range.low), dtype=bool), fit.error, fit.origin
+        )
     return fit
+
+
+def _offset(wrench: Floats, displacement: Floats, stored: Floats) -> Floats:
+    """Return the displacement at zero load, (6,), of the row whose loads move it least.
+
+    What is within `SAME_LINE` of the row's motion is its rounding.
+    """
+    moved = (stored @ wrench[:, :, None])[:, :, 0]
+    sizes = (np.abs(stored) @ np.abs(wrench)[:, :, None])[:, :, 0]
+    least = int(sizes.max(axis=1).argmin())
+    offset = displacement[least] - moved[least]
+    kinds = offset.reshape(-1, 3), sizes[least].reshape(-1, 3)  # translation and rotation of each
+    same = np.abs(kinds[0]).max(axis=1) <= SAME_LINE * kinds[1].max(axis=1)
+    return np.zeros_like(offset) if same.all() else offset
 
 
 def _from_stored(stored: Floats, load_range: LoadRange) -> ComplianceFit:
     """Return the mean of stored compliances; their spread, times the full loads, is the bar."""
     spread = np.ptp(stored, axis=0) / 2
     loads = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
-    return ComplianceFit(stored.mean(axis=0), np.ones(6, dtype=bool), spread @ loads, "stored")
+    return ComplianceFit(
+        stored.mean(axis=0), np.ones(len(load_range.low), dtype=bool), spread @ loads, "stored"
+    )
 
 
 def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     """Fit the columns that the rows tell, by least squares on scaled loads."""
     scaled = rows.wrench / load_range.scale
     if not scaled.any():
-        return ComplianceFit(np.zeros((6, 6)), np.zeros(6, dtype=bool), np.zeros(6), "none")
+        shape = rows.compliance.shape[1:]
+        none = np.zeros(shape[1], dtype=bool)
+        return ComplianceFit(np.zeros(shape), none, np.zeros(shape[0]), "none")
     _, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
     spanned = directions[sizes > RANK * sizes[0]]
     # A load is determined if its unit vector lies in the span of the rows' wrenches.

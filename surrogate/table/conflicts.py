@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .rows import LOADS, OUTPUTS, Floats, LoadRange, Rows
+from .rows import Floats, LoadRange, Rows
 
 SAME = 9  # decimals, in scaled loads, to which two wrenches are one
 AGREE = 1e-6  # of an output's range: what rounding in a file may do
@@ -55,8 +55,12 @@ def conflicts(rows: Rows, load_range: LoadRange) -> list[dict[str, Any]]:
             found.append(
                 {
                     "rows": rows.seq[places].tolist(),
-                    "wrench": dict(zip(LOADS, rows.wrench[places[0]].tolist(), strict=True)),
-                    "spread": {OUTPUTS[output]: float(spread[output]) for output in over},
+                    "wrench": dict(
+                        zip(rows.space.input_names, rows.wrench[places[0]].tolist(), strict=True)
+                    ),
+                    "spread": {
+                        rows.space.output_names[output]: float(spread[output]) for output in over
+                    },
                 }
             )
     return found

@@ -24,15 +24,8 @@ from h5py import h5l  # pyright: ignore[reportAttributeAccessIssue] (compiled, n
 from .axes import OffAxis
 from .file_digest import USER_BLOCK, is_as_written, may_be_foreign, sync, write_digest
 from .meta import SCHEMA_VERSION, TableMeta
-from .rows import (
-    LOAD_UNITS,
-    OUTPUT_UNITS,
-    OUTPUTS,
-    LoadRange,
-    Rows,
-    Tolerance,
-    unknown_column,
-)
+from .rows import LoadRange, Rows, Tolerance, unknown_column
+from .space import DEFAULT, LOAD_UNITS, OUTPUT_UNITS, Space
 
 T = TypeVar("T")
 
@@ -142,7 +135,10 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     file.attrs["ledger"] = meta.ledger
     file.attrs["linear"] = meta.linear
     file.attrs["off_axis"] = meta.off_axis
-    file.attrs["locked"] = " ".join(OUTPUTS[load] for load in meta.locked)
+    names = meta.load_range.space.output_names
+    file.attrs["locked"] = " ".join(names[load] for load in meta.locked)
+    if not meta.load_range.space.is_default:
+        file.attrs["space"] = json.dumps(meta.load_range.space.words(), ensure_ascii=False)
     if meta.tolerance is not None:
         file.attrs["tolerance"] = (meta.tolerance.translation, meta.tolerance.rotation)
     if meta.solver_error is not None:
@@ -204,11 +200,12 @@ def _attribute(file: h5py.File, name: str) -> Any:
 
 def _read_meta(file: h5py.File) -> TableMeta:
     low, high = (_numbers(file, f"load_range/{name}") for name in ("low", "high"))
+    space = _read_space(file)
     tolerance: Any = file.attrs.get("tolerance")  # files of 0.1 say nothing of these three
     return TableMeta(
         component=str(_attribute(file, "component")),
         last_seq=int(_attribute(file, "last_seq")),
-        load_range=LoadRange(low, high),
+        load_range=LoadRange(low, high, space),
         fingerprint=str(_attribute(file, "fingerprint")),
         title=str(_attribute(file, "title")),
         schema_version=int(_attribute(file, "schema_version")),
@@ -219,8 +216,13 @@ def _read_meta(file: h5py.File) -> TableMeta:
         off_axis=_off_axis(str(file.attrs.get("off_axis", "correct"))),
         edits=_read_edits(file),
         solver_error=json.loads(str(file.attrs.get("solver_error", "null"))),
-        locked=tuple(map(OUTPUTS.index, str(file.attrs.get("locked", "")).split())),
+        locked=tuple(map(space.output_names.index, str(file.attrs.get("locked", "")).split())),
     )
+
+
+def _read_space(file: h5py.File) -> Space:
+    words = file.attrs.get("space")  # files of one interface without further inputs have none
+    return DEFAULT if words is None else Space.read(json.loads(str(words)))
 
 
 def _off_axis(word: str) -> OffAxis:
@@ -260,7 +262,7 @@ def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
     for name in ("uncertainty", "compliance"):
         if np.isnan(numbers[name]).all():
             numbers[name] = unknown_column(*numbers[name].shape)
-    return Rows(**numbers, **words)
+    return Rows(**numbers, **words, space=_read_space(file))
 
 
 def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[str]]]:

@@ -14,7 +14,8 @@ from scipy.spatial import KDTree
 
 from .axes import CLEAN
 from .compliance import ComplianceFit
-from .rows import LOADS, OUTPUTS, Floats, LoadRange, Rows, Tolerance
+from .rows import Floats, LoadRange, Rows, Tolerance
+from .space import LOADS, OUTPUTS
 
 # Shares of an output's largest value: what passes for zero, for equal, for linear.
 ZERO, LINEAR = 1e-3, 1e-2
@@ -141,7 +142,7 @@ def _linear(rows: Rows, fit: ComplianceFit) -> dict[str, Any]:
     known = ((rows.wrench == 0) | fit.known).all(axis=1)
     if not known.any() or fit.origin == "none":
         return {"ok": None, "reason": "the rows tell no compliance", "rows": []}
-    missed = np.abs(rows.displacement - rows.wrench @ fit.matrix.T) / _sizes(rows)
+    missed = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(rows)
     missed = np.where(known[:, None], missed, 0.0)
     index = float(missed.max())
     farthest = np.argsort(-missed.max(axis=1))[:5]

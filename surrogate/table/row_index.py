@@ -13,8 +13,40 @@ from .rows import Floats
 # Wrenches that are near each other are so along any direction; of those apart few are. The parts
 # are roots of primes, of which no two loads' steps cancel, and their sum is 1, so that what is
 # within `NEAR` in each load is so along it.
-_ROOTS = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0])
-DIRECTION: Floats = _ROOTS / _ROOTS.sum()
+_PRIMES = (
+    2,
+    3,
+    5,
+    7,
+    11,
+    13,
+    17,
+    19,
+    23,
+    29,
+    31,
+    37,
+    41,
+    43,
+    47,
+    53,
+    59,
+    61,
+    67,
+    71,
+    73,
+    79,
+    83,
+    89,
+)
+
+
+def _direction(loads: int) -> Floats:
+    """Return a direction whose parts have no common measure, shape (n,)."""
+    roots = np.sqrt(np.array(_PRIMES[:loads], dtype=float))
+    return roots / roots.sum()
+
+
 WINDOW = NEAR * (1 + ROUNDING)
 
 
@@ -41,7 +73,8 @@ class RowIndex:
     """
 
     def __init__(self, wrenches: Floats, scale: Floats) -> None:
-        self._wrenches, self._scale, self.rates = wrenches, scale, DIRECTION / scale
+        self._wrenches, self._scale = wrenches, scale
+        self.rates = _direction(len(scale)) / scale
         self._one_over: list[float] = self.rates.tolist()
         keys = wrenches @ self.rates
         order = np.argsort(keys, kind="stable")

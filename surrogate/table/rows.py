@@ -1,7 +1,7 @@
 """What goes into a surrogate: rows, the load range they are scaled by, and a tolerance.
 
-All quantities are SI: N, N·m, m, rad. Six numbers are force then moment, or translation then
-rotation.
+All quantities are SI: N, N·m, m, rad. A wrench holds the n inputs of a `Space` and a displacement
+its m outputs: of the default space six numbers, force then moment, translation then rotation.
 """
 
 from __future__ import annotations
@@ -14,13 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
-
-# As the contract spells them: keys and lists. Sentences for people say F_x and u_x.
-LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
-LOAD_UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
-OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
-OUTPUT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+from .space import DEFAULT, Floats, Space
 
 CLEAN = 1e-9  # of the range: a load below it counts as none (rounding)
 ON_END = 1e-9  # of the range: what a load may lie beyond its end and still be on it (rounding)
@@ -36,8 +30,9 @@ class LoadRange:
 
     Attributes
     ----------
-    low, high : ndarray, shape (6,), N and N·m
+    low, high : ndarray, shape (n,), N and N·m
         Smallest and largest value of each load.
+    space : Space
 
     Raises
     ------
@@ -47,15 +42,17 @@ class LoadRange:
 
     low: Floats
     high: Floats
+    space: Space = DEFAULT
 
     def __post_init__(self) -> None:
         for name in ("low", "high"):
             bound = np.array(getattr(self, name), dtype=float)
-            if bound.shape != (6,) or not np.isfinite(bound).all():
-                raise RowError(f"load range: {name} must be six finite numbers")
+            count = len(self.space.inputs)
+            if bound.shape != (count,) or not np.isfinite(bound).all():
+                raise RowError(f"load range: {name} must be {count} finite numbers")
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
-            load = LOADS[int(np.argmax(self.low > self.high))]
+            load = self.space.input_names[int(np.argmax(self.low > self.high))]
             raise RowError(f"load range: the low end of {load} is above its high end")
 
     @cached_property
@@ -159,6 +156,7 @@ class Rows:
     uncertainty : ndarray, shape (n, 6), m and rad
         95 % half width of the row itself; NaN or 0 where unknown.
     source, fingerprint : ndarray of str, shape (n,)
+    space : Space
 
     Raises
     ------
@@ -174,14 +172,15 @@ class Rows:
     uncertainty: Floats
     source: NDArray[np.str_]
     fingerprint: NDArray[np.str_]
+    space: Space = DEFAULT
 
     def __post_init__(self) -> None:
-        n = len(self.seq)
+        n, inputs, outputs = len(self.seq), len(self.space.inputs), len(self.space.outputs)
         shapes = {
-            "wrench": (n, 6),
-            "displacement": (n, 6),
-            "compliance": (n, 6, 6),
-            "uncertainty": (n, 6),
+            "wrench": (n, inputs),
+            "displacement": (n, outputs),
+            "compliance": (n, outputs, inputs),
+            "uncertainty": (n, outputs),
             "source": (n,),
             "fingerprint": (n,),
         }
@@ -191,8 +190,8 @@ class Rows:
                     f"rows: {name} has shape {np.shape(getattr(self, name))}, not {shape}"
                 )
         unmeasured = np.isnan(self.displacement)
-        self._refuse(~np.isfinite(self.wrench), LOADS, "is not a finite number")
-        self._refuse(np.isinf(self.displacement), OUTPUTS, "is not a finite number")
+        self._refuse(~np.isfinite(self.wrench), self.space.input_names, "is not a finite number")
+        self._refuse(np.isinf(self.displacement), self.space.output_names, "is not a finite number")
         if unmeasured.all(axis=1).any():
             row = int(np.argmax(unmeasured.all(axis=1)))
             raise RowError(f"row {self.seq[row]}: no displacement is a finite number")
@@ -217,27 +216,34 @@ class Rows:
     def take(self, which: ArrayLike) -> Rows:
         """Return the rows that an index array or a mask of shape (n,) picks."""
         index = np.asarray(which)
-        return Rows(*(_picked(getattr(self, name), index) for name in _COLUMNS))
+        return Rows(*(_picked(getattr(self, name), index) for name in _COLUMNS), space=self.space)
 
     @classmethod
-    def empty(cls) -> Rows:
+    def empty(cls, space: Space = DEFAULT) -> Rows:
         """Return a table of no rows."""
-        return cls.from_records(())
+        return cls.from_records((), space)
 
     @classmethod
-    def of(cls, wrench: ArrayLike, displacement: ArrayLike, **columns: Any) -> Rows:
+    def of(
+        cls,
+        wrench: ArrayLike,
+        displacement: ArrayLike,
+        space: Space = DEFAULT,
+        **columns: Any,
+    ) -> Rows:
         """Return rows of wrenches (n, 6) and displacements (n, 6); other columns may be left out.
 
         Wrenches are in N and N·m, displacements in m and rad.
 
         Without `seq` the rows are numbered from 1; unknown numbers are NaN, unknown words empty.
         """
-        wrenches = np.array(wrench, dtype=float).reshape(-1, 6)
+        inputs, outputs = len(space.inputs), len(space.outputs)
+        wrenches = np.array(wrench, dtype=float).reshape(-1, inputs)
         n = len(wrenches)
         unknown: dict[str, tuple[Any, Any]] = {
             "seq": (np.arange(1, n + 1), np.int64),
-            "compliance": (unknown_column(n, 6, 6), float),
-            "uncertainty": (unknown_column(n, 6), float),
+            "compliance": (unknown_column(n, outputs, inputs), float),
+            "uncertainty": (unknown_column(n, outputs), float),
             "source": (np.full(n, "", dtype=object), str),
             "fingerprint": (np.full(n, "", dtype=object), str),
         }
@@ -247,11 +253,11 @@ class Rows:
         }
         for name in ("source", "fingerprint"):
             rest[name] = rest[name].astype(str)
-        moved = np.array(displacement, dtype=float).reshape(-1, 6)
-        return cls(wrench=wrenches, displacement=moved, **rest)
+        moved = np.array(displacement, dtype=float).reshape(-1, outputs)
+        return cls(wrench=wrenches, displacement=moved, space=space, **rest)
 
     @classmethod
-    def from_records(cls, records: Iterable[Mapping[str, Any]]) -> Rows:
+    def from_records(cls, records: Iterable[Mapping[str, Any]], space: Space = DEFAULT) -> Rows:
         """Return the rows of mappings keyed by the names of the columns.
 
         `seq`, `wrench` and `displacement` are needed; a column left out or None is unknown.
@@ -261,7 +267,7 @@ class Rows:
         RowError
             If a needed key is missing or a number is not finite.
         """
-        found = list(records)
+        found, inputs, outputs = list(records), len(space.inputs), len(space.outputs)
         for record in found:
             missing = [key for key in ("seq", "wrench", "displacement") if record.get(key) is None]
             if missing:
@@ -269,9 +275,10 @@ class Rows:
         return cls.of(
             [record["wrench"] for record in found],
             [record["displacement"] for record in found],
+            space,
             seq=np.array([record["seq"] for record in found], dtype=np.int64),
-            compliance=_column(found, "compliance", (6, 6)),
-            uncertainty=_column(found, "uncertainty", (6,)),
+            compliance=_column(found, "compliance", (outputs, inputs)),
+            uncertainty=_column(found, "uncertainty", (outputs,)),
             source=[str(record.get("source") or "") for record in found],
             fingerprint=[str(record.get("fingerprint") or "") for record in found],
         )
@@ -313,7 +320,8 @@ def joined(parts: Sequence[Rows]) -> Rows:
     some = [part for part in parts if len(part)]
     if len(some) < 2:
         return some[0] if some else parts[0]
-    return Rows(*(_joined([getattr(part, name) for part in some]) for name in _COLUMNS))
+    columns = (_joined([getattr(part, name) for part in some]) for name in _COLUMNS)
+    return Rows(*columns, space=some[0].space)
 
 
 def _joined(columns: list[NDArray[Any]]) -> NDArray[Any]:
@@ -343,7 +351,7 @@ def why_beyond(load_range: LoadRange, wrench: Floats) -> str:
     """Return which loads of a wrench (6,), N and N·m, lie outside the load range, if any do."""
     found = []
     for load in np.flatnonzero(load_range.exceeded(wrench)).tolist():
-        low, high, unit = load_range.low[load], load_range.high[load], LOAD_UNITS[load]
-        amount = f"{LOADS[load]} = {wrench[load]:.10g} {unit}"
+        low, high, one = load_range.low[load], load_range.high[load], load_range.space.inputs[load]
+        unit, amount = one.unit, f"{one.name} = {wrench[load]:.10g} {one.unit}"
         found.append(f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}")
     return "; ".join(found)

@@ -12,7 +12,8 @@ from tests.benchmarks.peers import SMT_MISSING, radial, smt_kriging
 from tests.surrogate.calibrating import Shipped, shipped
 from tests.surrogate.law import build
 from wrenchbook.surrogate.answer import METHODS
-from wrenchbook.surrogate.table.rows import OUTPUTS, Rows
+from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.space import OUTPUTS
 
 
 def percent(component: Shipped, moved: np.ndarray) -> np.ndarray:

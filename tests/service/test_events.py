@@ -224,7 +224,11 @@ def test_after_a_break_it_goes_on_where_it_was(tmp_path):
 
 def test_an_iteration_ends_after_its_time_without_an_event(tmp_path):
     with served(tmp_path) as client:
-        assert [event.kind for event in client.events(timeout_s=0.5)] == ["hello"]
+        for seconds in (0.5, 5.0, 50.0):  # a slow machine may need longer for the first
+            kinds = [event.kind for event in client.events(timeout_s=seconds)]
+            if kinds:
+                break
+        assert kinds == ["hello"]
 
 
 def test_an_unknown_component_is_404_and_no_server_is_told(tmp_path):

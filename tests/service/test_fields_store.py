@@ -16,6 +16,7 @@ WRENCH = (1.0, -2.0, 0.1, 0.0, 0.0, 1e-300)
 def fields(linear=False, scale=1.0):
     return types.SimpleNamespace(
         linear=linear,
+        weight=False,
         vertices=np.arange(12.0).reshape(4, 3),
         triangles=np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
         whole_vertices=4,

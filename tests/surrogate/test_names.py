@@ -9,7 +9,7 @@ from tests.surrogate.responses import RANGE, clean_wrenches, smooth, table
 from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
 from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.physics_checks import check_physics
-from wrenchbook.surrogate.table.rows import LOADS, OUTPUTS
+from wrenchbook.surrogate.table.space import LOADS, OUTPUTS
 
 SYMBOLS = {name[0].upper() + "_" + name[1] for name in (*LOADS, *OUTPUTS)}
 

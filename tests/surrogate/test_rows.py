@@ -51,7 +51,7 @@ def test_a_load_range_scale_is_never_zero() -> None:
 def test_a_load_range_must_be_finite_and_in_order() -> None:
     with pytest.raises(RowError, match="fy"):
         LoadRange(np.array([0.0, 1, 0, 0, 0, 0]), np.zeros(6))
-    with pytest.raises(RowError, match="six finite"):
+    with pytest.raises(RowError, match="6 finite"):
         LoadRange(np.zeros(5), np.zeros(6))
 
 

@@ -15,7 +15,7 @@ from wrenchbook.service.http.schemas import Compliance
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.physics_checks import check_physics
-from wrenchbook.surrogate.table.rows import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
+from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 CATCH_UP_S = 30.0

@@ -25,7 +25,8 @@ from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.arrival import surface_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.table.axes import AXES
-from wrenchbook.surrogate.table.rows import CLEAN, LOADS, OUTPUTS, Rows
+from wrenchbook.surrogate.table.rows import CLEAN, Rows
+from wrenchbook.surrogate.table.space import LOADS, OUTPUTS
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 CATCH_UP_S = 25.0

@@ -26,7 +26,8 @@ from wrenchbook.service.http.schemas import Plans
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
-from wrenchbook.surrogate.table.rows import OUTPUTS, Tolerance
+from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.space import OUTPUTS
 
 router = APIRouter(prefix="/v1", tags=["scenes"], responses=refused(404, 422))
 CATCH_UP_S = 25.0

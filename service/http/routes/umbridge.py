@@ -32,7 +32,8 @@ from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.library.component import UnknownComponentError
 from wrenchbook.service.tables.served import TableBehindError
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.table.rows import OUTPUTS, Tolerance
+from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.space import OUTPUTS
 
 log = logging.getLogger(__name__)
 

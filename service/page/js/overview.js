@@ -118,6 +118,8 @@ function contract(about) {
     ["Units", about.contract.units],
     ["Wrench", about.contract.wrench],
     ["Displacement", about.contract.displacement],
+    ["Relative to", held?.displacement],
+    ["Gravity", held?.gravity ? held.gravity.map((one) => quantity(one, "m/s²")).join(", ") : ""],
     ["Moment", about.contract.moment],
     ["Sign", about.contract.sign],
     ["Section", held?.section],

@@ -38,7 +38,7 @@ def bundles():
     common = {
         "name": "a",
         "title": "A",
-        "supports": {"fixed": ["f"]},
+        "supports": {"fixed": ["f"], "sliding": [{}], "bushing": [{}]},
         "interface": {"section": "s"},
         "analysis": {},
         "range": {},
@@ -51,6 +51,7 @@ def bundles():
     for mesh in meshes:
         materials = [{"region": "all"}, {"region": "x", "law": "orthotropic"}]
         yield common | {"mesh": mesh, "material": materials}
+    yield common | {"interface": [{"range": {}}, {}]}
     for reader in _BUILT_IN:
         yield common | {"deck": {"output": {"reader": reader}}}
 

@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.surrogate.findings.rigs import CAUSES, DIRECTED, Rig
 from wrenchbook.surrogate.findings.find import find
-from wrenchbook.surrogate.table.rows import LOADS, Rows
+from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.space import LOADS
 
 SEEDS = range(4200, 4210)
 CLEAN = range(4300, 4350)

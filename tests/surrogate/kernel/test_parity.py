@@ -38,7 +38,8 @@ from wrenchbook.surrogate.answer import METHODS, within_tolerance_many
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.explain import explain
 from wrenchbook.surrogate.packed.writer import pack
-from wrenchbook.surrogate.table.rows import OUTPUTS, Rows, Tolerance
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
+from wrenchbook.surrogate.table.space import OUTPUTS
 
 LOCKED = [(), (1,), (0, 4, 5)]
 

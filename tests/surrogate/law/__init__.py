@@ -21,15 +21,13 @@ from wrenchbook.surrogate.packed.reasons import (
 )  # fmt: skip
 from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.rows import (
-    LOAD_UNITS,
-    LOADS,
-    OUTPUTS,
     Floats,
     Tolerance,
     acting,
     acting_one,
     without_locked,
 )  # fmt: skip
+from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUTS
 
 from .answer import Answer, Batch, no_answers, over_tolerance, within
 from .doubt import UNKNOWN_AT_REST, DoubtLaw

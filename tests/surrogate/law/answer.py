@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.surrogate.answer import OUTSIDE
-from wrenchbook.surrogate.table.rows import OUTPUT_UNITS, OUTPUTS, Floats
+from wrenchbook.surrogate.table.rows import Floats
+from wrenchbook.surrogate.table.space import OUTPUT_UNITS, OUTPUTS
 
 
 class Answer(NamedTuple):

@@ -13,7 +13,8 @@ from wrenchbook.surrogate.composition.axis_table import SOUND
 from wrenchbook.surrogate.composition.composition import OFF_HULL, Composition
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.compliance import ComplianceFit
-from wrenchbook.surrogate.table.rows import LOADS, OUTPUTS, Floats, Rows, Tolerance
+from wrenchbook.surrogate.table.rows import Floats, Rows, Tolerance
+from wrenchbook.surrogate.table.space import LOADS, OUTPUTS
 
 from .reasons import Look, look, why_axis
 

@@ -14,7 +14,8 @@ from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.axes import CLEAN
 from wrenchbook.surrogate.table.compliance import ComplianceFit
-from wrenchbook.surrogate.table.rows import LOADS, Floats, LoadRange, Rows, why_beyond
+from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, why_beyond
+from wrenchbook.surrogate.table.space import LOADS
 
 from .reasons import why_not
 

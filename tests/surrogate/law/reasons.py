@@ -11,7 +11,8 @@ from wrenchbook.surrogate.composition.composition import NO_ROWS, OFF_HULL, Comp
 from wrenchbook.surrogate.composition.pure_moment import ON_HULL
 from wrenchbook.surrogate.error_law import FEWEST
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
-from wrenchbook.surrogate.table.rows import CLEAN, LOAD_UNITS, LOADS, Floats
+from wrenchbook.surrogate.table.rows import CLEAN, Floats
+from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS
 
 
 def why_not(composition: Composition, wrench: Floats) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import product
 
@@ -21,7 +22,8 @@ from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
 from wrenchbook.surrogate.scene.plan import design_of, first_solves, plan_of
 from wrenchbook.surrogate.scene.savings import measured
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import OUTPUTS, LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.space import OUTPUTS
 
 TIGHT, LOOSE = Tolerance(1e-9, 1e-9), Tolerance(1.0, 1.0)
 
@@ -150,7 +152,9 @@ def test_without_a_tolerance_nothing_is_rigid() -> None:
 def test_a_linear_component_needs_one_compliance() -> None:
     plan = plan_of(empty(linear=True), need(PLANAR))
     assert (plan.decision, plan.solves, plan.compliance) == ("linear", (1, 1), None)
-    one = build(solved(RESPONSES["nearly_linear"], full_wrenches(1, 1)), RANGE, linear=True)
+    row = solved(RESPONSES["nearly_linear"], full_wrenches(1, 1))
+    row = replace(row, displacement=row.wrench @ row.compliance[0].T)  # as linear solves have it
+    one = build(row, RANGE, linear=True)
     matrix = plan_of(one, need(PLANAR)).compliance
     assert matrix is not None
     np.testing.assert_array_equal(matrix[:, [1, 3, 5]], 0.0)

@@ -1,0 +1,40 @@
+"""Masses and own weight of a component, node by node."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrenchbook.fea.assembly.body import ElasticBody
+from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.recovery.stress import places_of
+
+Array = np.ndarray
+
+
+def material_of_parts(component: ComponentModel, body: ElasticBody) -> list[Array]:
+    """Return for each of the body's parts its cells' material numbers, shape (cells,)."""
+    materials, first, found = places_of(component, body.points)[1], 0, []
+    for part in body.parts:
+        weights = part.gradients.weights
+        found.append(materials[first : first + weights.size : weights.shape[1]])
+        first += weights.size
+    return found
+
+
+def nodal_masses(component: ComponentModel, body: ElasticBody) -> Array:
+    """Return the mass that each node carries, shape (n,), kg; without a density it is zero."""
+    densities = np.array([one.density or 0.0 for one in component.materials])
+    total = np.zeros(body.size)
+    numbers = material_of_parts(component, body)
+    for part, nodes, own in zip(body.parts, body.cells, numbers, strict=True):
+        masses = (densities[own][:, None] * part.gradients.weights) @ part.gradients.values
+        total = total + np.bincount(nodes.ravel(), masses.ravel(), minlength=body.size)
+    return total
+
+
+def weight_of(component: ComponentModel, body: ElasticBody) -> Array | None:
+    """Return the nodal forces of the weight, (n, 3), N, interface frame; None without gravity."""
+    gravity = component.analysis.gravity
+    if gravity is None:
+        return None
+    return nodal_masses(component, body)[:, None] * (component.axes @ np.array(gravity))
