@@ -80,10 +80,8 @@ class DisplacementCalls:
         ValueError
             If a number is not finite or a shape is wrong; nothing was sent.
         ProblemError
-            If there is no such component or version (404), if ``reject`` finds the wrench not
-            covered or ``wait`` finds it beyond the load range (409), if its solve failed (424).
-        ServerUnreachable, ServerTimeout
-            See `Connection.call`.
+            404 without such a component or version; 409 if ``reject`` finds the wrench not covered
+            or ``wait`` finds it beyond the load range; 424 if its solve failed.
         """
         body = loads_body(force, moment, loads, inputs)
         chosen = options(
