@@ -24,6 +24,7 @@ def filled_cells(
     numbers: Sequence[Array],
     integration: str,
     axes: Array | None = None,
+    heated: bool = False,
 ) -> list[tuple[CellBlock, CellStiffness]]:
     """Return the cells in parts of one law each, with their stiffness.
 
@@ -40,6 +41,8 @@ def filled_cells(
     axes
         Shape (3, 3): row i is the mesh's axis i in those that the bundle is written in; the same
         unless given.
+    heated
+        Whether the materials expand with the temperature.
 
     Raises
     ------
@@ -55,7 +58,7 @@ def filled_cells(
         modes = None
         if projected:
             modes = volume_modes(mesh.points, own, gradients.weights, integration)
-        filled.append((own, _stiffness(law, gradients, one_each, modes, frame)))
+        filled.append((own, _stiffness(law, gradients, one_each, modes, frame, heated)))
     return filled
 
 
@@ -86,15 +89,31 @@ def sorted_cells(
 
 
 def _stiffness(
-    law: str, gradients: Gradients, materials: list[Material], modes: Array | None, frame: Array
+    law: str,
+    gradients: Gradients,
+    materials: list[Material],
+    modes: Array | None,
+    frame: Array,
+    heated: bool,
 ) -> CellStiffness:
+    expansion = _expansion(materials, frame) if heated else None
     if law == "orthotropic":
         elasticities = {id(m): _elasticity(m, frame) for m in materials}
-        return OrthotropicStiffness(gradients, np.array([elasticities[id(m)] for m in materials]))
+        elasticity = np.array([elasticities[id(m)] for m in materials])
+        return OrthotropicStiffness(gradients, elasticity, expansion=expansion)
     kind = NeoHookeanStiffness if law == "neo-hookean" else Stiffness
     young = np.array([material.youngs_modulus for material in materials])
     poisson = np.array([material.poisson_ratio for material in materials])
-    return kind(gradients, *_lame(young, poisson), modes)
+    return kind(gradients, *_lame(young, poisson), modes, expansion=expansion)
+
+
+def _expansion(materials: list[Material], frame: Array) -> Array:
+    """Return thermal strains per kelvin, shape (cells, 3, 3), 1/K."""
+    found = {}
+    for one in materials:
+        own = np.eye(3) if one.orthotropic is None else np.array(one.orthotropic.axes) @ frame.T
+        found[id(one)] = (own.T * (one.thermal_expansion or 0.0)) @ own
+    return np.array([found[id(one)] for one in materials])
 
 
 def _elasticity(material: Material, frame: Array) -> Array:

@@ -124,6 +124,9 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
                 "diamond; if it was meant in MPa or GPa, write it in Pa"
             )
             problems.append(BundleProblem(f"material[{number}].youngs_modulus", message))
+        if material.thermal_expansion is not None and component.temperature is None:
+            message = "counts for nothing without [inputs.temperature]"
+            problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high_corner - low_corner))

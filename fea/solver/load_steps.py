@@ -62,7 +62,7 @@ class LoadPath:
     system
         The equations.
     wrench
-        Shape (6 i,), N and N·m, of i interfaces; not zero.
+        Shape (k,): the inputs, as of `Balance.wrench`; not zero.
     progress
         Called with the fraction done and a message.
 
@@ -235,8 +235,7 @@ class LoadPath:
 
     def _slope(self, tangent: Linearisation) -> float:
         """Advance of the interface along the wrench's direction per unit of the load factor."""
-        response = tangent.border_response @ self._wrench
-        return float(self._direction @ (tangent.wrench_columns.T @ response))
+        return float(self._direction @ tangent.conjugate_rate(self._wrench))
 
     def _advance(self, found: Equilibrium) -> float:
         """Advance in a step, conjugate to the wrench: translation and spin along its direction."""
@@ -245,6 +244,11 @@ class LoadPath:
         for before, after in zip(*(each_interface(end) for end in ends), strict=True):
             spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
             advance += [(after - before)[:3], spin]
+        if self._system.body.expands:
+            both, body = (self._balance, found.balance), self._system.body
+            middle = 0.5 * sum(self._system.temperature(one.wrench) for one in both)
+            before, after = (body.heat(one.state.nodes, middle)[1] for one in both)
+            advance.append(np.array([before - after]))
         return float(self._direction @ np.concatenate(advance))
 
     def _reporter(self, target: float) -> Report:
