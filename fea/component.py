@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -175,7 +175,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
-        materials=bundle.materials,
+        materials=_expanding(bundle),
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
         section=first.section,
@@ -190,6 +190,13 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         bushings=tuple(zip(springs, (own.stiffness for own in supports.bushings), strict=True)),
         temperature=bundle.temperature,
     )
+
+
+def _expanding(bundle: Bundle) -> tuple[Material, ...]:
+    """Return the materials, with thermal expansion only where the temperature is an input."""
+    if bundle.temperature is not None:
+        return bundle.materials
+    return tuple(replace(one, thermal_expansion=None) for one in bundle.materials)
 
 
 def mesh_of(source: MeshSource) -> Mesh:

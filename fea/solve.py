@@ -354,8 +354,7 @@ def _system(component: ComponentModel, active: Array) -> System:
     free[coupling.tied] = False
     materials, numbers = component.materials, component.material_of_cells
     integration = component.analysis.integration
-    heated = component.temperature is not None
-    filled = filled_cells(mesh, materials, numbers, integration, component.axes, heated)
+    filled = filled_cells(mesh, materials, numbers, integration, component.axes)
     nodes, held = component.sliding
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
     return System(body, coupling, component.mesh.points)

@@ -24,7 +24,6 @@ def filled_cells(
     numbers: Sequence[Array],
     integration: str,
     axes: Array | None = None,
-    heated: bool = False,
 ) -> list[tuple[CellBlock, CellStiffness]]:
     """Return the cells in parts of one law each, with their stiffness.
 
@@ -41,8 +40,6 @@ def filled_cells(
     axes
         Shape (3, 3): row i is the mesh's axis i in those that the bundle is written in; the same
         unless given.
-    heated
-        Whether the materials expand with the temperature.
 
     Raises
     ------
@@ -58,7 +55,7 @@ def filled_cells(
         modes = None
         if projected:
             modes = volume_modes(mesh.points, own, gradients.weights, integration)
-        filled.append((own, _stiffness(law, gradients, one_each, modes, frame, heated)))
+        filled.append((own, _stiffness(law, gradients, one_each, modes, frame)))
     return filled
 
 
@@ -89,14 +86,9 @@ def sorted_cells(
 
 
 def _stiffness(
-    law: str,
-    gradients: Gradients,
-    materials: list[Material],
-    modes: Array | None,
-    frame: Array,
-    heated: bool,
+    law: str, gradients: Gradients, materials: list[Material], modes: Array | None, frame: Array
 ) -> CellStiffness:
-    expansion = _expansion(materials, frame) if heated else None
+    expansion = _expansion(materials, frame)
     if law == "orthotropic":
         elasticities = {id(m): _elasticity(m, frame) for m in materials}
         elasticity = np.array([elasticities[id(m)] for m in materials])
@@ -107,12 +99,14 @@ def _stiffness(
     return kind(gradients, *_lame(young, poisson), modes, expansion=expansion)
 
 
-def _expansion(materials: list[Material], frame: Array) -> Array:
-    """Return thermal strains per kelvin, shape (cells, 3, 3), 1/K."""
+def _expansion(materials: list[Material], frame: Array) -> Array | None:
+    """Return thermal strains per kelvin, shape (cells, 3, 3), 1/K; None for none."""
     found = {}
     for one in materials:
+        if one.thermal_expansion is None:
+            return None
         own = np.eye(3) if one.orthotropic is None else np.array(one.orthotropic.axes) @ frame.T
-        found[id(one)] = (own.T * (one.thermal_expansion or 0.0)) @ own
+        found[id(one)] = (own.T * one.thermal_expansion) @ own
     return np.array([found[id(one)] for one in materials])
 
 

@@ -12,6 +12,7 @@ from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check import as_text, check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.coupling.rotation import rotation
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection.warnings import warnings_of
 from wrenchbook.fea.solve import Solver, solve
 from wrenchbook.fea.spec.problems import BundleError
@@ -190,6 +191,43 @@ def test_the_tangents_of_an_arch_with_heat_are_those_of_differences(tmp_path):
         assert largest(slope - found.tangents[:, :, number], slope) < 1e-6
         slope = (own.stresses(ahead) - own.stresses(behind)) / (2 * step)
         assert largest(slope - fields.stress_slopes[:, :, number], slope) < 1e-6
+
+
+@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
+def test_the_tangent_by_temperature_holds_on_bushings_and_sliding_planes(tmp_path, coupling):
+    spring = [3e8, 2e8, 5e8, 2e5, 3e5, 1e5]
+    held = {"group": "z0", "coupling": coupling, "stiffness": spring, "point": [0.1, 0, -0.1]}
+    tables = {"bushing": [held], "sliding": [PLANES[1] | {"group": "line"}]}
+    mesh = block()
+    line = np.flatnonzero(np.abs(mesh.points[:, [1, 2]] - [0.06, 0.2]).max(axis=1) < 1e-9)
+    mesh = replace(mesh, node_groups={"line": line})
+    own = solver(mesh, tmp_path, tables, PLY, nonlinear=True, coupling=coupling)
+    inputs = np.array([*(10 * LOADS), 90.0])
+    found, step = own.solve(inputs), 0.05 * np.eye(7)[6]
+    slope = (own.solve(inputs + step).displacement - own.solve(inputs - step).displacement) / 0.1
+    assert largest(slope - found.compliance[:, 6], slope) < 1e-6
+
+
+def test_a_heated_bar_between_walls_buckles_at_eulers_strain(tmp_path):
+    mesh = box("hex20", (2, 2, 20), (0.03, 0.02, 2.0))
+    middle = np.flatnonzero(np.abs(mesh.points[:, 2] - 1.0) < 1e-9)
+    mesh = replace(mesh, node_groups={"middle": middle})
+    both = {"fixed": ["z0", "z1"]}
+    own = solver(mesh, tmp_path, both, section="middle", coupling="distributed")
+    factor, opposite = own.buckling([*np.zeros(6), 20.0 + 10.0])
+    strain = 4 * np.pi**2 * 0.02**2 / 12 / 2.0**2
+    assert factor == pytest.approx(strain / (23e-6 * 10.0), rel=0.01)
+    assert opposite == np.inf or opposite > 1e3 * factor
+
+
+def test_an_arch_that_snaps_through_carries_more_when_it_is_warm(tmp_path):
+    own, factors = clamped_arch(tmp_path), []
+    for warm in (20.0, 60.0):
+        with pytest.raises(SolveFailed) as caught:
+            own.solve([0, -60000.0, 0, 0, 0, 0, warm])
+        assert caught.value.kind == "snap_through"
+        factors.append(caught.value.load_factor)
+    assert 1.01 * factors[0] < factors[1] < 1.2 * factors[0]
 
 
 def test_the_tangent_without_load_is_the_linear_response(tmp_path):
