@@ -14,10 +14,11 @@ from wrenchbook.fea.mesh.cad import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.generators import GENERATORS
+from wrenchbook.fea.mesh.groups import group_nodes, missing
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
     FREEDOMS,
     Analysis,
@@ -38,16 +39,9 @@ _ZERO = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class AttachedInterface:
-    """An interface with its section found in the mesh.
+    """An interface with its section found in the mesh, as `ComponentModel` has its first one.
 
-    Attributes
-    ----------
-    key
-        Where the bundle has it: ``interface``, ``interface[1]`` or ``supports.bushing[0]``.
-    name
-        Empty where it is the component's only one, and of a bushing.
-    section, point, axes, coupling, locked
-        As `ComponentModel` has them of its first interface.
+    `key` is where the bundle has it: ``interface``, ``interface[1]`` or ``supports.bushing[0]``.
     """
 
     key: str
@@ -154,7 +148,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         If the bundle has nothing to solve, its mesh cannot be read, a group is not in the mesh, a
         cell has no material or two, or supports or interface cannot hold a body.
     """
-    supported = bundle.supports is not None or any(one.supports for one in bundle.interfaces)
+    supported = bundle.supports is not None or any(one.held for one in bundle.interfaces)
     if bundle.mesh is None or bundle.interface is None or not supported:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         raise BundleError([BundleProblem("mesh", message)])
@@ -227,7 +221,7 @@ def _materials(
         key = f"material[{i}].region"
         if material.region not in mesh.regions:
             groups = ["all", *mesh.regions]
-            problems.append(_missing(key, material.region, "cell group", groups))
+            problems.append(missing(key, material.region, "cell group", groups))
             continue
         cells = mesh.regions[material.region]
         if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
@@ -255,7 +249,7 @@ def _fill_the_rest(
 
 def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
-    found = [_group_nodes(mesh, key, name, problems) for key, name in names]
+    found = [group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
     if not found or supports.sliding or supports.bushings:  # `fea.check.motions` looks at all
         return nodes
@@ -290,7 +284,7 @@ def _sliding(
     """Return the nodes that slide and the projectors on what holds each; fixed ones are none."""
     spans = np.zeros((len(mesh.points), 3, 3))
     for i, own in enumerate(groups):
-        nodes = _group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
+        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
         spans[nodes] += own.directions.T @ own.directions
     spans[fixed] = 0.0
     nodes = np.flatnonzero(spans.any(axis=(1, 2)))
@@ -329,7 +323,7 @@ def _left_sliding(
 def _section(
     mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
 ) -> InterfaceSection:
-    nodes = _group_nodes(mesh, key, interface.section, problems)
+    nodes = group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
         return InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     if not _spans_a_plane(mesh.points[nodes]):
@@ -341,30 +335,6 @@ def _section(
     if facets.blocks:
         return section_of_facets(mesh.points, facets, nodes)
     return section_of_nodes(mesh.points, nodes)
-
-
-def _group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) -> Array:
-    """Return the nodes of a facet group or node group; none, and a problem, if there is none."""
-    if name in mesh.facet_groups:
-        return mesh.facet_groups[name].node_ids
-    if name in mesh.node_groups:
-        return np.unique(mesh.node_groups[name])
-    groups = [*mesh.facet_groups, *mesh.node_groups]
-    if name in mesh.regions:
-        message = f'"{name}" is a group of cells; name a group of facets or nodes{_listed(groups)}'
-        problems.append(BundleProblem(key, message))
-    else:
-        problems.append(_missing(key, name, "facet or node group", groups))
-    return np.empty(0, dtype=np.int64)
-
-
-def _missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
-    message = f'the mesh has no {kind} "{name}"{suggest(name, groups)}{_listed(groups)}'
-    return BundleProblem(key, message)
-
-
-def _listed(groups: list[str]) -> str:
-    return f" (it has {', '.join(groups)})" if groups else " (it has none at all)"
 
 
 def _check_apart(

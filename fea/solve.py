@@ -16,14 +16,8 @@ from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Balance
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.coupling import (
-    CoupledState,
-    Coupling,
-    Distributed,
-    Rigid,
-    largest_rotation,
-)
-from wrenchbook.fea.coupling.coupling import SectionCoupling
+from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
+from wrenchbook.fea.coupling.coupling import SectionCoupling, largest_rotation
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.export.failure_record import keep
@@ -37,7 +31,7 @@ from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath
 from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.solver.warm_start import WarmFolder
-from wrenchbook.fea.spec.schema import Bundle
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
 
@@ -184,7 +178,7 @@ class Solver:
 
     @property
     def compliance(self) -> Array:
-        """The compliance at no load, (6 i, 6 i), symmetric: m/N, rad/N, m/(N·m), rad/(N·m)."""
+        """The compliance at no load, shape (6 i, 6 i), m/N, rad/N and so on; symmetric."""
         return self.linear.compliance[:, : self._system.coupling.freedoms]
 
     @cached_property
@@ -348,7 +342,7 @@ def _system(component: ComponentModel, active: Array) -> System:
     every = [*component.interfaces, *(one for one, _ in component.bushings)]
     sections = [_section(component, one) for one in every]
     springs = [stiffness for _, stiffness in component.bushings]
-    coupling = Coupling(len(mesh.points), sections, active, springs, _anchors(component))
+    coupling = Coupling(len(mesh.points), sections, active, _anchors(component), springs)
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     free[coupling.tied] = False
@@ -358,20 +352,6 @@ def _system(component: ComponentModel, active: Array) -> System:
     nodes, held = component.sliding
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
     return System(body, coupling, component.mesh.points)
-
-
-def _anchors(component: ComponentModel) -> Array:
-    """Return three nodes, far from one line, of each bushing that holds a mean."""
-    found = [np.empty(0, dtype=np.int64)]
-    for own in (one for one, _ in component.bushings if one.coupling == "distributed"):
-        nodes = np.setdiff1d(own.section.node_ids, component.sliding[0])
-        places = component.mesh.points[nodes]
-        first = np.linalg.norm(places - own.section.centre, axis=1).argmax()
-        arms = places - places[first]
-        second = np.linalg.norm(arms, axis=1).argmax()
-        third = np.linalg.norm(np.cross(arms, arms[second]), axis=1).argmax()
-        found.append(nodes[[first, second, third]])
-    return np.concatenate(found)
 
 
 def _section(
@@ -384,6 +364,23 @@ def _section(
     coupling = Rigid(places) if rigid else Distributed(places, own.section.weights)
     same = np.array_equal(own.axes, component.axes)
     return coupling, nodes, None if same else own.axes @ component.axes.T
+
+
+def _anchors(component: ComponentModel) -> Array:
+    """Return three nodes far apart of each section whose mean alone may hold the part."""
+    found = [np.empty(0, dtype=np.int64)]
+    held = [one for one in component.interfaces if one.locked == FREEDOMS]
+    held = [] if component.fixed_nodes.size else held
+    for own in (*held, *(one for one, _ in component.bushings)):
+        if own.coupling == "distributed":
+            nodes = np.setdiff1d(own.section.node_ids, component.sliding[0])
+            arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)
+            first = int(np.linalg.norm(arms, axis=1).argmax())
+            away = arms - arms[first]
+            second = int(np.linalg.norm(away, axis=1).argmax())
+            third = int(np.linalg.norm(np.cross(away, away[second]), axis=1).argmax())
+            found.append(nodes[[first, second, third]])
+    return np.concatenate(found)
 
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:

@@ -102,7 +102,7 @@ class Linearisation:
         border = self._softest_interface[1]
         field = self.border.ties @ border - self._solved @ border
         energy = self._body.strain_energy_products(field[:, :, None])[0, 0]
-        energy += np.sum(self._coupling.spring_energies(border[:, None]))
+        energy += self._coupling.spring_energies(border[:, None])[0, 0]
         return float(energy / (border @ (np.diagonal(self._block) * border)))
 
     @property
@@ -123,13 +123,13 @@ class Linearisation:
         nothing else, give the bordered matrix its negative eigenvalues.
         """
         factor, coupling = self.tangent.factor, self._coupling
-        constraints = coupling.multipliers
-        if factor.definite and coupling.border == coupling.active.size + constraints:
+        if factor.definite and coupling.motions == coupling.active.size:
             return self._least_compliance > 0
+        constraints = coupling.border - coupling.motions
         if not (constraints or factor.definite) or not np.isfinite(self.schur).all():
             return False
-        scaled = self.schur * self._scale[:, None] * self._scale
-        own = np.linalg.eigvalsh(scaled + scaled.T)
+        scale = self._border_scale
+        own = np.linalg.eigvalsh((self.schur + self.schur.T) * scale[:, None] * scale)
         return factor.negatives + int((own < 0).sum()) == constraints
 
     @property
@@ -245,23 +245,22 @@ class Linearisation:
         """
         return self._coupling.displacement_rows(self.border_response)
 
-    @cached_property
-    def _scale(self) -> Array:
-        """What scales rows and columns of S to one size: they mix m, rad, N and N·m."""
-        scale = np.ones(len(self.schur))
-        for _ in range(3):
-            largest = np.abs(self.schur * scale[:, None] * scale).max(axis=1, initial=0.0)
-            scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
-        return scale
-
     def _solve_border(self, loads: Array) -> Array:
-        """Solve with S, its rows and columns scaled to one size."""
-        scale = self._scale
+        """Solve with S, its rows and columns scaled to one size: they mix m, rad, N and N·m."""
+        scale = self._border_scale
         try:
             scaled = np.linalg.solve(self.schur * scale[:, None] * scale, scale[:, None] * loads)
         except np.linalg.LinAlgError:
             raise mechanism("The interface can move without any resistance.") from None
         return scale[:, None] * scaled
+
+    @cached_property
+    def _border_scale(self) -> Array:
+        scale = np.ones(len(self.schur))
+        for _ in range(3):
+            largest = np.abs(self.schur * scale[:, None] * scale).max(axis=1, initial=0.0)
+            scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+        return scale
 
 
 def contract(first: Array, second: Array) -> Array:

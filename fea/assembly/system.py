@@ -47,8 +47,8 @@ class System:
 
     @property
     def unknowns(self) -> int:
-        """Free nodal unknowns and freedoms of interface and bushings."""
-        return self.body.dissection.unknowns + self.coupling.border - self.coupling.multipliers
+        """Free nodal unknowns and freedoms of interfaces and bushings."""
+        return self.body.dissection.unknowns + self.coupling.motions
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
         """Weigh the internal forces of a state against inputs, shape (k,): see `Balance.wrench`."""

@@ -59,7 +59,7 @@ _LINE = re.compile(r"\(at line (\d+), column (\d+)\)")
 _MOST_BYTES = 256 * 1024  # hundreds of faces chosen by number, of a geometry file
 # Begins where a word does, so that a long word is looked at once.
 _LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")
-_OR_HELD = ', or one [[interface]] with held = true and coupling = "rigid"'
+_OR_HELD = ", or held = true in one [[interface]]: its reaction then balances the loads"
 _SOLVER_TABLES = ("material", "supports", "interface", "analysis")
 
 
@@ -114,7 +114,7 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
         "tolerance": read_tolerance(top.table("tolerance", required=False)),
         "deck": read_deck(top.table("deck", required=False), folder),
     }
-    _check_whole(top, any(one is not None and one.supports for one in interfaces))
+    _check_whole(top, any(one is not None and one.held for one in interfaces))
     _check_frame(top, parts["deck"], interfaces)
     check_temperature(top, parts["temperature"], parts["materials"], interfaces)
     top.close()
@@ -157,16 +157,16 @@ def _syntax_problem(error: Exception) -> BundleProblem:
     return BundleProblem(f"line {found[1]}", message)
 
 
-def _check_whole(top: Keys, supported: bool) -> None:
-    """Note tables that need each other; a rigid interface that is held stands in for supports."""
+def _check_whole(top: Keys, held: bool) -> None:
+    """Note tables that need each other; an interface that is held stands in for supports."""
     if "deck" in top:
         return
     if "mesh" in top:
         for key in _SOLVER_TABLES:
-            if key not in top and not (supported and key == "supports"):
+            if key not in top and not (held and key == "supports"):
                 brackets = "[[material]]" if key == "material" else f"[{key}]"
-                held = _OR_HELD if key == "supports" and top.is_array("interface") else ""
-                top.wrong(key, f"missing; a component with a [mesh] needs {brackets}{held}")
+                more = _OR_HELD if key == "supports" and top.is_array("interface") else ""
+                top.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
     else:
         for key in _SOLVER_TABLES:
             if key in top:

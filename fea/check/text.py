@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from wrenchbook.fea.spec.schema import FREEDOMS
+
 _MOST_LINES = 60
 _WIDTH = 100
-_FREEDOMS = 6
+_EACH = len(FREEDOMS)  # values of one interface
 
 
 def as_text(report: Mapping[str, Any]) -> str:
@@ -122,14 +124,15 @@ def _temperature(own: Mapping[str, float] | None) -> list[str]:
 
 
 def _supports(supports: Mapping[str, Any]) -> str:
-    words = {"nodes": "nodes fixed", "sliding_nodes": "sliding", "bushings": "bushings"}
-    return ", ".join(f"{supports[key]} {word}" for key, word in words.items() if key in supports)
+    sliding = f", {supports['sliding_nodes']} sliding" if "sliding_nodes" in supports else ""
+    bushings = f"; bushings: {supports['bushings']}" if "bushings" in supports else ""
+    return f"{supports['nodes']} nodes fixed{sliding}{bushings}"
 
 
 def _interface(section: Mapping[str, Any]) -> str:
     area = "no area" if section["area"] is None else f"{1e6 * section['area']:.5g} mm^2"
     locked = f", locked {', '.join(section['locked'])}" if section["locked"] else ""
-    locked = ", held" if len(section["locked"]) == _FREEDOMS else locked
+    locked = ", held" if len(section["locked"]) == _EACH else locked
     name = f" {section['name']}" if "name" in section else ""
     return (
         f"interface{name}: {section['nodes']} nodes, {area}, {section['coupling']}{locked}, "
@@ -183,8 +186,8 @@ def _moved(report: Mapping[str, Any], when: str, values: list[float]) -> list[st
 def _by_interface(report: Mapping[str, Any], values: list[float]) -> list[tuple[str, list[float]]]:
     """Return six values of each interface with its name, empty where there is one."""
     names = [one["name"] for one in report.get("sections", [])] or [""]
-    ends = range(0, len(values), _FREEDOMS)
-    return [(name, values[i : i + _FREEDOMS]) for name, i in zip(names, ends, strict=True)]
+    ends = range(0, len(values), _EACH)
+    return [(name, values[i : i + _EACH]) for name, i in zip(names, ends, strict=True)]
 
 
 def _vibration(report: Mapping[str, Any]) -> list[str]:

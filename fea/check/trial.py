@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.coupling import each_interface, largest_rotation
+from wrenchbook.fea.coupling.coupling import each_interface, largest_rotation
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import MOST_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
@@ -142,7 +142,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     vibration
         ``mass`` (kg, of the component; None without any density), ``first_frequency`` (Hz),
         ``motion`` of the interfaces (6 numbers each, m and rad, of length one), ``riding_mass``
-        (kg); empty where neither the bundle nor the argument has a mass, or no frequency is found.
+        (kg); empty where neither bundle nor argument tells a mass, or no frequency was found.
     warnings
         Why not, or that some materials count as weightless.
     """

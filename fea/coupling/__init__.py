@@ -9,24 +9,8 @@ The body is in the undeformed frame of the first interface, its origin at that i
 each interface's displacement and wrench are in its own.
 """
 
-from wrenchbook.fea.coupling.coupling import (
-    PER_INTERFACE,
-    Border,
-    CoupledState,
-    Coupling,
-    each_interface,
-    largest_rotation,
-)
+from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling
 from wrenchbook.fea.coupling.distributed import Distributed
 from wrenchbook.fea.coupling.rigid import Rigid
 
-__all__ = [
-    "PER_INTERFACE",
-    "Border",
-    "CoupledState",
-    "Coupling",
-    "Distributed",
-    "Rigid",
-    "each_interface",
-    "largest_rotation",
-]
+__all__ = ["Border", "CoupledState", "Coupling", "Distributed", "Rigid"]

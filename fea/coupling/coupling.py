@@ -16,8 +16,6 @@ Array = np.ndarray
 PER_INTERFACE = len(FREEDOMS)
 """Freedoms of one interface: three translations, then a rotation vector."""
 
-_NONE = np.empty(0, dtype=np.int64)
-
 
 def each_interface(vector: Array) -> Array:
     """Return displacements or wrenches, shape (6 i,), by interface: (i, 6), in their units."""
@@ -75,17 +73,12 @@ class Border(NamedTuple):
 class SectionCoupling(ABC):
     """How one interface holds its section: the base class of `Rigid` and `Distributed`.
 
-    All is in the interface's own frame, from its point. States, forces and fields are those of the
-    section's nodes alone; the border is six freedoms, locked ones too, and the multipliers.
-
-    Parameters
-    ----------
-    places
-        Shape (s, 3), m: the section's nodes, undeformed.
+    All is in the interface's own frame, from its point: `places` of the section's nodes, (s, 3), m,
+    undeformed. States, forces and fields are those of these nodes alone; the border is six
+    freedoms, locked ones too, and the `multipliers`.
     """
 
     multipliers = 0
-    """Number of multipliers."""
 
     def __init__(self, places: Array) -> None:
         self.places = places
@@ -98,26 +91,16 @@ class SectionCoupling(ABC):
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what the coupling adds to the nodes, and what is out of balance in the border.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shape (s, 3), N: internal nodal forces in it.
-        wrench
-            Shape (6,), N and N·m.
-
-        Returns
-        -------
-        nodal
-            Shape (s, 3), N.
-        border
-            Shape (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
+        Internal forces have shape (s, 3), N, the wrench (6,), N and N·m; the results (s, 3), N, and
+        (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
         """
 
     @abstractmethod
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
-        """Return how the border joins the body's tangent; parameters as of `residual`."""
+        """Return how the border joins the body's tangent.
+
+        Internal forces have shape (s, 3), N, the wrench (6,), N and N·m.
+        """
 
     @abstractmethod
     def wrench_columns(self, state: CoupledState) -> Array:
@@ -130,18 +113,9 @@ class SectionCoupling(ABC):
 class _Seat(NamedTuple):
     """One section's place in the body and in the border.
 
-    Attributes
-    ----------
-    section, nodes
-        The coupling, and which nodes are its section's, shape (s,).
-    turn
-        Shape (3, 3): a vector of the body times its transpose is the interface's; None if equal.
-    freedoms
-        Of this interface among all, a slice.
-    chosen, border
-        Unknowns among the section's own border, and where they are in the whole one.
-    spring
-        Of a bushing, which has no wrench: its stiffness, shape (6, 6).
+    `turn` times a vector of the body is the interface's, None if equal; `freedoms` are those of
+    this interface among all; `chosen` are the unknowns among the section's own border, and `border`
+    where they are in the whole one. `spring` is a bushing's stiffness, (6, 6); it has no wrench.
     """
 
     section: SectionCoupling
@@ -165,11 +139,13 @@ class _Seat(NamedTuple):
 
 
 class Coupling:
-    """All interfaces and bushings of a body: one border for their freedoms, then multipliers.
+    """Interfaces and bushings: one border of their freedoms, of anchors, and of multipliers.
 
     Nodes and forces are in the body's frame, each interface's displacement and wrench in its own.
     A bushing moves by q, translation and rotation vector, and stores q^T K q / 2: its force, and
     the moment that works on the rotation vector, are K q, and K is its tangent at any rotation.
+    A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
+    border moves all components, leave one that has.
 
     Parameters
     ----------
@@ -180,11 +156,16 @@ class Coupling:
         the body, shape (3, 3), a row each; None where they are the same. No two share a node.
     active
         Shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
+    anchors
+        Shape (a,), int64: nodes that are in no rigid section.
     springs
         The last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
-    anchors
-        Shape (a,): nodes eliminated with the border, so that what is eliminated before them is
-        held where nothing but means of sections hold the body.
+
+    Attributes
+    ----------
+    freedoms, motions, border
+        How many: 6 i of i interfaces; unknowns of the border that move something; all of them, the
+        multipliers last.
     """
 
     def __init__(
@@ -192,18 +173,21 @@ class Coupling:
         size: int,
         sections: Sequence[tuple[SectionCoupling, Array, Array | None]],
         active: Array,
+        anchors: Array,
         springs: Sequence[Array] = (),
-        anchors: Array = _NONE,
     ) -> None:
         self.active = active
-        self.freedoms = PER_INTERFACE * (len(sections) - len(springs))
         self._sprung = PER_INTERFACE * len(springs)
-        self._size, self._anchors = size, anchors
+        self.freedoms = PER_INTERFACE * len(sections) - self._sprung
         self._moving = active = np.append(active, self.freedoms + np.arange(self._sprung))
-        self._anchored = len(active) + np.arange(3 * len(anchors))
+        self.motions = len(active) + 3 * len(anchors)
+        self._anchors = anchors
+        self._anchored = np.arange(len(active), self.motions)
+        self._size = size
         self._seats: list[_Seat] = []
-        forced, spring_of = [_NONE], [*[None] * (len(sections) - len(springs)), *springs]
-        first_multiplier = self.border = len(active) + 3 * len(anchors)
+        forced = [np.empty(0, dtype=int)]
+        self.border = self.motions
+        spring_of = [*[None] * (len(sections) - len(springs)), *springs]
         for number, (section, nodes, turn) in enumerate(sections):
             first = PER_INTERFACE * number
             own = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
@@ -216,11 +200,10 @@ class Coupling:
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
-        self.multipliers = self.border - first_multiplier
 
     @property
     def tied(self) -> Array:
-        """Nodes of rigid sections, and anchors: no unknowns, shape (k,), int64, indices."""
+        """Nodes that follow an interface and are no unknowns, shape (k,), int64, indices."""
         still = np.zeros(PER_INTERFACE)
         found = [seat.nodes for seat in self._seats if seat.section.placed(still) is not None]
         return np.concatenate([self._anchors, *found])
@@ -236,7 +219,7 @@ class Coupling:
         return float(sum(0.5 * q @ spring @ q for spring, q in parts if spring is not None))
 
     def spring_energies(self, border: Array) -> Array:
-        """Return twice the mutual energies of the springs, (k, k), J, of borders (border, k)."""
+        """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
         for seat in self._seats:
             if seat.spring is not None:
@@ -256,9 +239,9 @@ class Coupling:
         border
             Shape (border,): that of the interface freedoms, m and rad, and multipliers, N and N/m.
         """
-        motions, multipliers = (part.copy() for part in self._unknowns(state))
+        motions, multipliers = self._unknowns(state)
         motions[self._moving] += border[: len(self._moving)]
-        multipliers[self._forced] += border[self.border - self.multipliers :]
+        multipliers[self._forced] += border[self.motions :]
         placed = state.nodes + nodes
         placed[self._anchors] += border[self._anchored].reshape(-1, 3)
         for seat in self._seats:
@@ -325,7 +308,7 @@ class Coupling:
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
-        ties[np.repeat(self._anchors, 3), np.arange(len(pushed)) % 3, self._anchored] = 1.0
+        ties[self._anchors[:, None], np.arange(3), self._anchored.reshape(-1, 3)] = 1.0
         return Border(ties, columns, block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
@@ -355,6 +338,6 @@ class Coupling:
             yield seat, CoupledState(seat.inwards(state.nodes), motions[own], multipliers[own])
 
     def _unknowns(self, state: CoupledState) -> tuple[Array, Array]:
-        """Return motions and multipliers of interfaces and bushings, six of each."""
+        """Return copies of the motions and multipliers of interfaces and bushings, six of each."""
         multipliers, sprung = np.split(state.multipliers, [self.freedoms + self._sprung])
-        return np.append(state.interface, sprung), multipliers
+        return np.append(state.interface, sprung), multipliers.copy()

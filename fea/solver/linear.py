@@ -96,14 +96,13 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
     """
     acting, loads = start.load_columns
     border = start.border
-    columns = system.body.movable.released(border.columns)
     nodes, moved = start.solve(acting, loads)
     size = 0.0
     for _ in range(_MOST_CORRECTIONS):
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
         nodal = system.body.movable.released(forces + border.columns @ moved) - acting
-        rest = contract(border.ties, forces) + contract(columns, fields)
+        rest = contract(border.ties, forces) + contract(border.columns, nodes)
         rest += border.block @ moved - loads
         more_nodes, more = start.solve(nodal, rest)
         nodes, moved = nodes - more_nodes, moved - more

@@ -8,7 +8,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.coupling import CoupledState, each_interface
+from wrenchbook.fea.coupling.coupling import CoupledState, each_interface
 from wrenchbook.fea.coupling.rotation import rotation, rotation_vector
 from wrenchbook.fea.failure import (
     SolveFailed,

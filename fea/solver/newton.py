@@ -9,7 +9,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.coupling import largest_rotation
+from wrenchbook.fea.coupling.coupling import largest_rotation
 
 Array = np.ndarray
 

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from wrenchbook.fea.assembly.linearisation import contract
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.coupling import PER_INTERFACE
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.coupling.rotation import skew
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
@@ -148,13 +148,16 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     x = _lowest(inertia) if mass.nnz else _massless(inertia)
     fields, interface = inertia.fields(x)
     stiffness = system.body.strain_energy_products(fields[:, :, None])[0, 0]
-    stiffness += np.sum(system.coupling.spring_energies(inertia.border(x)))
+    stiffness += system.coupling.spring_energies(inertia.border(x))[0, 0]
     square = stiffness / float(x @ inertia.times(x))
     return Vibration(own, float(np.sqrt(square) / (2 * np.pi)), _directed(interface))
 
 
 class Inertia:
-    """The mass matrix over free nodes and active interface freedoms, and K^-1."""
+    """The mass matrix over free nodes, active interface freedoms and anchors, and K^-1.
+
+    `first` is where the interface freedoms begin among the `size` unknowns.
+    """
 
     def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
         self._mass, self.interface_mass = mass, interface_mass
@@ -163,11 +166,11 @@ class Inertia:
         self._free = np.flatnonzero(system.body.free)
         self._movable = system.body.movable
         self._nodes = system.body.size
-        self._multipliers = system.coupling.multipliers
-        self._freedoms = system.coupling.border - self._multipliers
-        self._ties = self._start.border.ties[:, :, : self._freedoms]
+        self._motions = system.coupling.motions
+        self._ties = self._start.border.ties[:, :, : self._motions]
+        self._multipliers = system.coupling.border - self._motions
         self.first = 3 * self._free.size
-        self.size = self.first + self._freedoms
+        self.size = self.first + self._motions
 
     def fields(self, x: Array) -> tuple[Array, Array]:
         """Return all nodes' motion (n, 3), m, and the interfaces' (6 i,), m and rad."""
@@ -181,7 +184,7 @@ class Inertia:
         return nodes, interface
 
     def border(self, x: Array) -> Array:
-        """Return the whole border's motion, shape (border, 1): its multipliers are none."""
+        """Return the whole border's motion, shape (border, 1); its multipliers are zero."""
         return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
 
     def times(self, x: Array) -> Array:
@@ -198,7 +201,7 @@ class Inertia:
         nodal = np.zeros((self._nodes, 3, 1))
         nodal[self._free, :, 0] = loads[: self.first].reshape(-1, 3)
         nodes, moved = self._start.solve(nodal, self.border(loads))
-        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self._freedoms, 0]])
+        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self._motions, 0]])
 
 
 class _Applied(LinearOperator):
@@ -227,8 +230,8 @@ def _massless(inertia: Inertia) -> Array:
     With C = L L^T the largest eigenvalue of L^T M L is 1 / omega^2.
     """
     count = inertia.active.size
-    units = np.zeros((count, inertia.size))
     own = slice(inertia.first, inertia.first + count)
+    units = np.zeros((count, inertia.size))
     units[:, own] = np.eye(count)
     moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
     compliance = moved[own]

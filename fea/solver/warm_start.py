@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.coupling import PER_INTERFACE, CoupledState
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE, CoupledState
 from wrenchbook.fea.solution import Solution
 
 Array = np.ndarray

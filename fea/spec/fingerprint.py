@@ -13,7 +13,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from wrenchbook.fea.spec.schema import Analysis, Deck, Interface, Material, MeshSource, Supports
+from wrenchbook.fea.spec.schema import (
+    Analysis,
+    Bushing,
+    Deck,
+    Interface,
+    Material,
+    MeshSource,
+    Supports,
+)
 
 DIGITS = 16
 
@@ -88,8 +96,12 @@ def _supports(supports: Supports | None) -> object:
     return {
         "fixed": sorted(supports.fixed),
         "sliding": sorted([own.group, own.directions.tolist()] for own in supports.sliding),
-        "bushings": [[_interface(b.hold), b.stiffness.tolist()] for b in supports.bushings],
+        "bushings": sorted(map(_bushing, supports.bushings), key=json.dumps),
     }
+
+
+def _bushing(bushing: Bushing) -> list[object]:
+    return [_interface(bushing.hold), bushing.stiffness.tolist()]
 
 
 def _interface(interface: Interface | None) -> object:

@@ -206,11 +206,6 @@ class Interface:
         """Whether it does not move: the others' displacements are relative to it."""
         return self.locked == FREEDOMS
 
-    @property
-    def supports(self) -> bool:
-        """Whether it holds the part so that [supports] may be absent: held, and rigid."""
-        return self.held and self.coupling == "rigid"
-
 
 @dataclass(frozen=True, eq=False)
 class Bushing:

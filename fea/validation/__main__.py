@@ -23,12 +23,13 @@ from wrenchbook.fea.validation import (
     plate,
     rates,
     spring,
+    supports,
 )
 from wrenchbook.fea.validation.finding import CASES, TOPICS, Case, Finding
 
 __all__ = ["MODULES", "main", "markdown", "replace_table", "run"]
 
-MODULES = (patch, rates, bar, plate, curved_beam, spring, laminate, materials)
+MODULES = (patch, rates, supports, bar, plate, curved_beam, spring, laminate, materials)
 """Where the cases are; importing them enters them in `CASES`."""
 
 BEGIN = "<!-- validation: begin (written by `make validate-table`) -->"

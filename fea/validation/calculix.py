@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.coupling import each_interface
+from wrenchbook.fea.coupling.coupling import each_interface
 from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.export.calculix import TEMPERATURE, deck_of, placeholders
 from wrenchbook.fea.solve import Solver

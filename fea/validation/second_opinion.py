@@ -107,7 +107,7 @@ def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIM
             reply = calculix.solve_distributed(part, loads, timeout=timeout)
     except SolveFailed as error:
         return Opinion(loads, tolerance=tolerance, failed=f"not solved: {error}")
-    except (RuntimeError, subprocess.TimeoutExpired) as error:
+    except (BundleError, RuntimeError, subprocess.TimeoutExpired) as error:
         return Opinion(loads, tolerance=tolerance, failed=str(error))
     return Opinion(
         loads,

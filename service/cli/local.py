@@ -216,8 +216,8 @@ def validate(
     topic: Annotated[
         str,
         typer.Argument(
-            help="patch, bar, plate, curved_beam, spring, material, all; paper; or, with --with, "
-            "a component or a bundle's folder"
+            help="patch, support, bar, plate, curved_beam, spring, material, all; paper; or, with "
+            "--with, a component or a bundle's folder"
         ),
     ] = "all",
     markdown: Annotated[bool, typer.Option(help="print the tables as Markdown")] = False,

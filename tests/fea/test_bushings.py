@@ -7,14 +7,19 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.calculix import require_ccx
-from tests.fea.supports import PLANES, largest, mistakes, part
+from tests.fea.supports import PLANES, TABLE, largest, mistakes, part
+from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check.findings import motion_problems
+from wrenchbook.fea.check.reporting import report
+from wrenchbook.fea.check.text import as_text
+from wrenchbook.fea.component import build
 from wrenchbook.fea.coupling.rotation import rotation, rotation_vector, skew, spin_per_vector
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
+from wrenchbook.fea.solver.warm_start import WarmFolder
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.validation import calculix, second_opinion
 
@@ -183,6 +188,9 @@ def test_calculix_finds_the_same_on_bushings(tmp_path, stiffness, nonlinear):
 def test_calculix_has_no_distributed_bushing(tmp_path):
     with pytest.raises(BundleError, match=r"supports.bushing\[0\].coupling"):
         deck_of(on_bushings(tmp_path, bushing(coupling="distributed")))
+    require_ccx()
+    solver = Solver(on_bushings(tmp_path, bushing(coupling="distributed")))
+    assert "no spring on a mean" in second_opinion.second_opinion(solver, WRENCH.tolist()).failed
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS)
@@ -254,3 +262,81 @@ def test_a_mistake_in_a_bushing_is_named_with_its_key(tmp_path, changes, where, 
         supports["sliding"] = [{"group": "pin", "directions": ["x"]}]
     found = mistakes(whole, tmp_path, supports)
     assert any(said in message for key, message in found.items() if f".{where}" in key), found
+
+
+def test_two_bushings_on_the_same_nodes_are_a_mistake(tmp_path):
+    found = mistakes(mesh(), tmp_path, {"bushing": [bushing(), bushing(coupling="distributed")]})
+    assert "shares 21 nodes" in found["supports.bushing[1].group"]
+
+
+def test_several_interfaces_move_on_one_spring(tmp_path):
+    """Each moves as the spring does under the other's force: the part is nearly rigid."""
+    loads = {"range": {"force": [1, 1, 1], "moment": [1, 1, 1]}}
+    both = [
+        {"name": n, "section": s, "coupling": "rigid"} | loads
+        for n, s in (("a", "z0"), ("b", "z1"))
+    ]
+    table = {key: value for key, value in TABLE.items() if key != "range"}
+    spring = {"stiffness": [5.0, 4.0, 3.0, 9.0, 9.0, 9.0], "point": [0.05, 0.03, 0.0]}
+    table |= {
+        "supports": {"bushing": [bushing() | {"group": "belt"} | spring]},
+        "material": [{"region": "all", "youngs_modulus": 3e9, "poisson_ratio": 0.3}],
+        "interface": both,
+    }
+    belt = np.flatnonzero(mesh().points[:, 2] == 0.5)
+    one = build(bundle_of(table, tmp_path), replace(mesh(), node_groups={"belt": belt}))
+    compliance = Solver(one).compliance
+    assert compliance.shape == (12, 12)
+    assert compliance[8, 2] == pytest.approx(1 / 3.0, rel=1e-4)
+    assert compliance[6, 6] == pytest.approx(1 / 5.0 + 1.0 / 9.0, rel=1e-4)
+    np.testing.assert_allclose(compliance, compliance.T)
+
+
+def test_the_state_of_a_part_on_bushings_is_kept_for_the_next_solve(tmp_path):
+    one = Solver(on_bushings(tmp_path, bushing(coupling="distributed"), nonlinear=True))
+    found = one.solve(WRENCH)
+    folder = WarmFolder(tmp_path / "states", "0" * 16, np.abs(WRENCH))
+    folder.keep(found)
+    state = folder.nearest(1.1 * WRENCH, len(one.component.mesh.points))
+    np.testing.assert_array_equal(state.multipliers, found.state.multipliers)
+    again = one.solve(WRENCH, start=state)
+    np.testing.assert_allclose(again.displacement, found.displacement, rtol=1e-9)
+
+
+def test_the_report_counts_what_holds_the_part(tmp_path):
+    (tmp_path / "component.toml").write_text(BUNDLE)
+    told = report(tmp_path)
+    assert told["ok"], told["problems"]
+    sliding = told["supports"]["sliding_nodes"]
+    assert told["supports"] == {"nodes": 0, "sliding_nodes": sliding, "bushings": 1}
+    assert f"supports: 0 nodes fixed, {sliding} sliding; bushings: 1" in as_text(told)
+
+
+BUNDLE = """
+name = "part"
+title = "A bar on a bushing and a plane"
+[mesh]
+generator = "bar"
+length = 1.0
+width = 0.02
+height = 0.02
+[[material]]
+region = "all"
+youngs_modulus = 2e11
+poisson_ratio = 0.3
+[[supports.sliding]]
+group = "side"
+directions = ["y"]
+[[supports.bushing]]
+group = "start"
+coupling = "distributed"
+stiffness = [1e6, 0, 1e6, 1e4, 1e4, 1e4]
+[interface]
+section = "end"
+coupling = "distributed"
+[analysis]
+nonlinear = false
+[range]
+force = [1, 1, 1]
+moment = [1, 1, 1]
+"""

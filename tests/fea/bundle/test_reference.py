@@ -52,6 +52,7 @@ def bundles():
     for mesh in meshes:
         materials = [{"region": "all"}, {"region": "x", "law": "orthotropic"}]
         yield common | {"mesh": mesh, "material": materials}
+    yield common | {"interface": [{"range": {}}, {}]}
     for reader in _BUILT_IN:
         yield common | {"deck": {"output": {"reader": reader}}}
 

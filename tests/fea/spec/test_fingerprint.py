@@ -57,6 +57,7 @@ def test_the_fingerprint_stays_when_no_answer_can_change(path, value):
     assert print_of(altered(path, value)) == print_of(BAR)
 
 
+SPRING = {"group": "side", "coupling": "rigid", "stiffness": [1.0] * 6}
 CHANGES = [
     (("mesh", "length"), 1.0000000000000002),
     (("mesh", "cells_along"), 41),
@@ -65,6 +66,12 @@ CHANGES = [
     (("material", 0, "poisson_ratio"), 0.31),
     (("material", 1, "region"), "root"),
     (("supports", "fixed"), ["start"]),
+    (("supports", "sliding"), [{"group": "side", "directions": ["x"]}]),
+    (("supports", "sliding"), [{"group": "side", "directions": ["y"]}]),
+    (("supports", "bushing"), [SPRING]),
+    (("supports", "bushing"), [SPRING | {"stiffness": [2.0] * 6}]),
+    (("supports", "bushing"), [SPRING | {"point": [0, 0, 0]}]),
+    (("supports", "bushing"), [SPRING | {"coupling": "distributed"}]),
     (("interface", "section"), "side"),
     (("interface", "point"), [1, 0, 0]),
     (("interface", "axes"), [[0, 1, 0], [0, 0, 1], [1, 0, 0]]),
@@ -84,6 +91,13 @@ def test_each_thing_that_can_change_an_answer_changes_the_fingerprint():
             table["mesh"] |= {"thickness": 0.02, "patch": 0.1}
         prints.append(print_of(table))
     assert len(set(prints)) == len(prints)
+
+
+def test_a_spring_is_the_same_by_six_numbers_and_by_its_matrix_in_any_order():
+    other = SPRING | {"group": "end"}
+    matrix = SPRING | {"stiffness": [[float(i == j) for j in range(6)] for i in range(6)]}
+    prints = [altered(("supports", "bushing"), ones) for ones in ([SPRING, other], [other, matrix])]
+    assert print_of(prints[0]) == print_of(prints[1])
 
 
 def test_the_fingerprint_covers_the_bytes_of_the_mesh_file_and_not_its_name(tmp_path):

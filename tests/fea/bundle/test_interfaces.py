@@ -1,0 +1,139 @@
+"""Bundles of several interfaces: what is read, what is refused, and what `check` reports."""
+
+import numpy as np
+import pytest
+
+from tests.fea.two_interfaces import LINK, rod_between_loads
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.check import as_text, check
+from wrenchbook.fea.component import build
+from wrenchbook.fea.solve import solve
+from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.fea.spec.schema import FREEDOMS
+
+RANGE = "range = {force = [20, 20, 200], moment = [5, 5, 5]}"
+TOP_RANGE = "[range]\nforce = [1, 1, 1]\nmoment = [1, 1, 1]\n"
+
+
+def write(folder, *changes):
+    text = LINK
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "component.toml").write_text(text)
+    return folder
+
+
+def problems(folder, *changes):
+    """Return {where: message} of what reading and building such a link complains of."""
+    with pytest.raises(BundleError) as caught:
+        build(read_bundle(write(folder, *changes)))
+    return {one.where: one.message for one in caught.value.problems}
+
+
+def test_a_link_has_two_interfaces_in_the_order_of_the_file(tmp_path):
+    bundle = read_bundle(write(tmp_path))
+    assert [one.name for one in bundle.interfaces] == ["left", "right"]
+    assert [one.held for one in bundle.interfaces] == [True, False]
+    assert bundle.interfaces[0].locked == FREEDOMS
+    np.testing.assert_array_equal(bundle.range.high, [0] * 6 + [20, 20, 200, 5, 5, 5])
+    np.testing.assert_array_equal(bundle.range.low, -bundle.range.high)
+
+
+def test_a_link_is_solved_without_supports_relative_to_the_interface_that_is_held(tmp_path):
+    found = solve(read_bundle(write(tmp_path)), {"right": [0, 100, 0, 0, 0, 0]})
+    assert not found.displacement[:6].any()
+    stiffness = 70e9 * 0.02**4 / 12
+    assert found.displacement[7] == pytest.approx(100 * 0.4**3 / (3 * stiffness), rel=1e-2)
+    assert found.displacement[11] == pytest.approx(100 * 0.4**2 / (2 * stiffness), rel=1e-2)
+
+
+def test_names_and_what_is_held_change_the_fingerprint(tmp_path):
+    own = read_bundle(write(tmp_path)).fingerprint
+    renamed = read_bundle(write(tmp_path, ('"right"', '"tip"'))).fingerprint
+    supports = ("held = true", RANGE + "\n[supports]\nfixed = ['side']")
+    assert len({own, renamed, read_bundle(write(tmp_path, supports)).fingerprint}) == 3
+
+
+def test_without_supports_one_interface_must_be_held(tmp_path):
+    message = problems(tmp_path, ("held = true", RANGE))["supports"]
+    assert "or held = true in one [[interface]]" in message
+
+
+def test_sections_that_share_nodes_are_named_with_one_of_them(tmp_path):
+    told = problems(tmp_path, ('"end"', '"side"'))
+    message = told["interface[1].section"]
+    assert '"right" shares 16 nodes with "left", such as the one at (0, -0.01, -0.01) m' in message
+
+
+def test_a_section_that_is_fixed_or_missing_is_named_by_its_interface(tmp_path):
+    fixed = ("[analysis]", '[supports]\nfixed = ["end"]\n[analysis]')
+    assert "fixed by [supports]" in problems(tmp_path, fixed)["interface[1].section"]
+    assert 'did you mean "end"' in problems(tmp_path, ('"end"', '"endd"'))["interface[1].section"]
+
+
+@pytest.mark.parametrize(
+    ("change", "where", "words"),
+    [
+        (('"right"', '"left"'), "interface", "a name is there twice"),
+        (('"right"', '"Right end"'), "interface[1].name", "a-z, 0-9"),
+        (('name = "right"\n', ""), "interface[1].name", "missing"),
+        ((RANGE, "held = true"), "interface", "only one can be held"),
+        ((RANGE, ""), "interface[1].range", "missing"),
+        (("held = true", "held = true\n" + RANGE), "interface[0].held", "leave it out"),
+        (("[analysis]", TOP_RANGE + "[analysis]"), "range", "has its own"),
+    ],
+)
+def test_what_several_interfaces_cannot_say_is_refused(tmp_path, change, where, words):
+    assert words in problems(tmp_path, change)[where]
+
+
+def test_a_single_interface_is_written_without_a_list(tmp_path):
+    one = LINK[: LINK.index("[[interface]]")] + LINK[LINK.rindex("[[interface]]") :]
+    (tmp_path / "component.toml").write_text(one + '[supports]\nfixed = ["start"]\n')
+    with pytest.raises(BundleError, match=r"write \[interface\], without a name"):
+        read_bundle(tmp_path)
+
+
+def test_a_deck_has_one_interface(tmp_path):
+    deck = '[deck]\nfile = "a.inp"\ncommand = ["ccx"]\noutput = {reader = "numbers", file = "u"}\n'
+    (tmp_path / "a.inp").touch()
+    assert "one interface" in problems(tmp_path, ("[analysis]", deck + "[analysis]"))["interface"]
+
+
+def test_the_check_reports_each_interface(tmp_path):
+    report = check(write(tmp_path))
+    assert report["ok"], report["problems"]
+    assert [one["name"] for one in report["sections"]] == ["left", "right"]
+    assert len(report["trial"]["deflection"]) == 12
+    assert np.shape(report["solver_error"]["mesh"]) == (12, 12)
+    assert report["solver_error"]["loads"] == [0.0] * 6 + [20, 20, 200, 5, 5, 5]
+    text = as_text(report)
+    assert "interface left: 21 nodes, 400 mm^2, rigid, held, point at (0, 0, 0) m" in text
+    assert "linearly, right moves by (" in text
+    assert "right force (" in text
+
+
+def test_an_interface_that_is_held_in_the_mean_passes_the_check_without_supports(tmp_path):
+    report = check(write(tmp_path, ('coupling = "rigid"', 'coupling = "distributed"')))
+    assert report["ok"], report["problems"]
+    assert report["trial"]["deflection"][:6] == [0.0] * 6
+    assert min(report["trial"]["deflection"][6:]) > 0
+
+
+def test_the_check_of_two_loaded_interfaces_finds_their_stress_error_and_buckling(tmp_path):
+    report = check(rod_between_loads(tmp_path))
+    assert report["ok"], report["problems"]
+    error, strength = report["solver_error"], report["strength"][0]
+    assert np.shape(error["mesh"]) == np.shape(error["mesh_stiffness"]) == (12, 12)
+    assert len(error["linearity"]) == 12
+    assert 1.5 < error["buckling"] < 3
+    outer = 5000 / 0.02**2 + 2 * 6 * (0.5 * 20 + 5) / 0.02**3  # Pa, at an edge of the rod
+    assert 0.6 * outer < strength["largest"] < outer
+    assert "; right force (" in as_text(report)
+
+
+def test_an_interface_point_far_from_the_part_is_warned_of_by_its_interface(tmp_path):
+    far = ('section = "end"', 'section = "end"\npoint = [40.0, 0.0, 0.0]')
+    warnings = [one["where"] for one in check(write(tmp_path, far))["warnings"]]
+    assert "interface[1].point" in warnings

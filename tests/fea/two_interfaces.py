@@ -1,0 +1,94 @@
+"""Components and bundles of two interfaces, for tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tests.fea.boxes import box
+from tests.fea.components import component
+from wrenchbook.fea.component import AttachedInterface
+from wrenchbook.fea.coupling.section import section_of_facets
+
+LINK = """
+name = "link"
+title = "Link between two joints"
+[mesh]
+generator = "bar"
+length = 0.4
+width = 0.02
+height = 0.02
+cells_along = 10
+[[material]]
+region = "all"
+youngs_modulus = 70e9
+poisson_ratio = 0.33
+density = 2700.0
+yield_strength = 240e6
+[[interface]]
+name = "left"
+section = "start"
+coupling = "rigid"
+held = true
+[[interface]]
+name = "right"
+section = "end"
+coupling = "distributed"
+range = {force = [20, 20, 200], moment = [5, 5, 5]}
+[analysis]
+nonlinear = false
+[tolerance]
+translation = 1e-3
+rotation = 1e-2
+"""
+
+
+def rod_between_loads(folder):
+    """Write a bundle of a rod of 1 m, fixed in its middle, with loads at both ends."""
+    mesh = box("hex20", (2, 2, 12), (0.02, 0.02, 1.0))
+    middle = np.flatnonzero(np.abs(mesh.points[:, 2] - 0.5) < 1e-9)
+    sets = {
+        "middle": middle,
+        "low": mesh.facet_groups["z0"].node_ids,
+        "high": mesh.facet_groups["z1"].node_ids,
+    }
+    lines = ["*NODE"]
+    lines += [f"{i}, " + ", ".join(map(repr, p)) for i, p in enumerate(mesh.points.tolist(), 1)]
+    lines.append("*ELEMENT, TYPE=C3D20")
+    for i, cell in enumerate((mesh.blocks[0].nodes + 1).tolist(), 1):
+        lines += [", ".join(map(str, [i, *cell[:10]])) + ",", ", ".join(map(str, cell[10:]))]
+    for name, nodes in sets.items():
+        lines += [f"*NSET, NSET={name}", *(f"{node + 1}," for node in nodes)]
+    (folder / "rod.inp").write_text("\n".join(lines) + "\n")
+    text = LINK[LINK.index("[[material]]") : LINK.index("[[interface]]")]
+    loads = "range = {force = [20, 20, 5000], moment = [5, 5, 5]}"
+    for name, section in (("left", "low"), ("right", "high")):
+        text += f'[[interface]]\nname = "{name}"\nsection = "{section}"\ncoupling = "rigid"\n'
+        text += loads + "\n"
+    head = 'name = "rod"\ntitle = "Rod"\n[mesh]\nfile = "rod.inp"\nunit = "m"\n'
+    text += '[supports]\nfixed = ["middle"]\n' + LINK[LINK.index("[analysis]") :]
+    (folder / "component.toml").write_text(head + text)
+    return folder
+
+
+def with_second(part, section, *, coupling="rigid", point=None, axes=None, locked=()):
+    """Return a component with another interface, "right", at a facet group; the first is "left"."""
+    own = section_of_facets(part.mesh.points, part.mesh.facet_groups[section])
+    place = own.centre if point is None else np.asarray(point, dtype=float)
+    frame = np.eye(3) if axes is None else np.asarray(axes, dtype=float)
+    right = AttachedInterface("interface[1]", "right", own, place, frame, coupling, tuple(locked))
+    return replace(part, name="left", others=(right,))
+
+
+def wobble(points):
+    return points + 0.03 * np.sin(7 * points[:, [1, 2, 0]])
+
+
+def column(first="rigid", second="rigid", *, nonlinear=False, warp=wobble, **right):
+    """Return a column held at its waist with interfaces at both ends, on soft material."""
+    mesh = box("hex20", (2, 2, 6), (1.0, 1.2, 4.0), warp=warp)
+    part = component(mesh, section="z0", coupling=first, young=1.0, nonlinear=nonlinear)
+    waist = mesh.facet_groups["y0"].node_ids
+    waist = waist[np.abs(mesh.points[waist, 2] - 2.0) < 0.6]
+    return with_second(replace(part, fixed_nodes=waist), "z1", coupling=second, **right)
