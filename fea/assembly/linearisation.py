@@ -23,7 +23,8 @@ class Balance:
     state
         The configuration.
     wrench
-        Shape (6 i,), N and N·m, of i interfaces.
+        Shape (6 i,), N and N·m, of i interfaces; behind it the temperature, K from the reference,
+        if the body expands.
     forces
         Shape (n, 3), N: internal nodal forces.
     energy
@@ -33,6 +34,8 @@ class Balance:
     nodal, border
         What is out of balance: shape (n, 3), N, at the free nodes, zero at others; and shape
         (border,), N and N·m for interface freedoms, m and m^2 for constraints.
+    heat
+        Norm of the nodal forces, N, and the energy, J, that heat alone has in a body held all over.
     """
 
     state: CoupledState
@@ -42,6 +45,7 @@ class Balance:
     least_stretch: float
     nodal: Array
     border: Array
+    heat: tuple[float, float] = (0.0, 0.0)
 
     @property
     def norm(self) -> float:
@@ -50,8 +54,8 @@ class Balance:
 
     @property
     def scale(self) -> float:
-        """Euclidean norm of all nodal forces, those of supports and interface with them, N."""
-        return float(np.linalg.norm(self.forces))
+        """Euclidean norm of all nodal forces, those of supports, interface and heat too, N."""
+        return float(np.linalg.norm(self.forces)) + self.heat[0]
 
 
 class Linearisation:
@@ -71,7 +75,8 @@ class Linearisation:
         self._coupling = coupling
         self.state = balance.state
         self.tangent = tangent
-        self.border = coupling.bordered(balance.state, balance.forces, balance.wrench)
+        loads, self._temperature = np.split(balance.wrench, [coupling.freedoms])
+        self.border = coupling.bordered(balance.state, balance.forces, loads)
         pushed = tangent.times(self.border.ties, coupling.tied)
         columns = pushed + self.border.columns
         self._columns = body.movable.released(columns)
@@ -133,8 +138,8 @@ class Linearisation:
         active = self._coupling.active
         if not active.size:
             return 1.0
-        full = self.wrench_columns.T @ self.border_response
-        own = 0.5 * (full + full.T)[np.ix_(active, active)]
+        own = (self.wrench_columns.T @ self.border_response)[np.ix_(active, active)]
+        own = 0.5 * (own + own.T)
         diagonal = np.diagonal(own)
         if (diagonal <= 0).any():
             return -1.0
@@ -176,14 +181,50 @@ class Linearisation:
         return moved - self._solved @ carried, carried
 
     @cached_property
+    def load_columns(self) -> tuple[Array, Array]:
+        """Change of the loads of free nodes, (n, 3, k), and border, (border, k), with the inputs.
+
+        The inputs are the 6 i loads and, if the body expands, the temperature, K.
+        """
+        nodal, border = np.zeros((self._body.size, 3, self._coupling.freedoms)), self.wrench_columns
+        if not self._body.expands:
+            return nodal, border
+        forces = self._body.heat(self.state.nodes, *self._temperature)[0][:, :, None]
+        heated = -self._body.movable.released(forces), -contract(self.border.ties, forces)
+        return np.concatenate([nodal, heated[0]], axis=2), np.hstack([border, heated[1]])
+
+    @cached_property
+    def _heat_alone(self) -> Array:
+        """Change of the free nodes with the temperature while the border stays, (n, 3, 1), m/K."""
+        return self.tangent.solve(self.load_columns[0][:, :, self._coupling.freedoms :])
+
+    @cached_property
     def border_response(self) -> Array:
-        """Change of the border per change of the wrench, shape (border, 6 i), m/N and its like."""
-        return self._solve_border(self.wrench_columns)
+        """Change of the border per change of the inputs, shape (border, k), m/N and its like."""
+        loads = self.wrench_columns
+        if self._body.expands:
+            loads = self.load_columns[1].copy()
+            loads[:, self._coupling.freedoms :] -= contract(self._columns, self._heat_alone)
+        return self._solve_border(loads)
 
     @property
     def nodal_response(self) -> Array:
-        """Change of all nodes per change of the wrench, shape (n, 3, 6 i), m/N and m/(N·m)."""
-        return (self.border.ties - self._solved) @ self.border_response
+        """Change of all nodes per change of the inputs, shape (n, 3, k), m/N, m/(N·m), m/K."""
+        moved = (self.border.ties - self._solved) @ self.border_response
+        if self._body.expands:
+            moved[:, :, self._coupling.freedoms :] += self._heat_alone
+        return moved
+
+    def conjugate_rate(self, change: Array) -> Array:
+        """Return the change, with that of the inputs (k,), of what each input does work on: (k,).
+
+        Translations and spins, m and rad, and less the strain energy's change per kelvin, J/K.
+        """
+        nodal, border = self.load_columns
+        rates = border.T @ (self.border_response @ change)
+        if self._body.expands:
+            rates += contract(nodal, (self.nodal_response @ change)[:, :, None])[:, 0]
+        return rates
 
     @property
     def wrench_columns(self) -> Array:
@@ -198,9 +239,9 @@ class Linearisation:
 
     @property
     def compliance(self) -> Array:
-        """Change of the interface displacements per change of the wrench.
+        """Change of the interface displacements per change of the inputs.
 
-        Shape (6 i, 6 i): m/N, rad/N, m/(N·m) and rad/(N·m).
+        Shape (6 i, k): m/N, rad/N, m/(N·m) and rad/(N·m), m/K and rad/K.
         """
         return self._coupling.displacement_rows(self.border_response)
 

@@ -47,24 +47,35 @@ class System:
         self.weight = weight
 
     @property
+    def inputs(self) -> int:
+        """Number of loads, six an interface, and the temperature if the body expands."""
+        return self.coupling.freedoms + self.body.expands
+
+    def temperature(self, inputs: Array) -> float:
+        """Return the temperature among inputs, shape (k,), K from the reference."""
+        return float(inputs[self.coupling.freedoms]) if self.body.expands else 0.0
+
+    @property
     def unknowns(self) -> int:
         """Free nodal unknowns and freedoms of interfaces and bushings."""
         return self.body.dissection.unknowns + self.coupling.motions
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
-        """Weigh the internal forces of a state against a wrench, shape (6 i,), N and N·m."""
-        forces, energy, least = self._forces(state.nodes)
+        """Weigh the internal forces of a state against inputs, shape (k,): see `Balance.wrench`."""
+        forces, energy, least = self._forces(state.nodes, wrench)
         energy += self.coupling.spring_energy(state)
         return self._balance(state, wrench, forces, energy, least)
 
     def _forces(
-        self, nodes: Array, step: tuple[Array, Array] | None = None
+        self, nodes: Array, wrench: Array, step: tuple[Array, Array] | None = None
     ) -> tuple[Array, float, float]:
-        forces, energy, least = self.body.forces(nodes, step)
+        forces, energy, least = self.body.at(self.temperature(wrench)).forces(nodes, step)
         return (forces if self.weight is None else forces - self.weight), energy, least
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:
-        """Return the balance of the same state under another wrench, shape (6 i,), N and N·m."""
+        """Return the balance of the same state under other inputs, shape (k,)."""
+        if self.temperature(wrench) != self.temperature(balance.wrench):
+            return self.balance(balance.state, wrench)
         return self._balance(
             balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
         )
@@ -84,9 +95,12 @@ class System:
             The last step of Newton's method, two fields of shape (n, 3), m: see
             `ElasticBody.tangent`.
         """
+        body = self.body.at(self.temperature(balance.wrench))
         if step is not None:
-            balance = replace(balance, forces=self._forces(balance.state.nodes, step)[0])
-        tangent = self.body.tangent(balance.state.nodes, step)
+            balance = replace(
+                balance, forces=self._forces(balance.state.nodes, balance.wrench, step)[0]
+            )
+        tangent = body.tangent(balance.state.nodes, step)
         return Linearisation(self.body, self.coupling, balance, tangent)
 
     @cached_property
@@ -114,16 +128,30 @@ class System:
     def balance_at_rest(self) -> Balance:
         """The undeformed, unloaded state."""
         state = self.coupling.start()
-        return self._balance(
-            state, np.zeros_like(state.interface), np.zeros_like(state.nodes), 0.0, 1.0
-        )
+        return self._balance(state, np.zeros(self.inputs), np.zeros_like(state.nodes), 0.0, 1.0)
+
+    def heat_energy(self, balance: Balance) -> float:
+        """Return the strain energy less that of the same displacement without heat, J."""
+        if not self.body.expands:
+            return 0.0
+        cold = np.append(balance.wrench[: self.coupling.freedoms], 0.0)
+        return balance.energy - self.balance(balance.state, cold).energy
+
+    @cached_property
+    def _heat(self) -> tuple[float, float]:
+        """`Balance.heat` of one kelvin: the norm, N, and the energy, J, which grows squared."""
+        forces, energy, _ = self.body.at(1.0, finite=False).forces(np.zeros((self.body.size, 3)))
+        return float(np.linalg.norm(forces)), energy
 
     def _balance(
         self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float
     ) -> Balance:
-        nodal, border = self.coupling.residual(state, forces, wrench)
+        nodal, border = self.coupling.residual(state, forces, wrench[: self.coupling.freedoms])
         nodal = self.body.movable.released(nodal)
-        return Balance(state, wrench, forces, energy, least, nodal, border)
+        heat, temperature = (0.0, 0.0), self.temperature(wrench)
+        if temperature:
+            heat = abs(temperature) * self._heat[0], temperature**2 * self._heat[1]
+        return Balance(state, wrench, forces, energy, least, nodal, border, heat)
 
     def _require_supported(self, start: Linearisation) -> None:
         factor = start.tangent.factor

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.bundle.deck_table import read_deck
+from wrenchbook.fea.bundle.inputs_table import check_temperature, read_inputs
 from wrenchbook.fea.bundle.mesh_table import read_mesh
 from wrenchbook.fea.bundle.tables import (
     read_analysis,
@@ -109,12 +110,14 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
         "others": tuple(interfaces[1:]),
         "analysis": read_analysis(top.table("analysis", required=False)),
         "range": read_range(top, found),
+        "temperature": read_inputs(top),
         "tolerance": read_tolerance(top.table("tolerance", required=False)),
         "deck": read_deck(top.table("deck", required=False), folder),
     }
     _check_whole(top, any(one is not None and one.held for one in interfaces))
     _check_frame(top, parts["deck"], interfaces)
     _check_weight(top, parts["deck"], parts["materials"], parts["analysis"])
+    check_temperature(top, parts["temperature"], parts["materials"], interfaces)
     top.close()
     if top.problems:
         raise BundleError(top.problems)

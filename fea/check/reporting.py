@@ -64,7 +64,7 @@ def report(
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
         ``coincident_nodes``; ``materials``, ``section`` (of several interfaces ``sections``, with
-        their names), ``supports`` and ``estimate`` (see
+        their names), ``supports``, ``temperature`` where it is an input, and ``estimate`` (see
         `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density or a mass is given
         ``vibration`` (see `fea.check.trial`), and where a yield strength is given ``strength``
         (see `fea.check.strength`), and where it takes no longer than a check may ``solver_error``
@@ -212,6 +212,7 @@ def _what_is_set(component: ComponentModel) -> dict[str, Any]:
             for i, material in enumerate(component.materials)
         ],
         "supports": {"nodes": len(component.fixed_nodes)} | _other_supports(component),
+        **({} if component.temperature is None else {"temperature": asdict(component.temperature)}),
         **({"sections": attached} if component.others else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
     }

@@ -118,8 +118,15 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
     return [
         *lines,
         f"supports: {_supports(report['supports'])}",
+        *_temperature(report.get("temperature")),
         *(_interface(one) for one in report.get("sections", [report.get("section")])),
     ]
+
+
+def _temperature(own: Mapping[str, float] | None) -> list[str]:
+    if own is None:
+        return []
+    return [f"temperature: {own['low']:g} to {own['high']:g}, reference {own['reference']:g}"]
 
 
 def _supports(supports: Mapping[str, Any]) -> str:
@@ -172,10 +179,18 @@ def _trial(report: Mapping[str, Any]) -> list[str]:
             f"({', '.join(sag[3:])}) rad, linearly, in the interface frame: the answer at zero "
             "load. Displacements are relative to the part of the mesh without its weight"
         )
-    for name, own in _by_interface(report, one["deflection"]):
+    lines += _moved(report, "at full range, linearly,", one["deflection"])
+    if "by_temperature" in one:
+        lines += _moved(report, "by the temperature alone", one["by_temperature"])
+    return lines
+
+
+def _moved(report: Mapping[str, Any], when: str, values: list[float]) -> list[str]:
+    lines = []
+    for name, own in _by_interface(report, values):
         moved = [f"{x:.3g}" for x in own]
         lines.append(
-            f"at full range, linearly, {name or 'it'} moves by ({', '.join(moved[:3])}) m and "
+            f"{when} {name or 'it'} moves by ({', '.join(moved[:3])}) m and "
             f"turns by ({', '.join(moved[3:])}) rad at most"
         )
     return lines
@@ -217,6 +232,7 @@ def _strength(report: Mapping[str, Any]) -> list[str]:
                 f"{name and name + ' '}force {_place(own[:3])} N, moment {_place(own[3:])} N·m"
                 for name, own in _by_interface(report, one["wrench"])
             )
+            + (f" at {one['temperature']:g}" if "temperature" in one else "")
         )
     return lines
 

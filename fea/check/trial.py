@@ -49,7 +49,8 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
         density), ``sag``: the interfaces' displacement under own weight, where ``gravity`` is
         given; ``deflection``: the largest of each output over the load range by the linear
         compliance, six numbers an interface, m and rad; None where it was not tried or ``failed``
-        (then true).
+        (then true). Where the temperature is an input also ``by_temperature``: the same of it
+        alone.
     problems
         ``mechanism`` and ``ill_conditioned``, in the words of the failure.
     """
@@ -59,18 +60,22 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
         return result, []
     try:
-        compliance = solver.compliance
+        compliance = solver.linear.compliance
     except SolveFailed as failure:
         result["failed"] = True
         return result, [_problem(failure)]
-    result["deflection"] = largest(compliance, bundle.range.low, bundle.range.high).tolist()
+    low, high = bundle.acting.low, bundle.acting.high
+    result["deflection"] = largest(compliance, low, high).tolist()
     if solver.component.analysis.gravity is not None:
         result["sag"] = solver.linear.sag_displacement.tolist()
+    if bundle.temperature is not None:
+        own = largest(compliance[:, -1:], low[-1:], high[-1:])
+        result["by_temperature"] = own.tolist()
     return result, []
 
 
 def largest(compliance: Array, low: Array, high: Array) -> Array:
-    """Return max |C w| over a box of wrenches, each output's own, shape (6 i,), m and rad."""
+    """Return max |C w| over a box of inputs, each output's own, shape (6 i,), m and rad."""
     ends = np.stack([compliance * low, compliance * high])
     most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
     return np.maximum(np.abs(most), np.abs(least))

@@ -3,9 +3,10 @@
 ``python -m wrenchbook.fea.export.calculix BUNDLE > plate.inp`` prints it.
 
 The deck is complete: mesh, materials, supports, rigid interfaces and one step that takes the
-wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on. It
-is the start of a ``[deck]`` that an expert then goes on with (contact, plasticity, bolts), and the
-example that ``data/components/plate_ccx`` ships.
+wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on, and the
+temperature, where it is an input, from $TEMPERATURE. It is the start of a ``[deck]`` that an expert
+then goes on with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx``
+ships.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ Array = np.ndarray
 
 PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 """Where the wrench goes, in the order of the wrench contract."""
+
+TEMPERATURE = "$TEMPERATURE"
+"""Where the temperature goes, in the bundle's unit."""
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
@@ -107,16 +111,7 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield f"*NODE, NSET={_set('REF', one)}\n{len(points) + 2 * i + 1}, {place}"
         yield f"*NODE, NSET={_set('ROT', one)}\n{len(points) + 2 * i + 2}, {place}"
     yield from _elements(component)
-    for i, material in enumerate(component.materials):
-        yield f"*MATERIAL, NAME=M{i}"
-        yield from _elasticity(material, component.analysis.nonlinear)
-        if component.analysis.gravity is not None and material.density is not None:
-            yield f"*DENSITY\n{_numbers([material.density])}"
-        place = ""
-        if material.orthotropic is not None:
-            yield from _orientation(i, material.orthotropic, component.axes)
-            place = f", ORIENTATION=O{i}"
-        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
+    yield from _materials(component)
     if component.fixed_nodes.size:
         yield "*NSET, NSET=FIXED"
         yield from _rows(component.fixed_nodes + 1)
@@ -127,11 +122,29 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield f"*NSET, NSET={_set('SECTION', one)}"
         yield from _rows(one.section.node_ids + 1)
         yield f"*RIGID BODY, NSET={_set('SECTION', one)}, REF NODE={ref}, ROT NODE={ref + 1}"
+    if component.temperature is not None:
+        reference = _numbers([component.temperature.reference])
+        yield f"*INITIAL CONDITIONS, TYPE=TEMPERATURE\nALL, {reference}"
     yield "*BOUNDARY"
     if component.fixed_nodes.size:
         yield "FIXED, 1, 3"
     for one in component.interfaces:
         yield from (f"{_place(name, one)}, {_axis(name)}" for name in one.locked)
+
+
+def _materials(component: ComponentModel) -> Iterator[str]:
+    for i, material in enumerate(component.materials):
+        yield f"*MATERIAL, NAME=M{i}"
+        yield from _elasticity(material, component.analysis.nonlinear)
+        if component.analysis.gravity is not None and material.density is not None:
+            yield f"*DENSITY\n{_numbers([material.density])}"
+        if component.temperature is not None:
+            yield _expansion(material, component.temperature.reference)
+        place = ""
+        if material.orthotropic is not None:
+            yield from _orientation(i, material.orthotropic, component.axes)
+            place = f", ORIENTATION=O{i}"
+        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
 
 
 def _set(kind: str, interface: AttachedInterface) -> str:
@@ -193,6 +206,12 @@ def _elasticity(material: Material, nonlinear: bool) -> Iterator[str]:
         yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
 
 
+def _expansion(material: Material, reference: float) -> str:
+    values = material.thermal_expansion or (0.0, 0.0, 0.0)
+    kind, count = ("", 1) if material.orthotropic is None else (", TYPE=ORTHO", 3)
+    return f"*EXPANSION, ZERO={reference:.12e}{kind}\n{_numbers(values[:count])}"
+
+
 def _orientation(number: int, own: Orthotropic, axes: Array) -> Iterator[str]:
     """Yield a material's directions by a point on its x-axis and one on its y-axis."""
     x, y, _ = np.array(own.axes) @ axes.T
@@ -232,6 +251,8 @@ def _step(component: ComponentModel) -> Iterator[str]:
                 yield f"** {placeholder} acts on a freedom that is held"
             else:
                 yield f"{_place(name, one)}, {_axis(name)}, {placeholder}"
+    if component.temperature is not None:
+        yield f"*TEMPERATURE\nALL, {TEMPERATURE}"
     for one in component.interfaces:
         for kind in ("REF", "ROT"):
             yield from [f"*NODE PRINT, NSET={_set(kind, one)}", "U"]

@@ -26,15 +26,16 @@ class SolveFields:
     Attributes
     ----------
     linear
-        Whether the slopes are the whole answer: fields = slopes @ wrench.
+        Whether the slopes are the whole answer: fields = slopes @ inputs, a temperature among them
+        from its reference.
     vertices, triangles
         Shape (v, 3), m, undeformed, and (t, 3), int32.
     whole_vertices
         Of the outer surface before it was simplified.
     displacement, displacement_slopes
-        Shapes (v, 3), m, and (v, 3, 6 i), m/N and m/(N·m): its change with the wrench.
+        Shapes (v, 3), m, and (v, 3, k), m/N, m/(N·m) and m/K: its change with the inputs.
     stress, stress_slopes
-        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, 6 i), Pa/N and Pa/(N·m);
+        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, k), Pa/N, Pa/(N·m), Pa/K;
         p = 0 where there are more points than `MOST_POINTS`.
     places, materials
         Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`.
@@ -81,12 +82,14 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     places, materials = places_of(component, body.points)
     kept = slice(None) if len(places) <= MOST_POINTS else slice(0)
     if linear:
-        changes = small_stress(body, slopes)
-        stress = stress_of(component, body, solution) if hangs else changes @ solution.wrench
+        changes = small_stress(body, slopes, len(solution.displacement))
+        acting = solution.wrench - component.at_rest
+        stress = stress_of(component, body, solution) if hangs else changes @ acting
     else:
         # Changes that nobody keeps are not made: they take six times the stresses.
         fields = slopes if kept.stop is None else slopes[:, :, :0]
-        stress, changes = cauchy_stress(body, nodes, fields)
+        temperature = component.warming(solution.wrench)
+        stress, changes = cauchy_stress(body, nodes, fields, temperature)
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())

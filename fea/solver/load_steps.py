@@ -62,7 +62,7 @@ class LoadPath:
     system
         The equations.
     wrench
-        Shape (6 i,), N and N·m, of i interfaces; not zero.
+        Shape (k,): the inputs, as of `Balance.wrench`; not zero.
     progress
         Called with the fraction done and a message.
     rest
@@ -243,8 +243,7 @@ class LoadPath:
 
     def _slope(self, tangent: Linearisation) -> float:
         """Advance of the interface along the wrench's direction per unit of the load factor."""
-        response = tangent.border_response @ self._wrench
-        return float(self._direction @ (tangent.wrench_columns.T @ response))
+        return float(self._direction @ tangent.conjugate_rate(self._wrench))
 
     def _advance(self, found: Equilibrium) -> float:
         """Advance in a step, conjugate to the wrench: translation and spin along its direction."""
@@ -253,6 +252,11 @@ class LoadPath:
         for before, after in zip(*(each_interface(end) for end in ends), strict=True):
             spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
             advance += [(after - before)[:3], spin]
+        if self._system.body.expands:
+            both, body = (self._balance, found.balance), self._system.body
+            middle = 0.5 * sum(self._system.temperature(one.wrench) for one in both)
+            before, after = (body.heat(one.state.nodes, middle)[1] for one in both)
+            advance.append(np.array([before - after]))
         return float(self._direction @ np.concatenate(advance))
 
     def _reporter(self, target: float) -> Report:
@@ -290,7 +294,7 @@ def _hang_in(system: System, weight: Array, count: int) -> Equilibrium:
     found = Equilibrium(system.balance_at_rest, system.undeformed, 0)
     for number in range(1, count + 1):
         part = System(system.body, system.coupling, weight=weight * (number / count))
-        start = part.balance(found.balance.state, np.zeros_like(found.balance.state.interface))
+        start = part.balance(found.balance.state, np.zeros(part.inputs))
         found = find_equilibrium(part, start, found.tangent, lambda iteration, norm: None)
         if found.balance.least_stretch <= 0 or not found.tangent.stable:
             raise Stuck("the state under the weight is unstable")

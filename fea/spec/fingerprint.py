@@ -42,7 +42,9 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
     parts
         The fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked at.
     """
-    materials = sorted((_material(each) for each in parts["materials"]), key=json.dumps)
+    temperature = parts.get("temperature")
+    heated = temperature is not None
+    materials = sorted((_material(each, heated) for each in parts["materials"]), key=json.dumps)
     content = {
         "mesh": _mesh(parts["mesh"]),
         "materials": materials,
@@ -61,6 +63,8 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         content["weight"] = {"gravity": parts["analysis"].gravity, "densities": densities}
     if parts["analysis"].nonlinear and parts["mesh"] is not None and parts["deck"] is None:
         content["solver"] = NONLINEAR_SOLVER
+    if heated:
+        content["inputs"] = {"temperature": temperature.reference}
     # json writes floats by repr, so equal numbers give equal text and different ones do not.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
@@ -79,14 +83,14 @@ def _mesh(source: MeshSource | None) -> object:
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
 
 
-def _material(material: Material) -> list[object]:
+def _material(material: Material, heated: bool) -> list[object]:
     # No yield strength: no displacement depends on it. Densities: with the gravity only.
     content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
         content.append(material.law)
     if material.orthotropic is not None:
         content.append(asdict(material.orthotropic))
-    return content
+    return [*content, material.thermal_expansion] if heated else content
 
 
 def _supports(supports: Supports | None) -> object:

@@ -131,6 +131,9 @@ class Material:
         One of `LAWS`. The constants of "neo-hookean" are those at small strains.
     orthotropic
         The constants of that law; None for the others.
+    thermal_expansion
+        1/K along its three directions, equal but for an orthotropic material; None where the
+        bundle does not give it. It counts only where the bundle has a `Temperature`.
     """
 
     region: str
@@ -140,6 +143,24 @@ class Material:
     yield_strength: float | None = None
     law: str = "isotropic"
     orthotropic: Orthotropic | None = None
+    thermal_expansion: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Temperature:
+    """The uniform temperature as an input, K or °C: all three numbers in the same.
+
+    Attributes
+    ----------
+    low, high
+        The range expected.
+    reference
+        Where thermal strains are zero.
+    """
+
+    low: float
+    high: float
+    reference: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,6 +324,8 @@ class Bundle:
         16 hexadecimal digits over everything that can change an answer.
     interface, others
         The interface, or the first of several, and the others in their order.
+    temperature
+        The temperature, if it is an input behind the loads.
     """
 
     folder: Path
@@ -318,6 +341,16 @@ class Bundle:
     deck: Deck | None
     fingerprint: str
     others: tuple[Interface, ...] = ()
+    temperature: Temperature | None = None
+
+    @property
+    def acting(self) -> DeclaredRange:
+        """The range of all inputs: loads, then the temperature less its reference, K."""
+        own = self.temperature
+        if own is None:
+            return self.range
+        low, high = own.low - own.reference, own.high - own.reference
+        return DeclaredRange(np.append(self.range.low, low), np.append(self.range.high, high))
 
     @property
     def interfaces(self) -> tuple[Interface, ...]:

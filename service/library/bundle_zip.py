@@ -61,9 +61,11 @@ def unpacked(archive: Path, target: str) -> Iterator[Part]:
 
 
 def require_one_interface(bundle: Bundle) -> None:
-    """Raise a BundleError if the bundle has several interfaces."""
+    """Raise a BundleError if the bundle has several interfaces or further inputs."""
     if bundle.others:
         raise one_problem("interface", "tables of several interfaces are not there yet")
+    if bundle.temperature is not None:
+        raise one_problem("inputs.temperature", "tables with a temperature are not there yet")
 
 
 def checked(folder: Path) -> Iterator[Part]:
