@@ -20,15 +20,17 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
+    ACCELERATIONS,
     FREEDOMS,
+    TEMPERATURE,
     Analysis,
     Bundle,
     Interface,
     Material,
     MeshSource,
+    ScalarInput,
     Sliding,
     Supports,
-    Temperature,
 )
 
 Array = np.ndarray
@@ -86,8 +88,8 @@ class ComponentModel:
         Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed.
     name, others
         Its name, empty if it is alone; the other interfaces.
-    temperature
-        The temperature, if it is an input behind the loads.
+    further
+        The inputs behind the loads.
     """
 
     bundle: Bundle
@@ -105,19 +107,29 @@ class ComponentModel:
     others: tuple[AttachedInterface, ...] = ()
     sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
     bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
-    temperature: Temperature | None = None
+    further: tuple[ScalarInput, ...] = ()
+
+    @property
+    def temperature(self) -> ScalarInput | None:
+        """The temperature, if it is an input: the first behind the loads."""
+        return next((one for one in self.further if one.name == TEMPERATURE), None)
+
+    @property
+    def accelerated(self) -> bool:
+        """Whether the acceleration is an input: the last three."""
+        return any(one.name in ACCELERATIONS for one in self.further)
 
     @property
     def at_rest(self) -> Array:
-        """Inputs without effect: no loads, shape (6 i,), and the reference temperature behind."""
+        """Inputs without effect: no loads, shape (6 i,), and the references of the others."""
         loads = np.zeros(len(FREEDOMS) * len(self.interfaces))
-        own = self.temperature
-        return loads if own is None else np.append(loads, own.reference)
+        return np.append(loads, [one.reference for one in self.further])
 
     def warming(self, inputs: Array) -> float:
         """Return the temperature among inputs, shape (k,), K from the reference; 0 if none is."""
         own = self.temperature
-        return 0.0 if own is None else float(inputs[-1] - own.reference)
+        place = len(FREEDOMS) * len(self.interfaces)
+        return 0.0 if own is None else float(inputs[place] - own.reference)
 
     @property
     def supported_nodes(self) -> Array:
@@ -182,13 +194,13 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         others=tuple(others),
         sliding=sliding,
         bushings=tuple(zip(springs, (own.stiffness for own in supports.bushings), strict=True)),
-        temperature=bundle.temperature,
+        further=bundle.further,
     )
 
 
 def _expanding(bundle: Bundle) -> tuple[Material, ...]:
     """Return the materials, with thermal expansion only where the temperature is an input."""
-    if bundle.temperature is not None:
+    if any(one.name == TEMPERATURE for one in bundle.further):
         return bundle.materials
     return tuple(replace(one, thermal_expansion=None) for one in bundle.materials)
 

@@ -143,7 +143,8 @@ class Solver:
         ValueError
             As `solve` does.
         """
-        return checked_wrench(wrench, self.names, self.component.temperature is not None)
+        further = [one.name for one in self.component.further]
+        return checked_wrench(wrench, self.names, further)
 
     @property
     def unknowns(self) -> int:
@@ -175,9 +176,7 @@ class Solver:
     @cached_property
     def rest(self) -> Equilibrium:
         """The nonlinear equilibrium under own weight alone; raises SolveFailed as `solve` does."""
-        found = hang(self._system)
-        _require_small_rotation(found.balance.state.interface)
-        return found
+        return hang(self._system, lambda balance: _require_small_rotation(balance.state.interface))
 
     @property
     def compliance(self) -> Array:
@@ -214,7 +213,7 @@ class Solver:
         return first_vibration(self._system, mass, riding)
 
     def unit_stresses(self) -> Array:
-        """Return the small-strain stresses of unit inputs, shape (p, 6, k): Pa/N, Pa/(N·m), Pa/K.
+        """Return the small-strain stresses of unit inputs, shape (p, 6, k), Pa per unit.
 
         Raises
         ------
@@ -259,8 +258,8 @@ class Solver:
         wrench
             Force and moment on the component at each interface's point, in its undeformed frame,
             shape (6 i,) for i interfaces, or six numbers by name, N and N·m. What acts on locked
-            freedoms, and so on an interface that is held, does nothing. Where the temperature is
-            an input it comes last, or by the name "temperature".
+            freedoms, and so on an interface that is held, does nothing. Further inputs of the
+            component follow, or come by their names: "temperature", then "ax", "ay" and "az".
         progress
             Called with the fraction done and a message.
         start
@@ -272,7 +271,7 @@ class Solver:
         ------
         ValueError
             If the wrench is not six finite numbers an interface, names an unknown one, or lacks
-            the temperature.
+            a further input.
         SolveFailed
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """
@@ -293,12 +292,13 @@ class Solver:
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear
         displacement, nodes = linear.compliance @ acting, linear.fields @ acting
-        whole, work = acting, 0.0
-        if (weight := self._system.weight) is not None:
+        whole = acting
+        if self._system.weight is not None:
             displacement, nodes = displacement + linear.sag_displacement, nodes + linear.sag
-            whole, work = np.append(acting, 1.0), np.vdot(weight, nodes)
+            whole = np.append(acting, 1.0)
         energy = 0.5 * whole @ linear.energies @ whole
-        work = acting[: len(displacement)] @ displacement + work
+        work = acting[: len(displacement)] @ displacement
+        work += np.vdot(self._system.dead_forces(acting), nodes)
         _require_small_rotation(displacement)
         return Solution(
             wrench=wrench,

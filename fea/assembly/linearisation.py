@@ -23,10 +23,10 @@ class Balance:
     state
         The configuration.
     wrench
-        Shape (6 i,), N and N·m, of i interfaces; behind it the temperature, K from the reference,
-        if the body expands.
+        Shape (k,): the inputs, N and N·m of i interfaces; behind them the temperature, K from the
+        reference, if the body expands, and the accelerations that are inputs, m/s^2.
     forces
-        Shape (n, 3), N: internal nodal forces.
+        Shape (n, 3), N: internal nodal forces, less those of weight and acceleration.
     energy
         Strain energy, J.
     least_stretch
@@ -69,13 +69,20 @@ class Linearisation:
     """
 
     def __init__(
-        self, body: ElasticBody, coupling: Coupling, balance: Balance, tangent: Tangent
+        self,
+        body: ElasticBody,
+        coupling: Coupling,
+        balance: Balance,
+        tangent: Tangent,
+        pull: Array,
     ) -> None:
         self._body = body
         self._coupling = coupling
         self.state = balance.state
         self.tangent = tangent
-        loads, self._temperature = np.split(balance.wrench, [coupling.freedoms])
+        self._pull = pull
+        first = coupling.freedoms
+        loads, self._temperature, _ = np.split(balance.wrench, [first, first + body.expands])
         self.border = coupling.bordered(balance.state, balance.forces, loads)
         pushed = tangent.times(self.border.ties, coupling.tied)
         columns = pushed + self.border.columns
@@ -184,45 +191,55 @@ class Linearisation:
     def load_columns(self) -> tuple[Array, Array]:
         """Change of the loads of free nodes, (n, 3, k), and border, (border, k), with the inputs.
 
-        The inputs are the 6 i loads and, if the body expands, the temperature, K.
+        The inputs are those of `Balance.wrench`.
         """
         nodal, border = np.zeros((self._body.size, 3, self._coupling.freedoms)), self.wrench_columns
-        if not self._body.expands:
+        further = self._further
+        if not further.shape[2]:
             return nodal, border
-        forces = self._body.heat(self.state.nodes, *self._temperature)[0][:, :, None]
-        heated = -self._body.movable.released(forces), -contract(self.border.ties, forces)
-        return np.concatenate([nodal, heated[0]], axis=2), np.hstack([border, heated[1]])
+        released = self._body.movable.released(further)
+        border = np.hstack([border, contract(self.border.ties, further)])
+        return np.concatenate([nodal, released], axis=2), border
 
     @cached_property
-    def _heat_alone(self) -> Array:
-        """Change of the free nodes with the temperature while the border stays, (n, 3, 1), m/K."""
+    def _further(self) -> Array:
+        """Change of nodal forces with the inputs behind the loads, (n, 3, k - 6 i), N/K and kg."""
+        if not self._body.expands:
+            return self._pull
+        heat = self._body.heat(self.state.nodes, *self._temperature)[0][:, :, None]
+        return np.concatenate([-heat, self._pull], axis=2)
+
+    @cached_property
+    def _alone(self) -> Array:
+        """Change of the free nodes with those inputs while the border stays, in m per unit."""
         return self.tangent.solve(self.load_columns[0][:, :, self._coupling.freedoms :])
 
     @cached_property
     def border_response(self) -> Array:
         """Change of the border per change of the inputs, shape (border, k), m/N and its like."""
         loads = self.wrench_columns
-        if self._body.expands:
+        if self._further.shape[2]:
             loads = self.load_columns[1].copy()
-            loads[:, self._coupling.freedoms :] -= contract(self._columns, self._heat_alone)
+            loads[:, self._coupling.freedoms :] -= contract(self._columns, self._alone)
         return self._solve_border(loads)
 
     @property
     def nodal_response(self) -> Array:
-        """Change of all nodes per change of the inputs, shape (n, 3, k), m/N, m/(N·m), m/K."""
+        """Change of all nodes per change of the inputs, shape (n, 3, k), m per unit of each."""
         moved = (self.border.ties - self._solved) @ self.border_response
-        if self._body.expands:
-            moved[:, :, self._coupling.freedoms :] += self._heat_alone
+        if self._further.shape[2]:
+            moved[:, :, self._coupling.freedoms :] += self._alone
         return moved
 
     def conjugate_rate(self, change: Array) -> Array:
         """Return the change, with that of the inputs (k,), of what each input does work on: (k,).
 
-        Translations and spins, m and rad, and less the strain energy's change per kelvin, J/K.
+        Translations and spins, m and rad, less the strain energy's change per kelvin, J/K, and
+        moments of mass, kg·m.
         """
         nodal, border = self.load_columns
         rates = border.T @ (self.border_response @ change)
-        if self._body.expands:
+        if self._further.shape[2]:
             rates += contract(nodal, (self.nodal_response @ change)[:, :, None])[:, 0]
         return rates
 
@@ -241,7 +258,7 @@ class Linearisation:
     def compliance(self) -> Array:
         """Change of the interface displacements per change of the inputs.
 
-        Shape (6 i, k): m/N, rad/N, m/(N·m) and rad/(N·m), m/K and rad/K.
+        Shape (6 i, k): m and rad per N, N·m, K and m/s^2.
         """
         return self._coupling.displacement_rows(self.border_response)
 

@@ -30,8 +30,11 @@ class System:
     places
         Shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
     weight
-        Shape (n, 3), N: the nodal forces of the body's own weight; None for none. They keep their
-        size and direction, so `Balance.forces` are the internal ones less these.
+        Shape (n, 3), N: the nodal forces of the body's own weight; None for none.
+    pull
+        Shape (n, 3, p), N: nodal forces per unit of each acceleration that is an input; None for
+        none. Those and the weight keep their direction: `Balance.forces` are the internal forces
+        less these.
     """
 
     def __init__(
@@ -40,16 +43,18 @@ class System:
         coupling: Coupling,
         places: Array | None = None,
         weight: Array | None = None,
+        pull: Array | None = None,
     ) -> None:
         self._places = body.points if places is None else places
         self.body = body
         self.coupling = coupling
         self.weight = weight
+        self.pull = np.zeros((body.size, 3, 0)) if pull is None else pull
 
     @property
     def inputs(self) -> int:
-        """Number of loads, six an interface, and the temperature if the body expands."""
-        return self.coupling.freedoms + self.body.expands
+        """Number of loads, six an interface, temperature if the body expands, accelerations."""
+        return self.coupling.freedoms + self.body.expands + self.pull.shape[2]
 
     def temperature(self, inputs: Array) -> float:
         """Return the temperature among inputs, shape (k,), K from the reference."""
@@ -70,11 +75,17 @@ class System:
         self, nodes: Array, wrench: Array, step: tuple[Array, Array] | None = None
     ) -> tuple[Array, float, float]:
         forces, energy, least = self.body.at(self.temperature(wrench)).forces(nodes, step)
-        return (forces if self.weight is None else forces - self.weight), energy, least
+        return forces - self.dead_forces(wrench), energy, least
+
+    def dead_forces(self, inputs: Array) -> Array:
+        """Return the nodal forces of weight and acceleration, (n, 3), N, of inputs (k,)."""
+        pulled = self.pull @ inputs[self.coupling.freedoms + self.body.expands :]
+        return pulled if self.weight is None else pulled + self.weight
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:
         """Return the balance of the same state under other inputs, shape (k,)."""
-        if self.temperature(wrench) != self.temperature(balance.wrench):
+        first = self.coupling.freedoms
+        if (wrench[first:] != balance.wrench[first:]).any():
             return self.balance(balance.state, wrench)
         return self._balance(
             balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
@@ -101,7 +112,7 @@ class System:
                 balance, forces=self._forces(balance.state.nodes, balance.wrench, step)[0]
             )
         tangent = body.tangent(balance.state.nodes, step)
-        return Linearisation(self.body, self.coupling, balance, tangent)
+        return Linearisation(self.body, self.coupling, balance, tangent, self.pull)
 
     @cached_property
     def undeformed(self) -> Linearisation:
@@ -114,7 +125,7 @@ class System:
             does.
         """
         start = Linearisation(
-            self.body, self.coupling, self.balance_at_rest, self.body.tangent(None)
+            self.body, self.coupling, self.balance_at_rest, self.body.tangent(None), self.pull
         )
         self._require_supported(start)
         return start
@@ -134,7 +145,8 @@ class System:
         """Return the strain energy less that of the same displacement without heat, J."""
         if not self.body.expands:
             return 0.0
-        cold = np.append(balance.wrench[: self.coupling.freedoms], 0.0)
+        cold = balance.wrench.copy()
+        cold[self.coupling.freedoms] = 0.0
         return balance.energy - self.balance(balance.state, cold).energy
 
     @cached_property

@@ -36,7 +36,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     -------
     strength
         For each material that has cells: ``region``, ``largest`` (Pa), ``at`` (m, in the mesh's
-        axes), ``wrench`` (N and N·m), ``temperature`` where it is an input, ``yield_strength``
+        axes), ``wrench`` (N and N·m), each further input by its name, ``yield_strength``
         (Pa or None), ``first_order``.
     warnings
         Where a material yields, or von Mises says nothing of it; why stresses are first order.
@@ -59,7 +59,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
 def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, Any]]:
     """Return the worst corner of the range for each material that has cells."""
     corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
-    if len(corners) > _MOST_CORNERS * (1 if component.temperature is None else 2):
+    if len(corners) > _MOST_CORNERS * 2 ** len(component.further):
         raise ValueError("the range of more than two interfaces has too many corners")
     unit = solver.unit_stresses()
     loads = corners
@@ -79,7 +79,7 @@ def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, An
                 "largest": largest,
                 "at": places[own[point]].tolist(),
                 "wrench": corners[corner][:count].tolist(),
-                **_temperature(component, corners[corner]),
+                **_further(component, corners[corner][count:]),
                 "yield_strength": material.yield_strength,
                 "first_order": component.analysis.nonlinear,
             }
@@ -87,9 +87,9 @@ def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, An
     return found
 
 
-def _temperature(component: ComponentModel, acting: Array) -> dict[str, float]:
-    own = component.temperature
-    return {} if own is None else {"temperature": float(acting[-1] + own.reference)}
+def _further(component: ComponentModel, acting: Array) -> dict[str, float]:
+    pairs = zip(component.further, acting.tolist(), strict=True)
+    return {one.name: value + one.reference for one, value in pairs}
 
 
 def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
@@ -118,7 +118,7 @@ def _at_large(
     regions = [material.region for material in component.materials]
     places, numbers = places_of(component, component.mesh.points)
     for one in found:
-        worst = np.append(one["wrench"], one.get("temperature", []))
+        worst = [*one["wrench"], *(one[own.name] for own in component.further)]
         try:
             stress = solver.stresses(solver.solve(worst))
         except SolveFailed as error:

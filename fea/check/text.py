@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS
 
 _MOST_LINES = 60
 _WIDTH = 100
@@ -118,15 +118,19 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
     return [
         *lines,
         f"supports: {_supports(report['supports'])}",
-        *_temperature(report.get("temperature")),
+        *_further(report),
         *(_interface(one) for one in report.get("sections", [report.get("section")])),
     ]
 
 
-def _temperature(own: Mapping[str, float] | None) -> list[str]:
-    if own is None:
-        return []
-    return [f"temperature: {own['low']:g} to {own['high']:g}, reference {own['reference']:g}"]
+def _further(report: Mapping[str, Any]) -> list[str]:
+    lines = []
+    if own := report.get("temperature"):
+        ends = f"{own['low']:g} to {own['high']:g}"
+        lines.append(f"temperature: {ends}, reference {own['reference']:g}")
+    if most := report.get("acceleration"):
+        lines.append(f"acceleration: up to {_place(most)} m/s^2 along the mesh's axes")
+    return lines
 
 
 def _supports(supports: Mapping[str, Any]) -> str:
@@ -180,8 +184,9 @@ def _trial(report: Mapping[str, Any]) -> list[str]:
             "load. Displacements are relative to the part of the mesh without its weight"
         )
     lines += _moved(report, "at full range, linearly,", one["deflection"])
-    if "by_temperature" in one:
-        lines += _moved(report, "by the temperature alone", one["by_temperature"])
+    for name in ("temperature", "acceleration"):
+        if f"by_{name}" in one:
+            lines += _moved(report, f"by the {name} alone", one[f"by_{name}"])
     return lines
 
 
@@ -233,6 +238,7 @@ def _strength(report: Mapping[str, Any]) -> list[str]:
                 for name, own in _by_interface(report, one["wrench"])
             )
             + (f" at {one['temperature']:g}" if "temperature" in one else "")
+            + (f", acceleration {_place([one[a] for a in ACCELERATIONS])}" if "ax" in one else "")
         )
     return lines
 

@@ -49,8 +49,8 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
         density), ``sag``: the interfaces' displacement under own weight, where ``gravity`` is
         given; ``deflection``: the largest of each output over the load range by the linear
         compliance, six numbers an interface, m and rad; None where it was not tried or ``failed``
-        (then true). Where the temperature is an input also ``by_temperature``: the same of it
-        alone.
+        (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone, where
+        they are inputs.
     problems
         ``mechanism`` and ``ill_conditioned``, in the words of the failure.
     """
@@ -68,9 +68,12 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     result["deflection"] = largest(compliance, low, high).tolist()
     if solver.component.analysis.gravity is not None:
         result["sag"] = solver.linear.sag_displacement.tolist()
-    if bundle.temperature is not None:
-        own = largest(compliance[:, -1:], low[-1:], high[-1:])
-        result["by_temperature"] = own.tolist()
+    first = len(bundle.range.low)
+    groups = {"by_temperature": slice(first, first + 1), "by_acceleration": slice(-3, None)}
+    present = solver.component.temperature is not None, solver.component.accelerated
+    for (name, own), there in zip(groups.items(), present, strict=True):
+        if there:
+            result[name] = largest(compliance[:, own], low[own], high[own]).tolist()
     return result, []
 
 
@@ -190,7 +193,7 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     component = solver.component
     limit = component.bundle.tolerance
     known = all(one.density is not None for one in component.materials)
-    if component.analysis.gravity is not None or limit is None or not known:
+    if component.analysis.gravity or component.accelerated or limit is None or not known:
         return []
     by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver)
     moved, turned = (np.linalg.svd(half)[1][0] for half in (by_gravity[:3], by_gravity[3:]))
@@ -201,7 +204,7 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
         f"is not given: own weight at 9.81 m/s^2 moves the interface by up to {moved:.2g} m and "
         f"{turned:.2g} rad, with {_shown(down)} m/s^2 in the mesh's axes, more than the "
         "tolerance; answers leave it out. If the part hangs in one direction, write it: "
-        "gravity = [0, 0, -9.81] under [analysis]"
+        "gravity = [0, 0, -9.81] under [analysis]; if it turns, take [inputs.acceleration]"
     )
     return [BundleProblem("analysis.gravity", message)]
 

@@ -24,15 +24,12 @@ from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Material
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE, Bundle, Material
 
 Array = np.ndarray
 
 PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 """Where the wrench goes, in the order of the wrench contract."""
-
-TEMPERATURE = "$TEMPERATURE"
-"""Where the temperature goes, in the bundle's unit."""
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
@@ -136,7 +133,8 @@ def _materials(component: ComponentModel) -> Iterator[str]:
     for i, material in enumerate(component.materials):
         yield f"*MATERIAL, NAME=M{i}"
         yield from _elasticity(material, component.analysis.nonlinear)
-        if component.analysis.gravity is not None and material.density is not None:
+        heavy = component.accelerated or component.analysis.gravity is not None
+        if heavy and material.density is not None:
             yield f"*DENSITY\n{_numbers([material.density])}"
         if component.temperature is not None:
             yield _expansion(material, component.temperature.reference)
@@ -238,12 +236,7 @@ def _element(block: CellBlock, component: ComponentModel) -> str:
 
 def _step(component: ComponentModel) -> Iterator[str]:
     yield from _NONLINEAR if component.analysis.nonlinear else _LINEAR
-    if component.analysis.gravity is not None:
-        yield "*DLOAD"
-        pull = component.axes @ np.array(component.analysis.gravity)
-        size = float(np.linalg.norm(pull))
-        used = {int(i) for block in component.material_of_cells for i in np.unique(block)}
-        yield from (f"E{i}, GRAV, {_numbers([size, *(pull / size)])}" for i in sorted(used))
+    yield from _pulls(component)
     yield "*CLOAD"
     for one in component.interfaces:
         for name, placeholder in zip(FREEDOMS, placeholders(one.name), strict=True):
@@ -252,16 +245,38 @@ def _step(component: ComponentModel) -> Iterator[str]:
             else:
                 yield f"{_place(name, one)}, {_axis(name)}, {placeholder}"
     if component.temperature is not None:
-        yield f"*TEMPERATURE\nALL, {TEMPERATURE}"
+        yield f"*TEMPERATURE\nALL, {further_placeholder(TEMPERATURE)}"
     for one in component.interfaces:
         for kind in ("REF", "ROT"):
             yield from [f"*NODE PRINT, NSET={_set(kind, one)}", "U"]
     yield "*END STEP"
 
 
+def _pulls(component: ComponentModel) -> Iterator[str]:
+    """Yield gravity, and the accelerations that are inputs, on all cells."""
+    pulls = []
+    if component.analysis.gravity is not None:
+        gravity = component.axes @ np.array(component.analysis.gravity)
+        size = float(np.linalg.norm(gravity))
+        pulls.append((_numbers([size]), gravity / size))
+    if component.accelerated:
+        names = map(further_placeholder, ACCELERATIONS)
+        pulls += zip(names, component.axes.T, strict=True)
+    used = {int(i) for block in component.material_of_cells for i in np.unique(block)}
+    if pulls:
+        yield "*DLOAD"
+    for size, direction in pulls:
+        yield from (f"E{i}, GRAV, {size}, {_numbers(direction)}" for i in sorted(used))
+
+
 def placeholders(name: str) -> tuple[str, ...]:
     """Return where the wrench of an interface goes, its name empty if it is the only one."""
     return tuple(f"${name}.{word[1:]}" if name else word for word in PLACEHOLDERS)
+
+
+def further_placeholder(name: str) -> str:
+    """Return where an input behind the loads goes, in the bundle's unit."""
+    return f"${name.upper()}"
 
 
 def _place(freedom: str, interface: AttachedInterface) -> str:

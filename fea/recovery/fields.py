@@ -81,15 +81,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
     places, materials = places_of(component, body.points)
     kept = slice(None) if len(places) <= MOST_POINTS else slice(0)
-    if linear:
-        changes = small_stress(body, slopes, len(solution.displacement))
-        acting = solution.wrench - component.at_rest
-        stress = stress_of(component, body, solution) if hangs else changes @ acting
-    else:
-        # Changes that nobody keeps are not made: they take six times the stresses.
-        fields = slopes if kept.stop is None else slopes[:, :, :0]
-        temperature = component.warming(solution.wrench)
-        stress, changes = cauchy_stress(body, nodes, fields, temperature)
+    stress, changes = _stresses(component, body, solution, slopes, kept)
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())
@@ -111,3 +103,19 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         largest_region=regions[int(materials[worst])],
         weight=hangs,
     )
+
+
+def _stresses(
+    component: ComponentModel, body: ElasticBody, solution: Solution, slopes: Array, kept: slice
+) -> tuple[Array, Array]:
+    """Return stresses, shape (p, 6), Pa, and their change with the inputs, (p, 6, k)."""
+    loads = len(solution.displacement)
+    if not component.analysis.nonlinear:
+        changes = small_stress(body, slopes, loads)
+        if component.analysis.gravity is not None:
+            return stress_of(component, body, solution), changes
+        return changes @ (solution.wrench - component.at_rest), changes
+    # Changes that nobody keeps are not made: they take six times the stresses.
+    fields = slopes if kept.stop is None else slopes[:, :, :0]
+    nodes, temperature = solution.nodes @ component.axes.T, component.warming(solution.wrench)
+    return cauchy_stress(body, nodes, fields, temperature, loads)

@@ -45,12 +45,13 @@ def places_of(component: ComponentModel, points: Array) -> tuple[Array, Array]:
 def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> Array:
     """Return the stresses of small displacement fields, shape (n, 3, k), m over some unit.
 
-    Those from the number `loads` on are of one kelvin. Shape (p, 6, k), Pa over that unit: xx, yy,
-    zz, xy, xz, yz.
+    The one behind `loads` others is of one kelvin. Shape (p, 6, k), Pa over that unit: xx, yy, zz,
+    xy, xz, yz.
     """
     if body.expands and loads is not None:
-        heated = small_stress(body.at(1.0, finite=False), fields[:, :, loads:])
-        return np.concatenate([small_stress(body, fields[:, :, :loads]), heated], axis=2)
+        parts = np.split(fields, [loads, loads + 1], axis=2)
+        bodies = body, body.at(1.0, finite=False), body
+        return np.concatenate(list(map(small_stress, bodies, parts)), axis=2)
     found = []
     for part, nodes in zip(body.parts, body.cells, strict=True):
         own = part.small_stresses(np.moveaxis(gather(fields, nodes), -1, 0))
@@ -59,7 +60,11 @@ def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> 
 
 
 def cauchy_stress(
-    body: ElasticBody, displacement: Array, tangents: Array, temperature: float = 0.0
+    body: ElasticBody,
+    displacement: Array,
+    tangents: Array,
+    temperature: float = 0.0,
+    loads: int = 0,
 ) -> tuple[Array, Array]:
     """Return the Cauchy stresses of a displaced body, and their change with the inputs.
 
@@ -70,16 +75,18 @@ def cauchy_stress(
     displacement
         Shape (n, 3), m.
     tangents
-        Shape (n, 3, k): its change with the inputs, m/N, m/(N·m) and m/K.
+        Shape (n, 3, k): its change with the inputs, m per unit of each.
     temperature
         K from the reference.
+    loads
+        How many inputs there are before the temperature, where that is one.
 
     Returns
     -------
     stresses
         Shape (p, 6), Pa: xx, yy, zz, xy, xz, yz.
     changes
-        Shape (p, 6, k), Pa/N, Pa/(N·m) and Pa/K.
+        Shape (p, 6, k), Pa per unit of each.
     """
     stresses, changes = [], []
     own = body.at(temperature)
@@ -90,11 +97,11 @@ def cauchy_stress(
         changes.append(np.moveaxis(_six(slopes), 0, -1))
     found, slopes = np.concatenate(stresses), np.concatenate(changes)
     none = tangents[:, :, :0]
-    if body.expands and slopes.shape[2]:  # the last is the temperature, which has its own stress
+    if body.expands and slopes.shape[2]:  # the temperature has a stress of its own
         warmer, cooler = (
             cauchy_stress(body, displacement, none, temperature + step)[0] for step in (0.5, -0.5)
         )
-        slopes[:, :, -1] += warmer - cooler
+        slopes[:, :, loads] += warmer - cooler
     return found, slopes
 
 

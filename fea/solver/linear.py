@@ -26,15 +26,14 @@ class LinearResponse:
     Attributes
     ----------
     compliance
-        Shape (6 i, k) for k inputs, the loads of i interfaces and, if the body expands, the
-        temperature: displacement = compliance @ inputs; m/N, rad/N, m/(N·m), rad/(N·m), m/K and
-        rad/K. That of the loads is symmetric. Locked freedoms are zero.
+        Shape (6 i, k) for the k inputs of `Balance.wrench`: displacement = compliance @ inputs; m
+        and rad per N, N·m, K and m/s^2. That of the loads is symmetric. Locked freedoms are zero.
     energies
         Shape (k, k): twice the energies of pairs of unit inputs, from the strains: of loads equal
         to `compliance` but for roundoff, and in its units; J/K^2. With own weight (k + 1, k + 1),
         the last that of the weight, J.
     fields
-        Shape (n, 3, k): nodal displacements per unit of each input, m/N, m/(N·m) and m/K.
+        Shape (n, 3, k): nodal displacements per unit of each input, m per N, N·m, K and m/s^2.
     condition
         Estimated condition of the scaled stiffness matrix.
     asymmetry, energy_gap
@@ -85,8 +84,9 @@ def linear_response(system: System) -> LinearResponse:
         )
     compliance = 0.5 * (compliance + compliance.T)
     inputs = system.inputs
-    if system.body.expands:
+    if inputs > loads:
         compliance = np.hstack([compliance, whole[:, loads:inputs]])
+    if system.body.expands:
         at_rest = np.zeros((system.body.size, 3))
         conjugate = contract(system.body.heat(at_rest)[0][:, :, None], fields)[0]
         energies[loads] += conjugate

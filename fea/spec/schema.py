@@ -124,7 +124,8 @@ class Material:
         Between -1 and 0.5, both excluded; of an orthotropic material that of the nearest isotropic
         one, which tells cells that would lock.
     density
-        kg/m^3; None where the bundle does not give it. Static answers depend on it under gravity.
+        kg/m^3; None where the bundle does not give it. Static answers depend on it under gravity
+        and acceleration.
     yield_strength
         Pa, compared with the von Mises stress; None where the bundle does not give it.
     law
@@ -133,7 +134,7 @@ class Material:
         The constants of that law; None for the others.
     thermal_expansion
         1/K along its three directions, equal but for an orthotropic material; None where the
-        bundle does not give it. It counts only where the bundle has a `Temperature`.
+        bundle does not give it. It counts only where the temperature is an input.
     """
 
     region: str
@@ -146,21 +147,37 @@ class Material:
     thermal_expansion: tuple[float, float, float] | None = None
 
 
+TEMPERATURE = "temperature"
+ACCELERATIONS = ("ax", "ay", "az")
+"""Along the mesh's axes."""
+
+
 @dataclass(frozen=True)
-class Temperature:
-    """The uniform temperature as an input, K or °C: all three numbers in the same.
+class ScalarInput:
+    """An input behind the loads: the uniform temperature, or a component of the acceleration.
 
     Attributes
     ----------
+    name
+        `TEMPERATURE` or one of `ACCELERATIONS`, which follow it.
+    unit
+        Of the three numbers: K or °C, or m/s^2.
     low, high
         The range expected.
     reference
-        Where thermal strains are zero.
+        Where it has no effect.
     """
 
+    name: str
+    unit: str
     low: float
     high: float
-    reference: float
+    reference: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """The table of the bundle that has it."""
+        return f"inputs.{TEMPERATURE if self.name == TEMPERATURE else 'acceleration'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,8 +341,8 @@ class Bundle:
         16 hexadecimal digits over everything that can change an answer.
     interface, others
         The interface, or the first of several, and the others in their order.
-    temperature
-        The temperature, if it is an input behind the loads.
+    further
+        The inputs behind the loads.
     """
 
     folder: Path
@@ -341,16 +358,17 @@ class Bundle:
     deck: Deck | None
     fingerprint: str
     others: tuple[Interface, ...] = ()
-    temperature: Temperature | None = None
+    further: tuple[ScalarInput, ...] = ()
 
     @property
     def acting(self) -> DeclaredRange:
-        """The range of all inputs: loads, then the temperature less its reference, K."""
-        own = self.temperature
-        if own is None:
-            return self.range
-        low, high = own.low - own.reference, own.high - own.reference
-        return DeclaredRange(np.append(self.range.low, low), np.append(self.range.high, high))
+        """The range of all inputs: loads, then the others less their references."""
+        low, high = ([getattr(one, end) for one in self.further] for end in ("low", "high"))
+        zero = [one.reference for one in self.further]
+        ends = np.subtract(low, zero), np.subtract(high, zero)
+        return DeclaredRange(
+            np.append(self.range.low, ends[0]), np.append(self.range.high, ends[1])
+        )
 
     @property
     def interfaces(self) -> tuple[Interface, ...]:

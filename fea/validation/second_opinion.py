@@ -218,10 +218,10 @@ def _made_ready(
     if bundle.deck is not None:
         message = "answers in place of the embedded solver, so there is nothing to compare with"
         raise BundleError([BundleProblem("deck", message)])
-    for there, key in ((bundle.others, "interface"), (bundle.temperature, "inputs.temperature")):
-        if there:
-            message = "comparisons of several interfaces or a temperature are not there yet"
-            raise BundleError([BundleProblem(key, message)])
+    keys = ["interface" for _ in bundle.others] + [one.key for one in bundle.further]
+    for key in keys[:1]:
+        message = "comparisons of several interfaces or further inputs are not there yet"
+        raise BundleError([BundleProblem(key, message)])
     part, notes = comparable(build(bundle))
     wrenches = chosen_wrenches(part, texts)
     deck_of(replace(part, coupling="rigid"))  # what CalculiX has no counterpart of, before a solve

@@ -64,8 +64,8 @@ def require_one_interface(bundle: Bundle) -> None:
     """Raise a BundleError if the bundle has several interfaces or further inputs."""
     if bundle.others:
         raise one_problem("interface", "tables of several interfaces are not there yet")
-    if bundle.temperature is not None:
-        raise one_problem("inputs.temperature", "tables with a temperature are not there yet")
+    for one in bundle.further:
+        raise one_problem(one.key, "tables with further inputs are not there yet")
 
 
 def checked(folder: Path) -> Iterator[Part]:
