@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -20,12 +20,15 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
+    ACCELERATIONS,
     FREEDOMS,
+    TEMPERATURE,
     Analysis,
     Bundle,
     Interface,
     Material,
     MeshSource,
+    ScalarInput,
     Sliding,
     Supports,
 )
@@ -85,6 +88,8 @@ class ComponentModel:
         Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed.
     name, others
         Its name, empty if it is alone; the other interfaces.
+    further
+        The inputs behind the loads.
     """
 
     bundle: Bundle
@@ -102,6 +107,29 @@ class ComponentModel:
     others: tuple[AttachedInterface, ...] = ()
     sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
     bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
+    further: tuple[ScalarInput, ...] = ()
+
+    @property
+    def temperature(self) -> ScalarInput | None:
+        """The temperature, if it is an input: the first behind the loads."""
+        return next((one for one in self.further if one.name == TEMPERATURE), None)
+
+    @property
+    def accelerated(self) -> bool:
+        """Whether the acceleration is an input: the last three."""
+        return any(one.name in ACCELERATIONS for one in self.further)
+
+    @property
+    def at_rest(self) -> Array:
+        """Inputs without effect: no loads, shape (6 i,), and the references of the others."""
+        loads = np.zeros(len(FREEDOMS) * len(self.interfaces))
+        return np.append(loads, [one.reference for one in self.further])
+
+    def warming(self, inputs: Array) -> float:
+        """Return the temperature among inputs, shape (k,), K from the reference; 0 if none is."""
+        own = self.temperature
+        place = len(FREEDOMS) * len(self.interfaces)
+        return 0.0 if own is None else float(inputs[place] - own.reference)
 
     @property
     def supported_nodes(self) -> Array:
@@ -143,9 +171,8 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     fixed = _fixed_nodes(mesh, supports, problems)
     sliding = _sliding(mesh, supports.sliding, fixed, problems)
     first, *others = _attached(mesh, bundle.interfaces, problems)
-    keys = (f"supports.bushing[{i}].group" for i in range(len(supports.bushings)))
-    holds = zip(keys, (own.hold for own in supports.bushings), strict=True)
-    springs = [_attach(mesh, *hold, problems) for hold in holds]
+    holds = enumerate(own.hold for own in supports.bushings)
+    springs = [_attach(mesh, f"supports.bushing[{i}].group", own, problems) for i, own in holds]
     for one in (first, *others, *springs):
         sliding = _left_sliding(mesh, sliding, one, problems)
     _check_apart(mesh, fixed, [first, *others, *springs], problems)
@@ -154,7 +181,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
-        materials=bundle.materials,
+        materials=_expanding(bundle),
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
         section=first.section,
@@ -167,7 +194,15 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         others=tuple(others),
         sliding=sliding,
         bushings=tuple(zip(springs, (own.stiffness for own in supports.bushings), strict=True)),
+        further=bundle.further,
     )
+
+
+def _expanding(bundle: Bundle) -> tuple[Material, ...]:
+    """Return the materials, with thermal expansion only where the temperature is an input."""
+    if any(one.name == TEMPERATURE for one in bundle.further):
+        return bundle.materials
+    return tuple(replace(one, thermal_expansion=None) for one in bundle.materials)
 
 
 def mesh_of(source: MeshSource) -> Mesh:

@@ -12,7 +12,7 @@ from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.coupling import Coupling, Distributed, Rigid
 from wrenchbook.fea.coupling.coupling import SectionCoupling
-from wrenchbook.fea.recovery.weight import weight_of
+from wrenchbook.fea.recovery.weight import pull_of
 from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
@@ -21,10 +21,7 @@ Array = np.ndarray
 def system_of(component: ComponentModel, active: Array) -> System:
     """Set up the equations in the first interface's frame, its origin at that interface's point.
 
-    Parameters
-    ----------
-    active
-        Numbers of the interfaces' motions that are not locked, shape (a,).
+    `active` has shape (k,): indices of the freedoms that are not locked, dimensionless.
     """
     mesh = component.mesh
     mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
@@ -40,7 +37,12 @@ def system_of(component: ComponentModel, active: Array) -> System:
     filled = filled_cells(mesh, materials, numbers, integration, component.axes)
     nodes, held = component.sliding
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
-    return System(body, coupling, component.mesh.points, weight_of(component, body))
+    gravity, weight, pull = component.analysis.gravity, None, None
+    if gravity is not None or component.accelerated:
+        pull = pull_of(component, body)
+        weight = None if gravity is None else pull @ np.array(gravity)
+    pull = pull if component.accelerated else None
+    return System(body, coupling, component.mesh.points, weight, pull)
 
 
 def _section(

@@ -42,19 +42,21 @@ class Solution:
     Attributes
     ----------
     wrench
-        Shape (6 i,), N and N·m.
+        Shape (k,): the inputs, 6 i loads, N and N·m, and further ones in the bundle's units.
     displacement
         Shape (6 i,), m and rad: translation and rotation vector of each.
     compliance
-        Shape (6 i, 6 i): d displacement / d wrench at this wrench; rows and columns of locked
+        Shape (6 i, k): d displacement / d wrench at this wrench; rows and columns of locked
         freedoms are zero. NaN where it is unknown: a nonlinear deck.
     strain_energy
-        J. NaN where it is unknown: a nonlinear deck.
+        J, of the stresses. NaN where it is unknown: a nonlinear deck.
     work
-        J. Linear: wrench . displacement, twice the strain energy. Nonlinear: the external work
-        along the load path by quadrature over the converged load steps, of fourth order. On the
-        path it equals the strain energy, so that their difference measures the steps, not the
-        answer. NaN for a nonlinear deck.
+        J. Linear: that of all loads at their full size, without heat twice the strain energy.
+        Nonlinear: the external work, and that of heat, along the load path by quadrature over the
+        converged load steps, of fourth order. On the path it equals the strain energy (with heat
+        but for a part of the thermal strain's size), so that their difference measures the steps,
+        not the answer.
+        NaN for a nonlinear deck.
     unknowns
         Degrees of freedom solved for; 0 where a deck's solver does not tell.
     seconds
@@ -67,7 +69,7 @@ class Solution:
     notes
         What an engineer should know about how the answer was found.
     tangents
-        Shape (n, 3, 6 i), m/N and m/(N·m): change of `nodes` with the wrench; None for a deck.
+        Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck.
     state
         Where the equations were left, to start a nearby solve from; None for a linear solve and a
         deck.
@@ -87,42 +89,66 @@ class Solution:
     state: CoupledState | None = None
 
 
-Loads = Sequence[float] | Array | Mapping[str, Sequence[float] | Array]
-"""Force and moment, N and N·m, of each interface in turn, or by the interfaces' names."""
+Loads = Sequence[float] | Array | Mapping[str, float | Sequence[float] | Array]
+"""Force and moment, N and N·m, of each interface in turn and then further inputs, or by name."""
 
 
-def checked_wrench(wrench: Loads, names: Sequence[str] = ("",)) -> Array:
-    """Return the wrenches of all interfaces as an array of its own, shape (6 i,), N and N·m.
+def checked_wrench(
+    wrench: Loads, names: Sequence[str] = ("",), further: Sequence[str] = ()
+) -> Array:
+    """Return all inputs as an array of its own, shape (6 i + f,): N and N·m, then f others.
 
     Parameters
     ----------
     wrench
-        Shape (6 i,), or six numbers by an interface's name; one without a name has no load.
+        Shape (6 i + f,); or six numbers by an interface's name, those that are left out have no
+        load, and each further input by its own.
     names
         Of the i interfaces.
+    further
+        The names of the f inputs behind the loads.
 
     Raises
     ------
     ValueError
-        If it is not six finite numbers an interface, or names an unknown interface.
+        If it is not six finite numbers an interface and one a further input, names an unknown
+        interface, or lacks a further input.
     """
     if isinstance(wrench, Mapping):
-        wrench = np.concatenate(_by_name(wrench, names))
+        wrench = np.concatenate(_by_name(wrench, names, further))
     whole = np.array(wrench, dtype=float)
-    count = PER_INTERFACE * len(names)
+    count = PER_INTERFACE * len(names) + len(further)
     if whole.shape == (count,) and np.isfinite(whole).all():
         return whole
+    if further:
+        which = ", then ".join(
+            f"force (N) and moment (N·m){name and ' of ' + name}" for name in names
+        )
+        raise ValueError(f"the inputs are {count} finite numbers: {which}, then {_listed(further)}")
     if len(names) == 1:
         raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
     raise ValueError(
         f"the loads of {len(names)} interfaces are {count} finite numbers: force (N) and moment "
-        f"(N·m) of {', '.join(names)}"
+        f"(N·m) of {_listed(names)}"
     )
 
 
-def _by_name(loads: Mapping[str, Sequence[float] | Array], names: Sequence[str]) -> list[Array]:
+def _by_name(
+    loads: Mapping[str, float | Sequence[float] | Array],
+    names: Sequence[str],
+    further: Sequence[str],
+) -> list[Array]:
+    every = (*names, *further)
     for name in loads:
-        if name not in names:
-            known = ", ".join(names)
-            raise ValueError(f'no interface "{name}"{suggest(name, names)} (there are {known})')
-    return [np.asarray(loads.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names]
+        if name not in every:
+            known = _listed(every)
+            raise ValueError(f'no interface "{name}"{suggest(name, every)} (there are {known})')
+    for name in further:
+        if name not in loads:
+            raise ValueError(f'"{name}" is missing: it is an input of this component')
+    own = [np.asarray(loads.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names]
+    return own + [np.ravel(np.asarray(loads[name], dtype=float)) for name in further]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names)

@@ -81,7 +81,7 @@ def solve(
     component = ready.component if isinstance(ready, Solver) else ready
     try:
         solver = ready if isinstance(ready, Solver) else Solver(component)
-        solution = _solve_near(solver, checked_wrench(wrench, solver.names), progress, warm)
+        solution = _solve_near(solver, solver.inputs(wrench), progress, warm)
     except SolveFailed as failure:
         if folder is not None:
             keep(folder, failure, component)
@@ -100,7 +100,7 @@ def _solve_near(
     component = solver.component
     if warm is None or component.bundle is None:
         return solver.solve(wrench, progress)
-    loads = component.bundle.range
+    loads = component.bundle.acting
     scale = np.maximum(np.abs(loads.low), np.abs(loads.high))
     states = WarmFolder(warm, component.bundle.fingerprint, scale)
     start = states.nearest(wrench, len(component.mesh.points))
@@ -135,6 +135,17 @@ class Solver:
         """Names of the interfaces; an empty one where there is one."""
         return tuple(one.name for one in self.component.interfaces)
 
+    def inputs(self, wrench: Loads) -> Array:
+        """Return the inputs of `solve` as an array of its own, shape (k,).
+
+        Raises
+        ------
+        ValueError
+            As `solve` does.
+        """
+        further = [one.name for one in self.component.further]
+        return checked_wrench(wrench, self.names, further)
+
     @property
     def unknowns(self) -> int:
         """Degrees of freedom solved for."""
@@ -165,14 +176,12 @@ class Solver:
     @cached_property
     def rest(self) -> Equilibrium:
         """The nonlinear equilibrium under own weight alone; raises SolveFailed as `solve` does."""
-        found = hang(self._system)
-        _require_small_rotation(found.balance.state.interface)
-        return found
+        return hang(self._system, lambda balance: _require_small_rotation(balance.state.interface))
 
     @property
     def compliance(self) -> Array:
         """The compliance at no load, shape (6 i, 6 i), m/N, rad/N and so on; symmetric."""
-        return self.linear.compliance
+        return self.linear.compliance[:, : self._system.coupling.freedoms]
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -204,14 +213,14 @@ class Solver:
         return first_vibration(self._system, mass, riding)
 
     def unit_stresses(self) -> Array:
-        """Return the small-strain stresses of the unit loads, shape (p, 6, 6 i), Pa/N, Pa/(N·m).
+        """Return the small-strain stresses of unit inputs, shape (p, 6, k), Pa per unit.
 
         Raises
         ------
         SolveFailed
             As `linear` does.
         """
-        return small_stress(self._system.body, self.linear.fields)
+        return small_stress(self.body, self.linear.fields, self._system.coupling.freedoms)
 
     def stresses(self, solution: Solution) -> Array:
         """Return a solution's stresses at the integration points, shape (p, 6), Pa."""
@@ -228,8 +237,9 @@ class Solver:
         ValueError, SolveFailed
             As `solve` and `linear` do.
         """
-        fields = self.linear.fields @ checked_wrench(wrench, self.names)
-        return buckling_factors(self._system, fields)
+        acting = self.inputs(wrench) - self.component.at_rest
+        fields = self.linear.fields @ acting
+        return buckling_factors(self._system, fields, self._system.temperature(acting))
 
     def fields(self, solution: Solution) -> SolveFields:
         """Return the surface and the stresses of a solution of this component."""
@@ -248,7 +258,8 @@ class Solver:
         wrench
             Force and moment on the component at each interface's point, in its undeformed frame,
             shape (6 i,) for i interfaces, or six numbers by name, N and N·m. What acts on locked
-            freedoms, and so on an interface that is held, does nothing.
+            freedoms, and so on an interface that is held, does nothing. Further inputs of the
+            component follow, or come by their names: "temperature", then "ax", "ay" and "az".
         progress
             Called with the fraction done and a message.
         start
@@ -259,14 +270,16 @@ class Solver:
         Raises
         ------
         ValueError
-            If the wrench is not six finite numbers an interface, or names an unknown one.
+            If the wrench is not six finite numbers an interface, names an unknown one, or lacks
+            a further input.
         SolveFailed
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """
         started = time.perf_counter()
-        whole = checked_wrench(wrench, self.names)
+        whole = self.inputs(wrench)
+        above, further = whole - self.component.at_rest, self._system.coupling.freedoms
         acting = np.zeros_like(whole)
-        acting[self._active] = whole[self._active]
+        acting[self._active], acting[further:] = whole[self._active], above[further:]
         analysis = self.component.analysis
         if not analysis.nonlinear or not (acting.any() or analysis.gravity):
             found = self._solve_linear(whole, acting)
@@ -279,11 +292,13 @@ class Solver:
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear
         displacement, nodes = linear.compliance @ acting, linear.fields @ acting
-        energy, work = 0.5 * acting @ linear.energies @ acting, acting @ displacement
-        if (weight := self._system.weight) is not None:
+        whole = acting
+        if self._system.weight is not None:
             displacement, nodes = displacement + linear.sag_displacement, nodes + linear.sag
-            energy = 0.5 * self.body.strain_energy_products(nodes[:, :, None])[0, 0]
-            work = acting @ displacement + np.vdot(weight, nodes)
+            whole = np.append(acting, 1.0)
+        energy = 0.5 * whole @ linear.energies @ whole
+        work = acting[: len(displacement)] @ displacement
+        work += np.vdot(self._system.dead_forces(acting), nodes)
         _require_small_rotation(displacement)
         return Solution(
             wrench=wrench,
@@ -329,7 +344,7 @@ class Solver:
             displacement=balance.state.interface,
             compliance=found.tangent.compliance,
             strain_energy=balance.energy,
-            work=work,
+            work=work + self._system.heat_energy(balance),
             unknowns=self.unknowns,
             seconds=0.0,
             history=history,

@@ -67,9 +67,9 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     solver
         Of the component, on any mesh of it.
     loads
-        Its range.
+        The range of its inputs, from where these have no effect.
     """
-    compliance = solver.compliance
+    compliance = solver.linear.compliance
     nonlinear = replace(
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
@@ -77,7 +77,7 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     deviation, why = np.full(len(compliance), np.nan), ""
     factors: list[float] = []
     for corner in _corners(compliance, loads):
-        factors.append(solver.buckling(corner)[0])
+        factors.append(solver.buckling(corner + solver.component.at_rest)[0])
         found = _Corner(other, solver.linear, corner, factors[-1])
         deviation = np.fmax(deviation, found.deviation)
         factors += found.factors
@@ -113,7 +113,7 @@ class _Corner:
             most, self.why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
         for part in (most * part for part in _PARTS):
             try:
-                found = solver.solve(part * wrench)
+                found = solver.solve(part * wrench + solver.component.at_rest)
             except SolveFailed as failure:
                 self.why = self.why or failure.message
                 if failure.load_factor is not None:

@@ -58,7 +58,7 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     result["cell_size"] = _cell_size(solver.component.mesh)
     if bundle is None or solver.component.analysis.nonlinear:
         return result
-    return result | _linearity(second or solver, bundle.range)
+    return result | _linearity(second or solver, bundle.acting)
 
 
 def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:

@@ -75,10 +75,11 @@ def recovered_error(solver: Solver) -> Array:
 
 def _pieces(solver: Solver) -> Iterator[_Piece]:
     component, body = solver.component, solver.body
+    unit = solver.linear.fields[:, :, : len(solver.compliance)]
     sorts = zip(body.parts, body.cells, solver.volumes, strict=True)
     for part, nodes, (numbers, _) in sorts:
         weights = part.gradients.weights
-        moved = np.moveaxis(gather(solver.linear.fields, nodes), -1, 0)
+        moved = np.moveaxis(gather(unit, nodes), -1, 0)
         slopes = moved[:, :, None] @ part.gradients.slopes.swapaxes(2, 3)
         strains = 0.5 * (slopes + slopes.swapaxes(-1, -2))
         fields = np.stack([strains, part.small_stresses(moved)])

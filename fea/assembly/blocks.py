@@ -88,13 +88,26 @@ def sorted_cells(
 def _stiffness(
     law: str, gradients: Gradients, materials: list[Material], modes: Array | None, frame: Array
 ) -> CellStiffness:
+    expansion = _expansion(materials, frame)
     if law == "orthotropic":
         elasticities = {id(m): _elasticity(m, frame) for m in materials}
-        return OrthotropicStiffness(gradients, np.array([elasticities[id(m)] for m in materials]))
+        elasticity = np.array([elasticities[id(m)] for m in materials])
+        return OrthotropicStiffness(gradients, elasticity, expansion=expansion)
     kind = NeoHookeanStiffness if law == "neo-hookean" else Stiffness
     young = np.array([material.youngs_modulus for material in materials])
     poisson = np.array([material.poisson_ratio for material in materials])
-    return kind(gradients, *_lame(young, poisson), modes)
+    return kind(gradients, *_lame(young, poisson), modes, expansion=expansion)
+
+
+def _expansion(materials: list[Material], frame: Array) -> Array | None:
+    """Return thermal strains per kelvin, shape (cells, 3, 3), 1/K; None for none."""
+    found = {}
+    for one in materials:
+        if one.thermal_expansion is None:
+            return None
+        own = np.eye(3) if one.orthotropic is None else np.array(one.orthotropic.axes) @ frame.T
+        found[id(one)] = (own.T * one.thermal_expansion) @ own
+    return np.array([found[id(one)] for one in materials])
 
 
 def _elasticity(material: Material, frame: Array) -> Array:

@@ -23,9 +23,10 @@ class Balance:
     state
         The configuration.
     wrench
-        Shape (6 i,), N and N·m, of i interfaces.
+        Shape (k,): the inputs, N and N·m of i interfaces; behind them the temperature, K from the
+        reference, if the body expands, and the accelerations that are inputs, m/s^2.
     forces
-        Shape (n, 3), N: internal nodal forces.
+        Shape (n, 3), N: internal nodal forces, less those of weight and acceleration.
     energy
         Strain energy, J.
     least_stretch
@@ -33,6 +34,8 @@ class Balance:
     nodal, border
         What is out of balance: shape (n, 3), N, at the free nodes, zero at others; and shape
         (border,), N and N·m for interface freedoms, m and m^2 for constraints.
+    heat
+        Norm of the nodal forces, N, and the energy, J, that heat alone has in a body held all over.
     """
 
     state: CoupledState
@@ -42,6 +45,7 @@ class Balance:
     least_stretch: float
     nodal: Array
     border: Array
+    heat: tuple[float, float] = (0.0, 0.0)
 
     @property
     def norm(self) -> float:
@@ -50,8 +54,8 @@ class Balance:
 
     @property
     def scale(self) -> float:
-        """Euclidean norm of all nodal forces, those of supports and interface with them, N."""
-        return float(np.linalg.norm(self.forces))
+        """Euclidean norm of all nodal forces, those of supports, interface and heat too, N."""
+        return float(np.linalg.norm(self.forces)) + self.heat[0]
 
 
 class Linearisation:
@@ -65,13 +69,21 @@ class Linearisation:
     """
 
     def __init__(
-        self, body: ElasticBody, coupling: Coupling, balance: Balance, tangent: Tangent
+        self,
+        body: ElasticBody,
+        coupling: Coupling,
+        balance: Balance,
+        tangent: Tangent,
+        pull: Array,
     ) -> None:
         self._body = body
         self._coupling = coupling
         self.state = balance.state
         self.tangent = tangent
-        self.border = coupling.bordered(balance.state, balance.forces, balance.wrench)
+        self._pull = pull
+        first = coupling.freedoms
+        loads, self._temperature, _ = np.split(balance.wrench, [first, first + body.expands])
+        self.border = coupling.bordered(balance.state, balance.forces, loads)
         pushed = tangent.times(self.border.ties, coupling.tied)
         columns = pushed + self.border.columns
         self._columns = body.movable.released(columns)
@@ -133,8 +145,8 @@ class Linearisation:
         active = self._coupling.active
         if not active.size:
             return 1.0
-        full = self.wrench_columns.T @ self.border_response
-        own = 0.5 * (full + full.T)[np.ix_(active, active)]
+        own = (self.wrench_columns.T @ self.border_response)[np.ix_(active, active)]
+        own = 0.5 * (own + own.T)
         diagonal = np.diagonal(own)
         if (diagonal <= 0).any():
             return -1.0
@@ -176,14 +188,60 @@ class Linearisation:
         return moved - self._solved @ carried, carried
 
     @cached_property
+    def load_columns(self) -> tuple[Array, Array]:
+        """Change of the loads of free nodes, (n, 3, k), and border, (border, k), with the inputs.
+
+        The inputs are those of `Balance.wrench`.
+        """
+        nodal, border = np.zeros((self._body.size, 3, self._coupling.freedoms)), self.wrench_columns
+        further = self._further
+        if not further.shape[2]:
+            return nodal, border
+        released = self._body.movable.released(further)
+        border = np.hstack([border, contract(self.border.ties, further)])
+        return np.concatenate([nodal, released], axis=2), border
+
+    @cached_property
+    def _further(self) -> Array:
+        """Change of nodal forces with the inputs behind the loads, (n, 3, k - 6 i), N/K and kg."""
+        if not self._body.expands:
+            return self._pull
+        heat = self._body.heat(self.state.nodes, *self._temperature)[0][:, :, None]
+        return np.concatenate([-heat, self._pull], axis=2)
+
+    @cached_property
+    def _alone(self) -> Array:
+        """Change of the free nodes with those inputs while the border stays, in m per unit."""
+        return self.tangent.solve(self.load_columns[0][:, :, self._coupling.freedoms :])
+
+    @cached_property
     def border_response(self) -> Array:
-        """Change of the border per change of the wrench, shape (border, 6 i), m/N and its like."""
-        return self._solve_border(self.wrench_columns)
+        """Change of the border per change of the inputs, shape (border, k), m/N and its like."""
+        loads = self.wrench_columns
+        if self._further.shape[2]:
+            loads = self.load_columns[1].copy()
+            loads[:, self._coupling.freedoms :] -= contract(self._columns, self._alone)
+        return self._solve_border(loads)
 
     @property
     def nodal_response(self) -> Array:
-        """Change of all nodes per change of the wrench, shape (n, 3, 6 i), m/N and m/(N·m)."""
-        return (self.border.ties - self._solved) @ self.border_response
+        """Change of all nodes per change of the inputs, shape (n, 3, k), m per unit of each."""
+        moved = (self.border.ties - self._solved) @ self.border_response
+        if self._further.shape[2]:
+            moved[:, :, self._coupling.freedoms :] += self._alone
+        return moved
+
+    def conjugate_rate(self, change: Array) -> Array:
+        """Return the change, with that of the inputs (k,), of what each input does work on: (k,).
+
+        Translations and spins, m and rad, less the strain energy's change per kelvin, J/K, and
+        moments of mass, kg·m.
+        """
+        nodal, border = self.load_columns
+        rates = border.T @ (self.border_response @ change)
+        if self._further.shape[2]:
+            rates += contract(nodal, (self.nodal_response @ change)[:, :, None])[:, 0]
+        return rates
 
     @property
     def wrench_columns(self) -> Array:
@@ -198,9 +256,9 @@ class Linearisation:
 
     @property
     def compliance(self) -> Array:
-        """Change of the interface displacements per change of the wrench.
+        """Change of the interface displacements per change of the inputs.
 
-        Shape (6 i, 6 i): m/N, rad/N, m/(N·m) and rad/(N·m).
+        Shape (6 i, k): m and rad per N, N·m, K and m/s^2.
         """
         return self._coupling.displacement_rows(self.border_response)
 

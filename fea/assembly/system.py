@@ -30,8 +30,11 @@ class System:
     places
         Shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
     weight
-        Shape (n, 3), N: the nodal forces of the body's own weight; None for none. They keep their
-        size and direction, so `Balance.forces` are the internal ones less these.
+        Shape (n, 3), N: the nodal forces of the body's own weight; None for none.
+    pull
+        Shape (n, 3, p), N: nodal forces per unit of each acceleration that is an input; None for
+        none. Those and the weight keep their direction: `Balance.forces` are the internal forces
+        less these.
     """
 
     def __init__(
@@ -40,11 +43,22 @@ class System:
         coupling: Coupling,
         places: Array | None = None,
         weight: Array | None = None,
+        pull: Array | None = None,
     ) -> None:
         self._places = body.points if places is None else places
         self.body = body
         self.coupling = coupling
         self.weight = weight
+        self.pull = np.zeros((body.size, 3, 0)) if pull is None else pull
+
+    @property
+    def inputs(self) -> int:
+        """Number of loads, six an interface, temperature if the body expands, accelerations."""
+        return self.coupling.freedoms + self.body.expands + self.pull.shape[2]
+
+    def temperature(self, inputs: Array) -> float:
+        """Return the temperature among inputs, shape (k,), K from the reference."""
+        return float(inputs[self.coupling.freedoms]) if self.body.expands else 0.0
 
     @property
     def unknowns(self) -> int:
@@ -52,19 +66,27 @@ class System:
         return self.body.dissection.unknowns + self.coupling.motions
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
-        """Weigh the internal forces of a state against a wrench, shape (6 i,), N and N·m."""
-        forces, energy, least = self._forces(state.nodes)
+        """Weigh the internal forces of a state against inputs, shape (k,): see `Balance.wrench`."""
+        forces, energy, least = self._forces(state.nodes, wrench)
         energy += self.coupling.spring_energy(state)
         return self._balance(state, wrench, forces, energy, least)
 
     def _forces(
-        self, nodes: Array, step: tuple[Array, Array] | None = None
+        self, nodes: Array, wrench: Array, step: tuple[Array, Array] | None = None
     ) -> tuple[Array, float, float]:
-        forces, energy, least = self.body.forces(nodes, step)
-        return (forces if self.weight is None else forces - self.weight), energy, least
+        forces, energy, least = self.body.at(self.temperature(wrench)).forces(nodes, step)
+        return forces - self.dead_forces(wrench), energy, least
+
+    def dead_forces(self, inputs: Array) -> Array:
+        """Return the nodal forces of weight and acceleration, (n, 3), N, of inputs (k,)."""
+        pulled = self.pull @ inputs[self.coupling.freedoms + self.body.expands :]
+        return pulled if self.weight is None else pulled + self.weight
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:
-        """Return the balance of the same state under another wrench, shape (6 i,), N and N·m."""
+        """Return the balance of the same state under other inputs, shape (k,)."""
+        first = self.coupling.freedoms
+        if (wrench[first:] != balance.wrench[first:]).any():
+            return self.balance(balance.state, wrench)
         return self._balance(
             balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
         )
@@ -84,10 +106,13 @@ class System:
             The last step of Newton's method, two fields of shape (n, 3), m: see
             `ElasticBody.tangent`.
         """
+        body = self.body.at(self.temperature(balance.wrench))
         if step is not None:
-            balance = replace(balance, forces=self._forces(balance.state.nodes, step)[0])
-        tangent = self.body.tangent(balance.state.nodes, step)
-        return Linearisation(self.body, self.coupling, balance, tangent)
+            balance = replace(
+                balance, forces=self._forces(balance.state.nodes, balance.wrench, step)[0]
+            )
+        tangent = body.tangent(balance.state.nodes, step)
+        return Linearisation(self.body, self.coupling, balance, tangent, self.pull)
 
     @cached_property
     def undeformed(self) -> Linearisation:
@@ -100,7 +125,7 @@ class System:
             does.
         """
         start = Linearisation(
-            self.body, self.coupling, self.balance_at_rest, self.body.tangent(None)
+            self.body, self.coupling, self.balance_at_rest, self.body.tangent(None), self.pull
         )
         self._require_supported(start)
         return start
@@ -114,16 +139,31 @@ class System:
     def balance_at_rest(self) -> Balance:
         """The undeformed, unloaded state."""
         state = self.coupling.start()
-        return self._balance(
-            state, np.zeros_like(state.interface), np.zeros_like(state.nodes), 0.0, 1.0
-        )
+        return self._balance(state, np.zeros(self.inputs), np.zeros_like(state.nodes), 0.0, 1.0)
+
+    def heat_energy(self, balance: Balance) -> float:
+        """Return the strain energy less that of the same displacement without heat, J."""
+        if not self.body.expands:
+            return 0.0
+        cold = balance.wrench.copy()
+        cold[self.coupling.freedoms] = 0.0
+        return balance.energy - self.balance(balance.state, cold).energy
+
+    @cached_property
+    def _heat(self) -> tuple[float, float]:
+        """`Balance.heat` of one kelvin: the norm, N, and the energy, J, which grows squared."""
+        forces, energy, _ = self.body.at(1.0, finite=False).forces(np.zeros((self.body.size, 3)))
+        return float(np.linalg.norm(forces)), energy
 
     def _balance(
         self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float
     ) -> Balance:
-        nodal, border = self.coupling.residual(state, forces, wrench)
+        nodal, border = self.coupling.residual(state, forces, wrench[: self.coupling.freedoms])
         nodal = self.body.movable.released(nodal)
-        return Balance(state, wrench, forces, energy, least, nodal, border)
+        heat, temperature = (0.0, 0.0), self.temperature(wrench)
+        if temperature:
+            heat = abs(temperature) * self._heat[0], temperature**2 * self._heat[1]
+        return Balance(state, wrench, forces, energy, least, nodal, border, heat)
 
     def _require_supported(self, start: Linearisation) -> None:
         factor = start.tangent.factor

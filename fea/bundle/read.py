@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wrenchbook.fea.bundle.deck_table import read_deck
+from wrenchbook.fea.bundle.inputs_table import check_densities, check_inputs, read_inputs
 from wrenchbook.fea.bundle.mesh_table import read_mesh
 from wrenchbook.fea.bundle.tables import (
     read_analysis,
@@ -109,12 +110,14 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
         "others": tuple(interfaces[1:]),
         "analysis": read_analysis(top.table("analysis", required=False)),
         "range": read_range(top, found),
+        "further": read_inputs(top),
         "tolerance": read_tolerance(top.table("tolerance", required=False)),
         "deck": read_deck(top.table("deck", required=False), folder),
     }
     _check_whole(top, any(one is not None and one.held for one in interfaces))
     _check_frame(top, parts["deck"], interfaces)
     _check_weight(top, parts["deck"], parts["materials"], parts["analysis"])
+    check_inputs(top, parts["further"], parts["materials"], interfaces)
     top.close()
     if top.problems:
         raise BundleError(top.problems)
@@ -188,7 +191,7 @@ def _check_frame(top: Keys, deck: Deck | None, interfaces: list[Interface | None
 
 
 def _check_weight(
-    top: Keys, deck: Deck | None, materials: Sequence[Material | None], analysis: Analysis
+    top: Keys, deck: Deck | None, materials: tuple[Material | None, ...], analysis: Analysis
 ) -> None:
     """Note what the component's own weight lacks."""
     if analysis.gravity is None:
@@ -196,7 +199,4 @@ def _check_weight(
     if deck is not None:
         message = "a [deck] is not changed; write *DLOAD with GRAV in the deck, leave gravity out"
         top.wrong("analysis.gravity", message)
-    for i, material in enumerate(materials):
-        if material is not None and material.density is None:
-            message = "missing; [analysis] gravity needs each material's density, in kg/m^3"
-            top.wrong(f"material[{i}].density", message)
+    check_densities(top, materials, "[analysis] gravity")

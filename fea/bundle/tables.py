@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from wrenchbook.fea.bundle.inputs_table import read_expansion
 from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import (
@@ -277,10 +278,11 @@ def read_material(keys: Keys) -> Material | None:
         own, constants = None, _isotropic(keys)
     density = keys.number("density", "kg/m^3", above=0.0, required=False)
     strength = keys.number("yield_strength", "Pa", above=0.0, required=False)
+    expansion = read_expansion(keys, law)
     keys.close()
     if region is None or constants is None:
         return None
-    return Material(region, *constants, density, strength, law, own)
+    return Material(region, *constants, density, strength, law, own, expansion)
 
 
 def _isotropic(keys: Keys) -> tuple[float, float] | None:

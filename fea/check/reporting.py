@@ -64,10 +64,11 @@ def report(
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
         ``coincident_nodes``; ``materials``, ``section`` (of several interfaces ``sections``, with
-        their names), ``supports`` and ``estimate`` (see
-        `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density or a mass is given
-        ``vibration`` (see `fea.check.trial`), and where a yield strength is given ``strength``
-        (see `fea.check.strength`), and where it takes no longer than a check may ``solver_error``
+        their names), ``supports``, ``temperature`` and ``acceleration`` where they are inputs, and
+        ``estimate`` (see `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density
+        or a mass is given ``vibration`` (see `fea.check.trial`), and where a yield strength is
+        given ``strength`` (see `fea.check.strength`), and where it takes no longer than a check may
+        ``solver_error``
         (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
         ``deck`` (see `fea.deck.checking`).
     """
@@ -212,9 +213,20 @@ def _what_is_set(component: ComponentModel) -> dict[str, Any]:
             for i, material in enumerate(component.materials)
         ],
         "supports": {"nodes": len(component.fixed_nodes)} | _other_supports(component),
+        **_further(component),
         **({"sections": attached} if component.others else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
     }
+
+
+def _further(component: ComponentModel) -> dict[str, Any]:
+    """Return the ranges of the inputs behind the loads, where there are any."""
+    found: dict[str, Any] = {}
+    if own := component.temperature:
+        found["temperature"] = {"low": own.low, "high": own.high, "reference": own.reference}
+    if component.accelerated:
+        found["acceleration"] = [one.high for one in component.further[-3:]]
+    return found
 
 
 def _other_supports(component: ComponentModel) -> dict[str, Any]:

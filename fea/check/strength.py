@@ -36,7 +36,8 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     -------
     strength
         For each material that has cells: ``region``, ``largest`` (Pa), ``at`` (m, in the mesh's
-        axes), ``wrench`` (N and N·m), ``yield_strength`` (Pa or None), ``first_order``.
+        axes), ``wrench`` (N and N·m), each further input by its name, ``yield_strength``
+        (Pa or None), ``first_order``.
     warnings
         Where a material yields, or von Mises says nothing of it; why stresses are first order.
     """
@@ -57,8 +58,8 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
 
 def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, Any]]:
     """Return the worst corner of the range for each material that has cells."""
-    corners = component.bundle.range.corners()
-    if len(corners) > _MOST_CORNERS:
+    corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
+    if len(corners) > _MOST_CORNERS * 2 ** len(component.further):
         raise ValueError("the range of more than two interfaces has too many corners")
     unit = solver.unit_stresses()
     loads = corners
@@ -77,12 +78,18 @@ def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, An
                 "region": material.region,
                 "largest": largest,
                 "at": places[own[point]].tolist(),
-                "wrench": corners[corner].tolist(),
+                "wrench": corners[corner][:count].tolist(),
+                **_further(component, corners[corner][count:]),
                 "yield_strength": material.yield_strength,
                 "first_order": component.analysis.nonlinear,
             }
         )
     return found
+
+
+def _further(component: ComponentModel, acting: Array) -> dict[str, float]:
+    pairs = zip(component.further, acting.tolist(), strict=True)
+    return {one.name: value + one.reference for one, value in pairs}
 
 
 def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
@@ -111,16 +118,17 @@ def _at_large(
     regions = [material.region for material in component.materials]
     places, numbers = places_of(component, component.mesh.points)
     for one in found:
+        worst = [*one["wrench"], *(one[own.name] for own in component.further)]
         try:
-            stress = solver.stresses(solver.solve(one["wrench"]))
+            stress = solver.stresses(solver.solve(worst))
         except SolveFailed as error:
             message = f'are of first order: the solve at a corner of [range] fails ("{error}")'
             return [BundleProblem("stresses", message)]
         equivalent = np.where(numbers == regions.index(one["region"]), von_mises(stress), -1.0)
-        worst = int(equivalent.argmax())
+        point = int(equivalent.argmax())
         one |= {
-            "largest": float(equivalent[worst]),
-            "at": places[worst].tolist(),
+            "largest": float(equivalent[point]),
+            "at": places[point].tolist(),
             "first_order": False,
         }
     return []

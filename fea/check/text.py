@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS
 
 _MOST_LINES = 60
 _WIDTH = 100
@@ -118,8 +118,19 @@ def _set_up(report: Mapping[str, Any]) -> list[str]:
     return [
         *lines,
         f"supports: {_supports(report['supports'])}",
+        *_further(report),
         *(_interface(one) for one in report.get("sections", [report.get("section")])),
     ]
+
+
+def _further(report: Mapping[str, Any]) -> list[str]:
+    lines = []
+    if own := report.get("temperature"):
+        ends = f"{own['low']:g} to {own['high']:g}"
+        lines.append(f"temperature: {ends}, reference {own['reference']:g}")
+    if most := report.get("acceleration"):
+        lines.append(f"acceleration: up to {_place(most)} m/s^2 along the mesh's axes")
+    return lines
 
 
 def _supports(supports: Mapping[str, Any]) -> str:
@@ -172,10 +183,19 @@ def _trial(report: Mapping[str, Any]) -> list[str]:
             f"({', '.join(sag[3:])}) rad, linearly, in the interface frame: the answer at zero "
             "load. Displacements are relative to the part of the mesh without its weight"
         )
-    for name, own in _by_interface(report, one["deflection"]):
+    lines += _moved(report, "at full range, linearly,", one["deflection"])
+    for name in ("temperature", "acceleration"):
+        if f"by_{name}" in one:
+            lines += _moved(report, f"by the {name} alone", one[f"by_{name}"])
+    return lines
+
+
+def _moved(report: Mapping[str, Any], when: str, values: list[float]) -> list[str]:
+    lines = []
+    for name, own in _by_interface(report, values):
         moved = [f"{x:.3g}" for x in own]
         lines.append(
-            f"at full range, linearly, {name or 'it'} moves by ({', '.join(moved[:3])}) m and "
+            f"{when} {name or 'it'} moves by ({', '.join(moved[:3])}) m and "
             f"turns by ({', '.join(moved[3:])}) rad at most"
         )
     return lines
@@ -217,6 +237,8 @@ def _strength(report: Mapping[str, Any]) -> list[str]:
                 f"{name and name + ' '}force {_place(own[:3])} N, moment {_place(own[3:])} N·m"
                 for name, own in _by_interface(report, one["wrench"])
             )
+            + (f" at {one['temperature']:g}" if "temperature" in one else "")
+            + (f", acceleration {_place([one[a] for a in ACCELERATIONS])}" if "ax" in one else "")
         )
     return lines
 

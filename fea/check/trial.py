@@ -49,7 +49,8 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
         density), ``sag``: the interfaces' displacement under own weight, where ``gravity`` is
         given; ``deflection``: the largest of each output over the load range by the linear
         compliance, six numbers an interface, m and rad; None where it was not tried or ``failed``
-        (then true).
+        (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone, where
+        they are inputs.
     problems
         ``mechanism`` and ``ill_conditioned``, in the words of the failure.
     """
@@ -59,18 +60,25 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
         return result, []
     try:
-        compliance = solver.compliance
+        compliance = solver.linear.compliance
     except SolveFailed as failure:
         result["failed"] = True
         return result, [_problem(failure)]
-    result["deflection"] = largest(compliance, bundle.range.low, bundle.range.high).tolist()
+    low, high = bundle.acting.low, bundle.acting.high
+    result["deflection"] = largest(compliance, low, high).tolist()
     if solver.component.analysis.gravity is not None:
         result["sag"] = solver.linear.sag_displacement.tolist()
+    first = len(bundle.range.low)
+    groups = {"by_temperature": slice(first, first + 1), "by_acceleration": slice(-3, None)}
+    present = solver.component.temperature is not None, solver.component.accelerated
+    for (name, own), there in zip(groups.items(), present, strict=True):
+        if there:
+            result[name] = largest(compliance[:, own], low[own], high[own]).tolist()
     return result, []
 
 
 def largest(compliance: Array, low: Array, high: Array) -> Array:
-    """Return max |C w| over a box of wrenches, each output's own, shape (6 i,), m and rad."""
+    """Return max |C w| over a box of inputs, each output's own, shape (6 i,), m and rad."""
     ends = np.stack([compliance * low, compliance * high])
     most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
     return np.maximum(np.abs(most), np.abs(least))
@@ -185,7 +193,7 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     component = solver.component
     limit = component.bundle.tolerance
     known = all(one.density is not None for one in component.materials)
-    if component.analysis.gravity is not None or limit is None or not known:
+    if component.analysis.gravity or component.accelerated or limit is None or not known:
         return []
     by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver)
     moved, turned = (np.linalg.svd(half)[1][0] for half in (by_gravity[:3], by_gravity[3:]))
@@ -196,7 +204,7 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
         f"is not given: own weight at 9.81 m/s^2 moves the interface by up to {moved:.2g} m and "
         f"{turned:.2g} rad, with {_shown(down)} m/s^2 in the mesh's axes, more than the "
         "tolerance; answers leave it out. If the part hangs in one direction, write it: "
-        "gravity = [0, 0, -9.81] under [analysis]"
+        "gravity = [0, 0, -9.81] under [analysis]; if it turns, take [inputs.acceleration]"
     )
     return [BundleProblem("analysis.gravity", message)]
 

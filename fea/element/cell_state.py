@@ -26,10 +26,19 @@ class CellState(ABC):
         loses every digit to roundoff.
     wS
         Same shape, Pa times m^3: the second Piola-Kirchhoff stress times the weights.
+    thermal
+        Shape (cells, 1, 3, 3): the thermal strain, a part of E without stress; None for none.
     """
 
-    def __init__(self, gradients: Gradients, part: Which, displacement: Array | None) -> None:
+    def __init__(
+        self,
+        gradients: Gradients,
+        part: Which,
+        displacement: Array | None,
+        thermal: Array | None = None,
+    ) -> None:
         self.wS: Array
+        self.thermal = thermal
         self.slopes = gradients.slopes[part]
         self.weights = gradients.weights[part]
         self.undeformed = displacement is None
@@ -50,7 +59,11 @@ class CellState(ABC):
         """
         aim, change = (self.gradient(field) for field in step)
         E = green_strain(aim) - 0.5 * (change.swapaxes(2, 3) @ change)
-        self.wS = self.weighted_change(E)
+        self.wS = self.weighted_change(self.elastic(E))
+
+    def elastic(self, strain: Array) -> Array:
+        """Return strains less the thermal ones, shape (cells, points, 3, 3), dimensionless."""
+        return strain if self.thermal is None else strain - self.thermal
 
     @abstractmethod
     def weighted_change(self, strain: Array) -> Array:

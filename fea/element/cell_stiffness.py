@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,9 +29,15 @@ class CellStiffness(ABC):
     ----------
     gradients
         Shape gradients and weights of the cells.
+    expansion
+        Shape (cells, 3, 3), 1/K: thermal strain per kelvin; None where no temperature is an input.
+    thermal
+        Shape (cells, 3, 3): the thermal strain; None for none. Neo-Hookean cells have none.
     """
 
     gradients: Gradients
+    expansion: Array | None = field(default=None, kw_only=True)
+    thermal: Array | None = field(default=None, kw_only=True)
 
     @property
     def size(self) -> int:
@@ -45,6 +51,27 @@ class CellStiffness(ABC):
     def projected(self) -> bool:
         """Whether the volumetric strain is projected, see `fea.element.pressure_projection`."""
         return False
+
+    def thermal_strain(self, part: Which) -> Array | None:
+        """Return the thermal strain of a few cells, shape (cells, 1, 3, 3); None for none."""
+        return None if self.thermal is None else self.thermal[part][:, None]
+
+    def at(self, temperature: float, finite: bool) -> CellStiffness:
+        """Return these cells at a temperature, K from the reference.
+
+        To first order, or with `finite` as F = F_e (I + A) with the elastic energy per heated
+        volume, A the expansion times the temperature: E_e = (I + A)^-1 (E - A - A^2/2) (I + A)^-1.
+        """
+        if self.expansion is None or temperature == 0.0:
+            return self
+        growth = temperature * self.expansion
+        if not finite:
+            return replace(self, thermal=growth)
+        return replace(self.stretched(np.eye(3) + growth), thermal=growth + 0.5 * growth @ growth)
+
+    @abstractmethod
+    def stretched(self, stretch: Array) -> CellStiffness:
+        """Return the cells with moduli for E after a stretch without stress, (cells, 3, 3)."""
 
     @abstractmethod
     def state(self, part: Which, displacement: Array | None) -> CellState:
@@ -227,9 +254,11 @@ class CellStiffness(ABC):
         )
 
     def _small_strain(self, fields: Array, part: slice) -> tuple[Array, Array]:
-        """Return strains and weighted stresses, each of shape (k, cells, points, 3, 3)."""
+        """Return elastic strains and weighted stresses, each (k, cells, points, 3, 3)."""
         H = fields[:, :, None] @ self.gradients.slopes[part].swapaxes(2, 3)
         strain = 0.5 * (H + H.swapaxes(3, 4))
+        thermal = self.thermal_strain(part)
+        strain = strain if thermal is None else strain - thermal
         return strain, self.small_stress(strain, part)
 
     def _parts(self, cells: int | None = None) -> Iterator[slice]:

@@ -6,7 +6,7 @@ rotate with the material, since E and S stand in the undeformed axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from wrenchbook.fea.element.cell_state import (
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 
 Array = np.ndarray
+
+_SHEARS_TWICE = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,13 @@ class OrthotropicStiffness(CellStiffness):
         """Return strains and stresses, displacements of shape (cells, 3, nodes), m."""
         return _State(self, part, displacement)
 
+    def stretched(self, stretch: Array) -> OrthotropicStiffness:
+        """Return the cells after a stretch without stress, shape (cells, 3, 3)."""
+        inverse = np.linalg.inv(stretch)[:, None]
+        strains = (inverse @ UNIT_STRAINS @ inverse)[..., ROWS, COLUMNS] * _SHEARS_TWICE
+        elasticity = strains @ self.elasticity @ strains.swapaxes(1, 2)
+        return replace(self, elasticity=np.linalg.det(stretch)[:, None, None] * elasticity)
+
     def small_stress(self, strain: Array, part: Which) -> Array:
         """Return weighted stresses, Pa times m^3, of strains: shape (k, cells, points, 3, 3)."""
         return _stress(self._weighted(part), strain)
@@ -51,10 +60,10 @@ class OrthotropicStiffness(CellStiffness):
 
 class _State(DenseState):
     def __init__(self, cells: OrthotropicStiffness, part: Which, displacement: Array | None):
-        super().__init__(cells.gradients, part, displacement)
+        super().__init__(cells.gradients, part, displacement, cells.thermal_strain(part))
         self._moduli = cells._weighted(part)
         if displacement is not None:
-            self.wS = self.weighted_change(self.E)
+            self.wS = self.weighted_change(self.elastic(self.E))
 
     def weighted_change(self, strain: Array) -> Array:
         return _stress(self._moduli, strain)
@@ -63,7 +72,7 @@ class _State(DenseState):
         return self._moduli
 
     def energy(self) -> float:
-        return 0.5 * float(np.vdot(self.wS, self.E))
+        return 0.5 * float(np.vdot(self.wS, self.elastic(self.E)))
 
 
 def turned_elasticity(elasticity: Array, directions: Array) -> Array:
@@ -84,6 +93,6 @@ def turned_elasticity(elasticity: Array, directions: Array) -> Array:
 
 def _stress(elasticity: Array, strain: Array) -> Array:
     """Return C : E, shapes (..., 6, 6) and (..., 3, 3)."""
-    six = strain[..., ROWS, COLUMNS] * (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
+    six = strain[..., ROWS, COLUMNS] * _SHEARS_TWICE
     stress = (elasticity @ six[..., None])[..., 0]
     return stress[..., (0, 3, 4, 3, 1, 5, 4, 5, 2)].reshape(strain.shape)

@@ -13,7 +13,7 @@ Cells of a nearly incompressible material have `volume_modes`
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,6 +49,11 @@ class Stiffness(CellStiffness):
         """Return strains and stresses, displacements of shape (cells, 3, nodes), m."""
         return _State(self, part, displacement)
 
+    def stretched(self, stretch: Array) -> Stiffness:
+        """Return the cells after a stretch without stress, shape (cells, 3, 3), all directions'."""
+        factor = stretch[:, 0, 0]
+        return replace(self, first_lame=self.first_lame / factor, shear=self.shear / factor)
+
     def small_stress(self, strain: Array, part: Which) -> Array:
         """Return weighted stresses, Pa times m^3, of strains: shape (k, cells, points, 3, 3)."""
         weights = self.gradients.weights[part]
@@ -67,12 +72,12 @@ class _State(CellState):
     """Strains and stresses of a few cells at one displacement (None: undeformed)."""
 
     def __init__(self, cells: Stiffness, part: Which, displacement: Array | None) -> None:
-        super().__init__(cells.gradients, part, displacement)
+        super().__init__(cells.gradients, part, displacement, cells.thermal_strain(part))
         self.first_lame = cells.first_lame[part, None]
         self.shear = cells.shear[part, None]
         self.modes = cells.modes_of(part)
         if displacement is not None:
-            self.wS = self.weighted_change(self.E)
+            self.wS = self.weighted_change(self.elastic(self.E))
 
     def weighted_change(self, strain: Array) -> Array:
         trace = np.trace(strain, axis1=-2, axis2=-1)
@@ -81,7 +86,7 @@ class _State(CellState):
         return volumetric[..., None, None] * np.eye(3) + shear[..., None, None] * strain
 
     def energy(self) -> float:
-        return 0.5 * float(np.vdot(self.wS, self.E))
+        return 0.5 * float(np.vdot(self.wS, self.elastic(self.E)))
 
     def tangent(self, out: Array) -> None:
         cells, points, _, nodes = self.slopes.shape

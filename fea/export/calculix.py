@@ -3,9 +3,10 @@
 ``python -m wrenchbook.fea.export.calculix BUNDLE > plate.inp`` prints it.
 
 The deck is complete: mesh, materials, supports, rigid interfaces and one step that takes the
-wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on. It
-is the start of a ``[deck]`` that an expert then goes on with (contact, plasticity, bolts), and the
-example that ``data/components/plate_ccx`` ships.
+wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on, and the
+temperature, where it is an input, from $TEMPERATURE. It is the start of a ``[deck]`` that an expert
+then goes on with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx``
+ships.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Material
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE, Bundle, Material
 
 Array = np.ndarray
 
@@ -107,16 +108,7 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield f"*NODE, NSET={_set('REF', one)}\n{len(points) + 2 * i + 1}, {place}"
         yield f"*NODE, NSET={_set('ROT', one)}\n{len(points) + 2 * i + 2}, {place}"
     yield from _elements(component)
-    for i, material in enumerate(component.materials):
-        yield f"*MATERIAL, NAME=M{i}"
-        yield from _elasticity(material, component.analysis.nonlinear)
-        if component.analysis.gravity is not None and material.density is not None:
-            yield f"*DENSITY\n{_numbers([material.density])}"
-        place = ""
-        if material.orthotropic is not None:
-            yield from _orientation(i, material.orthotropic, component.axes)
-            place = f", ORIENTATION=O{i}"
-        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
+    yield from _materials(component)
     if component.fixed_nodes.size:
         yield "*NSET, NSET=FIXED"
         yield from _rows(component.fixed_nodes + 1)
@@ -127,11 +119,30 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield f"*NSET, NSET={_set('SECTION', one)}"
         yield from _rows(one.section.node_ids + 1)
         yield f"*RIGID BODY, NSET={_set('SECTION', one)}, REF NODE={ref}, ROT NODE={ref + 1}"
+    if component.temperature is not None:
+        reference = _numbers([component.temperature.reference])
+        yield f"*INITIAL CONDITIONS, TYPE=TEMPERATURE\nALL, {reference}"
     yield "*BOUNDARY"
     if component.fixed_nodes.size:
         yield "FIXED, 1, 3"
     for one in component.interfaces:
         yield from (f"{_place(name, one)}, {_axis(name)}" for name in one.locked)
+
+
+def _materials(component: ComponentModel) -> Iterator[str]:
+    for i, material in enumerate(component.materials):
+        yield f"*MATERIAL, NAME=M{i}"
+        yield from _elasticity(material, component.analysis.nonlinear)
+        heavy = component.accelerated or component.analysis.gravity is not None
+        if heavy and material.density is not None:
+            yield f"*DENSITY\n{_numbers([material.density])}"
+        if component.temperature is not None:
+            yield _expansion(material, component.temperature.reference)
+        place = ""
+        if material.orthotropic is not None:
+            yield from _orientation(i, material.orthotropic, component.axes)
+            place = f", ORIENTATION=O{i}"
+        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
 
 
 def _set(kind: str, interface: AttachedInterface) -> str:
@@ -193,6 +204,12 @@ def _elasticity(material: Material, nonlinear: bool) -> Iterator[str]:
         yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
 
 
+def _expansion(material: Material, reference: float) -> str:
+    values = material.thermal_expansion or (0.0, 0.0, 0.0)
+    kind, count = ("", 1) if material.orthotropic is None else (", TYPE=ORTHO", 3)
+    return f"*EXPANSION, ZERO={reference:.12e}{kind}\n{_numbers(values[:count])}"
+
+
 def _orientation(number: int, own: Orthotropic, axes: Array) -> Iterator[str]:
     """Yield a material's directions by a point on its x-axis and one on its y-axis."""
     x, y, _ = np.array(own.axes) @ axes.T
@@ -219,12 +236,7 @@ def _element(block: CellBlock, component: ComponentModel) -> str:
 
 def _step(component: ComponentModel) -> Iterator[str]:
     yield from _NONLINEAR if component.analysis.nonlinear else _LINEAR
-    if component.analysis.gravity is not None:
-        yield "*DLOAD"
-        pull = component.axes @ np.array(component.analysis.gravity)
-        size = float(np.linalg.norm(pull))
-        used = {int(i) for block in component.material_of_cells for i in np.unique(block)}
-        yield from (f"E{i}, GRAV, {_numbers([size, *(pull / size)])}" for i in sorted(used))
+    yield from _pulls(component)
     yield "*CLOAD"
     for one in component.interfaces:
         for name, placeholder in zip(FREEDOMS, placeholders(one.name), strict=True):
@@ -232,15 +244,39 @@ def _step(component: ComponentModel) -> Iterator[str]:
                 yield f"** {placeholder} acts on a freedom that is held"
             else:
                 yield f"{_place(name, one)}, {_axis(name)}, {placeholder}"
+    if component.temperature is not None:
+        yield f"*TEMPERATURE\nALL, {further_placeholder(TEMPERATURE)}"
     for one in component.interfaces:
         for kind in ("REF", "ROT"):
             yield from [f"*NODE PRINT, NSET={_set(kind, one)}", "U"]
     yield "*END STEP"
 
 
+def _pulls(component: ComponentModel) -> Iterator[str]:
+    """Yield gravity, and the accelerations that are inputs, on all cells."""
+    pulls = []
+    if component.analysis.gravity is not None:
+        gravity = component.axes @ np.array(component.analysis.gravity)
+        size = float(np.linalg.norm(gravity))
+        pulls.append((_numbers([size]), gravity / size))
+    if component.accelerated:
+        names = map(further_placeholder, ACCELERATIONS)
+        pulls += zip(names, component.axes.T, strict=True)
+    used = {int(i) for block in component.material_of_cells for i in np.unique(block)}
+    if pulls:
+        yield "*DLOAD"
+    for size, direction in pulls:
+        yield from (f"E{i}, GRAV, {size}, {_numbers(direction)}" for i in sorted(used))
+
+
 def placeholders(name: str) -> tuple[str, ...]:
     """Return where the wrench of an interface goes, its name empty if it is the only one."""
     return tuple(f"${name}.{word[1:]}" if name else word for word in PLACEHOLDERS)
+
+
+def further_placeholder(name: str) -> str:
+    """Return where an input behind the loads goes, in the bundle's unit."""
+    return f"${name.upper()}"
 
 
 def _place(freedom: str, interface: AttachedInterface) -> str:

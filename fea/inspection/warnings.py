@@ -35,7 +35,12 @@ def warnings_of(component: ComponentModel) -> list[BundleProblem]:
 
 def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
-    return place_warnings(component) + support_warnings(component) + unit_warnings(component)
+    found = place_warnings(component) + support_warnings(component) + unit_warnings(component)
+    for number, material in enumerate(component.bundle.materials if component.bundle else ()):
+        if material.thermal_expansion is not None and component.temperature is None:
+            message = "counts for nothing without [inputs.temperature]"
+            found.append(BundleProblem(f"material[{number}].thermal_expansion", message))
+    return found
 
 
 def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:

@@ -26,15 +26,16 @@ class SolveFields:
     Attributes
     ----------
     linear
-        Whether the slopes are the whole answer: fields = slopes @ wrench.
+        Whether the slopes are the whole answer: fields = slopes @ inputs, a temperature among them
+        from its reference.
     vertices, triangles
         Shape (v, 3), m, undeformed, and (t, 3), int32.
     whole_vertices
         Of the outer surface before it was simplified.
     displacement, displacement_slopes
-        Shapes (v, 3), m, and (v, 3, 6 i), m/N and m/(N·m): its change with the wrench.
+        Shapes (v, 3), m, and (v, 3, k), m/N, m/(N·m) and m/K: its change with the inputs.
     stress, stress_slopes
-        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, 6 i), Pa/N and Pa/(N·m);
+        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, k), Pa/N, Pa/(N·m), Pa/K;
         p = 0 where there are more points than `MOST_POINTS`.
     places, materials
         Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`.
@@ -80,13 +81,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
     places, materials = places_of(component, body.points)
     kept = slice(None) if len(places) <= MOST_POINTS else slice(0)
-    if linear:
-        changes = small_stress(body, slopes)
-        stress = stress_of(component, body, solution) if hangs else changes @ solution.wrench
-    else:
-        # Changes that nobody keeps are not made: they take six times the stresses.
-        fields = slopes if kept.stop is None else slopes[:, :, :0]
-        stress, changes = cauchy_stress(body, nodes, fields)
+    stress, changes = _stresses(component, body, solution, slopes, kept)
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())
@@ -108,3 +103,19 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         largest_region=regions[int(materials[worst])],
         weight=hangs,
     )
+
+
+def _stresses(
+    component: ComponentModel, body: ElasticBody, solution: Solution, slopes: Array, kept: slice
+) -> tuple[Array, Array]:
+    """Return stresses, shape (p, 6), Pa, and their change with the inputs, (p, 6, k)."""
+    loads = len(solution.displacement)
+    if not component.analysis.nonlinear:
+        changes = small_stress(body, slopes, loads)
+        if component.analysis.gravity is not None:
+            return stress_of(component, body, solution), changes
+        return changes @ (solution.wrench - component.at_rest), changes
+    # Changes that nobody keeps are not made: they take six times the stresses.
+    fields = slopes if kept.stop is None else slopes[:, :, :0]
+    nodes, temperature = solution.nodes @ component.axes.T, component.warming(solution.wrench)
+    return cauchy_stress(body, nodes, fields, temperature, loads)

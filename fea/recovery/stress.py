@@ -42,11 +42,16 @@ def places_of(component: ComponentModel, points: Array) -> tuple[Array, Array]:
     return np.concatenate(places), np.concatenate(materials).astype(np.int32)
 
 
-def small_stress(body: ElasticBody, fields: Array) -> Array:
+def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> Array:
     """Return the stresses of small displacement fields, shape (n, 3, k), m over some unit.
 
-    Shape (p, 6, k), Pa over that unit: xx, yy, zz, xy, xz, yz.
+    The one behind `loads` others is of one kelvin. Shape (p, 6, k), Pa over that unit: xx, yy, zz,
+    xy, xz, yz.
     """
+    if body.expands and loads is not None:
+        parts = np.split(fields, [loads, loads + 1], axis=2)
+        bodies = body, body.at(1.0, finite=False), body
+        return np.concatenate(list(map(small_stress, bodies, parts)), axis=2)
     found = []
     for part, nodes in zip(body.parts, body.cells, strict=True):
         own = part.small_stresses(np.moveaxis(gather(fields, nodes), -1, 0))
@@ -54,8 +59,14 @@ def small_stress(body: ElasticBody, fields: Array) -> Array:
     return np.concatenate(found)
 
 
-def cauchy_stress(body: ElasticBody, displacement: Array, tangents: Array) -> tuple[Array, Array]:
-    """Return the Cauchy stresses of a displaced body, and their change with the wrench.
+def cauchy_stress(
+    body: ElasticBody,
+    displacement: Array,
+    tangents: Array,
+    temperature: float = 0.0,
+    loads: int = 0,
+) -> tuple[Array, Array]:
+    """Return the Cauchy stresses of a displaced body, and their change with the inputs.
 
     Parameters
     ----------
@@ -64,30 +75,43 @@ def cauchy_stress(body: ElasticBody, displacement: Array, tangents: Array) -> tu
     displacement
         Shape (n, 3), m.
     tangents
-        Shape (n, 3, 6 i): its change with the wrenches, m/N and m/(N·m).
+        Shape (n, 3, k): its change with the inputs, m per unit of each.
+    temperature
+        K from the reference.
+    loads
+        How many inputs there are before the temperature, where that is one.
 
     Returns
     -------
     stresses
         Shape (p, 6), Pa: xx, yy, zz, xy, xz, yz.
     changes
-        Shape (p, 6, 6 i), Pa/N and Pa/(N·m).
+        Shape (p, 6, k), Pa per unit of each.
     """
     stresses, changes = [], []
-    for part, nodes in zip(body.parts, body.cells, strict=True):
+    own = body.at(temperature)
+    for part, nodes in zip(own.parts, body.cells, strict=True):
         fields = np.moveaxis(gather(tangents, nodes), -1, 0)
         stress, slopes = part.cauchy_stresses(gather(displacement, nodes), fields)
         stresses.append(_six(stress))
         changes.append(np.moveaxis(_six(slopes), 0, -1))
-    return np.concatenate(stresses), np.concatenate(changes)
+    found, slopes = np.concatenate(stresses), np.concatenate(changes)
+    none = tangents[:, :, :0]
+    if body.expands and slopes.shape[2]:  # the temperature has a stress of its own
+        warmer, cooler = (
+            cauchy_stress(body, displacement, none, temperature + step)[0] for step in (0.5, -0.5)
+        )
+        slopes[:, :, loads] += warmer - cooler
+    return found, slopes
 
 
 def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> Array:
     """Return the stresses of a solution, shape (p, 6), Pa: Cauchy's, or the small-strain ones."""
     nodes = solution.nodes @ component.axes.T
+    temperature = component.warming(solution.wrench)
     if not component.analysis.nonlinear:
-        return small_stress(body, nodes[:, :, None])[:, :, 0]
-    return cauchy_stress(body, nodes, np.empty((*nodes.shape, 0)))[0]
+        return small_stress(body.at(temperature, finite=False), nodes[:, :, None])[:, :, 0]
+    return cauchy_stress(body, nodes, np.empty((*nodes.shape, 0)), temperature)[0]
 
 
 def _six(stress: Array) -> Array:

@@ -32,9 +32,9 @@ def nodal_masses(component: ComponentModel, body: ElasticBody) -> Array:
     return total
 
 
-def weight_of(component: ComponentModel, body: ElasticBody) -> Array | None:
-    """Return the nodal forces of the weight, (n, 3), N, interface frame; None without gravity."""
-    gravity = component.analysis.gravity
-    if gravity is None:
-        return None
-    return nodal_masses(component, body)[:, None] * (component.axes @ np.array(gravity))
+def pull_of(component: ComponentModel, body: ElasticBody) -> Array:
+    """Return the nodal forces per unit of acceleration along the mesh's axes, (n, 3, 3), kg.
+
+    They are in the interface frame, as the body is.
+    """
+    return nodal_masses(component, body)[:, None, None] * component.axes

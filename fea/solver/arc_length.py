@@ -67,7 +67,7 @@ class ArcPath:
     system
         The equations.
     direction
-        Shape (6 i,): the load per unit of the size.
+        Shape (k,): the inputs per unit of the size.
     whole
         The size of the full load.
     start
@@ -197,8 +197,8 @@ class ArcPath:
 
     def _rate(self, tangent: Linearisation) -> tuple[Array, Array]:
         """Return the motion of free nodes and border per unit of the load's size."""
-        loads = (tangent.wrench_columns @ self._direction)[:, None]
-        nodes, border = tangent.solve(np.zeros((self._system.body.size, 3, 1)), loads)
+        loads = [columns @ self._direction[:, None] for columns in tangent.load_columns]
+        nodes, border = tangent.solve(*loads)
         return nodes[:, :, 0], border[:, 0]
 
     def _point_at(self, size: float, found: Equilibrium) -> _Point:

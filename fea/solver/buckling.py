@@ -25,7 +25,9 @@ _CONVERGED = 1e-4  # relative change: factors are judged by their first two digi
 _SEED = 20170726  # of the start vectors: the same bundle gives the same digits
 
 
-def buckling_factors(system: System, fields: Array) -> tuple[float, float]:
+def buckling_factors(
+    system: System, fields: Array, temperature: float = 0.0
+) -> tuple[float, float]:
     """Return how many times a load, and the opposite load, the part carries before it buckles.
 
     Parameters
@@ -34,13 +36,15 @@ def buckling_factors(system: System, fields: Array) -> tuple[float, float]:
         The equations, in the interface frame.
     fields
         Shape (n, 3), m: the small displacements under the load.
+    temperature
+        K from the reference: a part of the load.
 
     Returns
     -------
     tuple of float
         Both positive; infinite where no such load buckles it.
     """
-    matrix = geometric_stiffness(system.body, fields)
+    matrix = geometric_stiffness(system.body.at(temperature, finite=False), fields)
     if not matrix.count_nonzero():
         return np.inf, np.inf
     stressed = Inertia(system, -matrix, np.zeros((system.coupling.freedoms,) * 2))

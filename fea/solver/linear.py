@@ -26,13 +26,14 @@ class LinearResponse:
     Attributes
     ----------
     compliance
-        Shape (6 i, 6 i) for i interfaces, symmetric: displacement = compliance @ wrench; m/N,
-        rad/N, m/(N·m) and rad/(N·m). Locked freedoms are zero.
+        Shape (6 i, k) for the k inputs of `Balance.wrench`: displacement = compliance @ inputs; m
+        and rad per N, N·m, K and m/s^2. That of the loads is symmetric. Locked freedoms are zero.
     energies
-        Shape (6 i, 6 i): twice the energies of pairs of unit loads, from the strains: equal
-        to `compliance` but for roundoff, and in its units.
+        Shape (k, k): twice the energies of pairs of unit inputs, from the strains: of loads equal
+        to `compliance` but for roundoff, and in its units; J/K^2. With own weight (k + 1, k + 1),
+        the last that of the weight, J.
     fields
-        Shape (n, 3, 6 i): nodal displacements per unit of each load, m/N and m/(N·m).
+        Shape (n, 3, k): nodal displacements per unit of each input, m per N, N·m, K and m/s^2.
     condition
         Estimated condition of the scaled stiffness matrix.
     asymmetry, energy_gap
@@ -41,7 +42,7 @@ class LinearResponse:
     sag
         Shape (n, 3), m: nodal displacements under the component's own weight; zero without.
     sag_displacement
-        Shape (6,), m and rad: the interface's under it.
+        Shape (6 i,), m and rad: the interfaces' under it.
     """
 
     compliance: Array
@@ -67,13 +68,14 @@ def linear_response(system: System) -> LinearResponse:
     """
     fields, border, correction = _refined(system, system.undeformed)
     condition = system.condition
-    compliance = system.coupling.displacement_rows(border)
+    whole, loads = system.coupling.displacement_rows(border), system.coupling.freedoms
+    compliance = whole[:, :loads]
     scale = np.sqrt(np.abs(np.diagonal(compliance)))
     scale = np.where(scale > 0, scale, 1.0)
     unit = 1.0 / np.outer(scale, scale)
     energies = system.body.strain_energy_products(fields) + system.coupling.spring_energies(border)
     asymmetry = float(np.abs((compliance - compliance.T) * unit).max())
-    energy_gap = float(np.abs((compliance - energies) * unit).max())
+    energy_gap = float(np.abs((compliance - energies[:loads, :loads]) * unit).max())
     if not max(asymmetry, energy_gap, condition * ROUNDOFF * correction) < _ROUNDOFF:
         raise ill_conditioned(
             f"The compliance is symmetric to {asymmetry:.1e} and equal to its strain energies to "
@@ -81,51 +83,54 @@ def linear_response(system: System) -> LinearResponse:
             f"roundoff (scaled condition about {condition:.0e})."
         )
     compliance = 0.5 * (compliance + compliance.T)
-    sag, moved = _sag(system)
+    inputs = system.inputs
+    if inputs > loads:
+        compliance = np.hstack([compliance, whole[:, loads:inputs]])
+    if system.body.expands:
+        at_rest = np.zeros((system.body.size, 3))
+        conjugate = contract(system.body.heat(at_rest)[0][:, :, None], fields)[0]
+        energies[loads] += conjugate
+        energies[:, loads] += conjugate
+        energies[loads, loads] += 2 * system.body.at(1.0, finite=False).forces(at_rest)[1]
+    sag, moved = fields[:, :, inputs:].sum(axis=2), whole[:, inputs:].sum(axis=1)
+    fields = fields[:, :, :inputs]
     return LinearResponse(
         compliance, energies, fields, condition, asymmetry, energy_gap, sag, moved
     )
 
 
-def _sag(system: System) -> tuple[Array, Array]:
-    """Return displacements (n, 3), m, and of the interface (6,), m and rad, under the weight."""
-    if system.weight is None:
-        return np.zeros((system.body.size, 3)), np.zeros(system.coupling.freedoms)
-    fields, border, correction = _refined(system, system.undeformed, system.weight[:, :, None])
-    if not system.condition * ROUNDOFF * correction < _ROUNDOFF:
-        raise ill_conditioned(f"Under the weight the last correction was {correction:.1e}.")
-    return fields[:, :, 0], system.coupling.displacement_rows(border)[:, 0]
-
-
-def _refined(
-    system: System, start: Linearisation, weight: Array | None = None
-) -> tuple[Array, Array, float]:
-    """Return nodal fields and border of the unit loads, and the size of the last correction.
-
-    With `weight`, nodal forces of shape (n, 3, k), N, those of the k weights instead.
+def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]:
+    """Return nodal fields and border of unit inputs and weight, and the size of a last correction.
 
     Corrections are made until they are small, relative to the displacement.
     The residual comes from the stresses, which are exact to a few digits more than the stiffness
     matrix on slender parts. One correction is enough but for extreme ones.
     """
+    acting, loads = start.load_columns
     border = start.border
-    if weight is None:
-        loads = start.wrench_columns
-        weight = np.zeros((system.body.size, 3, loads.shape[1]))
-    else:
-        loads = contract(border.ties, weight)
-    nodes, moved = start.solve(system.body.movable.released(weight), loads)
-    size = 0.0
+    if system.weight is not None:
+        weight = system.weight[:, :, None]
+        acting = np.concatenate([acting, system.body.movable.released(weight)], axis=2)
+        loads = np.hstack([loads, contract(border.ties, weight)])
+    nodes, moved = start.solve(acting, loads)
+    size, first = 0.0, system.coupling.freedoms
     for _ in range(_MOST_CORRECTIONS):
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
-        nodal = system.body.movable.released(forces - weight + border.columns @ moved)
+        nodal = system.body.movable.released(forces + border.columns @ moved) - acting
         rest = contract(border.ties, forces) + contract(border.columns, nodes)
         rest += border.block @ moved - loads
         more_nodes, more = start.solve(nodal, rest)
         nodes, moved = nodes - more_nodes, moved - more
-        whole = np.abs(nodes).max(initial=0.0)
-        size = float(np.abs(more_nodes).max(initial=0.0) / whole) if whole > 0 else 0.0
+        size = max(
+            _relative(more_nodes[..., own], nodes[..., own])
+            for own in (slice(first), *range(first, nodes.shape[2]))
+        )
         if size <= _SMALL:
             break
     return nodes + border.ties @ moved, moved, size
+
+
+def _relative(change: Array, fields: Array) -> float:
+    whole = np.abs(fields).max(initial=0.0)
+    return float(np.abs(change).max(initial=0.0) / whole) if whole > 0 else 0.0

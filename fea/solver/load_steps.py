@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import CoupledState, each_interface
 from wrenchbook.fea.coupling.rotation import rotation, rotation_vector
@@ -62,7 +62,7 @@ class LoadPath:
     system
         The equations.
     wrench
-        Shape (6 i,), N and N·m, of i interfaces; not zero.
+        Shape (k,): the inputs, as of `Balance.wrench`; not zero.
     progress
         Called with the fraction done and a message.
     rest
@@ -243,8 +243,7 @@ class LoadPath:
 
     def _slope(self, tangent: Linearisation) -> float:
         """Advance of the interface along the wrench's direction per unit of the load factor."""
-        response = tangent.border_response @ self._wrench
-        return float(self._direction @ (tangent.wrench_columns.T @ response))
+        return float(self._direction @ tangent.conjugate_rate(self._wrench))
 
     def _advance(self, found: Equilibrium) -> float:
         """Advance in a step, conjugate to the wrench: translation and spin along its direction."""
@@ -253,6 +252,13 @@ class LoadPath:
         for before, after in zip(*(each_interface(end) for end in ends), strict=True):
             spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
             advance += [(after - before)[:3], spin]
+        if self._system.body.expands:
+            both, body = (self._balance, found.balance), self._system.body
+            middle = 0.5 * sum(self._system.temperature(one.wrench) for one in both)
+            before, after = (body.heat(one.state.nodes, middle)[1] for one in both)
+            advance.append(np.array([before - after]))
+        moved = found.balance.state.nodes - self._balance.state.nodes
+        advance.append(contract(self._system.pull, moved[:, :, None])[:, 0])
         return float(self._direction @ np.concatenate(advance))
 
     def _reporter(self, target: float) -> Report:
@@ -265,33 +271,30 @@ class LoadPath:
         return report
 
 
-def hang(system: System) -> Equilibrium:
+def hang(system: System, check: Callable[[Balance], None]) -> Equilibrium:
     """Return the equilibrium under the component's own weight and no wrench.
 
-    The whole weight is tried at once; where that fails it grows in 2, 4, .. up to 32 equal steps.
+    Parameters
+    ----------
+    system
+        With its weight.
+    check
+        As of `LoadPath.follow`.
 
     Raises
     ------
     SolveFailed
-        ``snap_through``: no stable equilibrium was found.
+        As `LoadPath.follow` does, the weight in place of the wrench.
     """
     assert system.weight is not None
-    count = 1
-    while count <= 1 / _LEAST_STEP:
-        try:
-            return _hang_in(system, system.weight, count)
-        except Stuck:
-            count *= 2
-    raise snap_through("Under its own weight alone no stable equilibrium was found.")
-
-
-def _hang_in(system: System, weight: Array, count: int) -> Equilibrium:
-    """Return the equilibrium under a weight (n, 3), N, that grows in `count` equal steps."""
-    found = Equilibrium(system.balance_at_rest, system.undeformed, 0)
-    for number in range(1, count + 1):
-        part = System(system.body, system.coupling, weight=weight * (number / count))
-        start = part.balance(found.balance.state, np.zeros_like(found.balance.state.interface))
-        found = find_equilibrium(part, start, found.tangent, lambda iteration, norm: None)
-        if found.balance.least_stretch <= 0 or not found.tangent.stable:
-            raise Stuck("the state under the weight is unstable")
-    return found
+    growing = System(system.body, system.coupling, pull=system.weight[:, :, None])
+    try:
+        found = LoadPath(growing, np.eye(growing.inputs)[-1]).follow(check)
+    except SolveFailed as failure:
+        message = f"Under its own weight alone, which grows in place of a wrench: {failure.message}"
+        raise SolveFailed(failure.kind, message, failure.remedy) from None
+    balance = system.balance(found.balance.state, np.zeros(system.inputs))
+    tangent = Linearisation(
+        system.body, system.coupling, balance, found.tangent.tangent, system.pull
+    )
+    return Equilibrium(balance, tangent, found.iterations)

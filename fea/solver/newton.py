@@ -181,7 +181,7 @@ def correct(
     state = system.coupling.moved(balance.state, nodes, border)
     after = system.balance(state, balance.wrench)
     work = abs(float(np.vdot(balance.nodal, nodes) + balance.border @ border))
-    energy = np.sqrt(_quotient(work, 2 * after.energy))
+    energy = np.sqrt(_quotient(work, 2 * (after.energy + after.heat[1])))
     size = _quotient(np.abs(change).max(initial=0.0), np.abs(state.nodes).max(initial=0.0))
     return Correction(after, (balance.state.nodes + change, change), size, energy)
 

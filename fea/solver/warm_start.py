@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.coupling import CoupledState
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE, CoupledState
 from wrenchbook.fea.solution import Solution
 
 Array = np.ndarray
@@ -36,7 +36,8 @@ class WarmFolder:
     fingerprint
         The component's; files of other fingerprints are not looked at.
     scale
-        Shape (6 i,), N and N·m, of i interfaces: wrenches are near or far in units of it.
+        Shape (k,), N and N·m of the loads, K of a temperature: inputs are near or far in units of
+        it.
     """
 
     def __init__(self, folder: Path, fingerprint: str, scale: Array) -> None:
@@ -50,7 +51,7 @@ class WarmFolder:
         Parameters
         ----------
         wrench
-            Shape (6 i,), N and N·m.
+            Shape (k,): all inputs.
         points
             Number of points of the mesh.
         """
@@ -60,7 +61,7 @@ class WarmFolder:
         for distance, path in sorted(kept, key=lambda pair: pair[0]):
             if distance > limit:
                 return None
-            state = _read_state(path, points, self._scale.shape)
+            state = _read_state(path, points, self._scale.size)
             if state is not None:
                 return state
         return None
@@ -101,14 +102,15 @@ class WarmFolder:
                     yield path, wrench
 
 
-def _read_state(path: Path, points: int, loads: tuple[int, ...]) -> CoupledState | None:
+def _read_state(path: Path, points: int, inputs: int) -> CoupledState | None:
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             state = CoupledState(file["nodes"], file["interface"], file["multipliers"])
     except _UNREADABLE:
         return None
     arrays = tuple(vars(state).values())
-    if [a.shape for a in arrays[:2]] != [(points, 3), loads] or state.multipliers.ndim != 1:
+    loads = inputs - inputs % PER_INTERFACE
+    if [a.shape for a in arrays[:2]] != [(points, 3), (loads,)] or state.multipliers.ndim != 1:
         return None
     sound = all(a.dtype == float and np.isfinite(a).all() for a in arrays)
     return state if sound else None

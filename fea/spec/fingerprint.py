@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from wrenchbook.fea.spec.schema import (
+    ACCELERATIONS,
+    TEMPERATURE,
     Analysis,
     Bushing,
     Deck,
@@ -42,7 +44,9 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
     parts
         The fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked at.
     """
-    materials = sorted((_material(each) for each in parts["materials"]), key=json.dumps)
+    further = {one.name: one for one in parts.get("further", ())}
+    heated = TEMPERATURE in further
+    materials = sorted((_material(each, heated) for each in parts["materials"]), key=json.dumps)
     content = {
         "mesh": _mesh(parts["mesh"]),
         "materials": materials,
@@ -56,11 +60,15 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
             {"name": one.name, "is": _interface(one)}
             for one in (parts["interface"], *parts["others"])
         ]
+    densities = sorted((one.region, one.density or 0.0) for one in parts["materials"])
     if parts["analysis"].gravity is not None:
-        densities = sorted((one.region, one.density) for one in parts["materials"])
         content["weight"] = {"gravity": parts["analysis"].gravity, "densities": densities}
     if parts["analysis"].nonlinear and parts["mesh"] is not None and parts["deck"] is None:
         content["solver"] = NONLINEAR_SOLVER
+    if heated:
+        content["inputs"] = {"temperature": further[TEMPERATURE].reference}
+    if ACCELERATIONS[0] in further:
+        content["acceleration"] = densities
     # json writes floats by repr, so equal numbers give equal text and different ones do not.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
@@ -79,14 +87,14 @@ def _mesh(source: MeshSource | None) -> object:
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
 
 
-def _material(material: Material) -> list[object]:
-    # No yield strength: no displacement depends on it. Densities: with the gravity only.
+def _material(material: Material, heated: bool) -> list[object]:
+    # No yield strength: no displacement depends on it. Densities count where mass is pulled.
     content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
         content.append(material.law)
     if material.orthotropic is not None:
         content.append(asdict(material.orthotropic))
-    return content
+    return [*content, material.thermal_expansion] if heated else content
 
 
 def _supports(supports: Supports | None) -> object:

@@ -124,13 +124,17 @@ class Material:
         Between -1 and 0.5, both excluded; of an orthotropic material that of the nearest isotropic
         one, which tells cells that would lock.
     density
-        kg/m^3; None where the bundle does not give it. Static answers depend on it under gravity.
+        kg/m^3; None where the bundle does not give it. Static answers depend on it under gravity
+        and acceleration.
     yield_strength
         Pa, compared with the von Mises stress; None where the bundle does not give it.
     law
         One of `LAWS`. The constants of "neo-hookean" are those at small strains.
     orthotropic
         The constants of that law; None for the others.
+    thermal_expansion
+        1/K along its three directions, equal but for an orthotropic material; None where the
+        bundle does not give it. It counts only where the temperature is an input.
     """
 
     region: str
@@ -140,6 +144,40 @@ class Material:
     yield_strength: float | None = None
     law: str = "isotropic"
     orthotropic: Orthotropic | None = None
+    thermal_expansion: tuple[float, float, float] | None = None
+
+
+TEMPERATURE = "temperature"
+ACCELERATIONS = ("ax", "ay", "az")
+"""Along the mesh's axes."""
+
+
+@dataclass(frozen=True)
+class ScalarInput:
+    """An input behind the loads: the uniform temperature, or a component of the acceleration.
+
+    Attributes
+    ----------
+    name
+        `TEMPERATURE` or one of `ACCELERATIONS`, which follow it.
+    unit
+        Of the three numbers: K or °C, or m/s^2.
+    low, high
+        The range expected.
+    reference
+        Where it has no effect.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    reference: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """The table of the bundle that has it."""
+        return f"inputs.{TEMPERATURE if self.name == TEMPERATURE else 'acceleration'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,6 +341,8 @@ class Bundle:
         16 hexadecimal digits over everything that can change an answer.
     interface, others
         The interface, or the first of several, and the others in their order.
+    further
+        The inputs behind the loads.
     """
 
     folder: Path
@@ -318,6 +358,17 @@ class Bundle:
     deck: Deck | None
     fingerprint: str
     others: tuple[Interface, ...] = ()
+    further: tuple[ScalarInput, ...] = ()
+
+    @property
+    def acting(self) -> DeclaredRange:
+        """The range of all inputs: loads, then the others less their references."""
+        low, high = ([getattr(one, end) for one in self.further] for end in ("low", "high"))
+        zero = [one.reference for one in self.further]
+        ends = np.subtract(low, zero), np.subtract(high, zero)
+        return DeclaredRange(
+            np.append(self.range.low, ends[0]), np.append(self.range.high, ends[1])
+        )
 
     @property
     def interfaces(self) -> tuple[Interface, ...]:

@@ -17,7 +17,7 @@ import numpy as np
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.coupling import each_interface
 from wrenchbook.fea.coupling.rotation import spin_per_vector
-from wrenchbook.fea.export.calculix import deck_of, placeholders
+from wrenchbook.fea.export.calculix import deck_of, further_placeholder, placeholders
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.validation.finding import Finding
 
@@ -64,7 +64,7 @@ def solve_rigid(
     part
         In any analysis; CalculiX follows it.
     wrench
-        Shape (6 i,), N and N·m.
+        Shape (6 i,), N and N·m, and the further inputs behind.
     rotation
         The rotation vectors that the answer will have, shape (i, 3) or (3,), rad: CalculiX takes
         the moment that works on one, m = J_left(rotation)^T M. None where they are small.
@@ -79,7 +79,7 @@ def solve_rigid(
     RuntimeError
         If ccx ends without an answer.
     """
-    loads = np.array(wrench, dtype=float)
+    loads, further = np.split(np.array(wrench, dtype=float), [6 * len(part.interfaces)])
     if rotation is not None:
         for own, turn in zip(each_interface(loads), np.atleast_2d(rotation), strict=True):
             own[3:] = spin_per_vector(turn).T @ own[3:]
@@ -87,6 +87,8 @@ def solve_rigid(
     for name, own in zip(places, each_interface(loads), strict=True):
         for placeholder, load in zip(placeholders(name), own, strict=True):
             deck = deck.replace(placeholder, f"{load:.12e}")
+    for one, value in zip(part.further, further, strict=True):
+        deck = deck.replace(further_placeholder(one.name), f"{value:.12e}")
     rows, seconds = _run(deck if tight else deck.replace(_TIGHT, ""), timeout)
     first = len(part.mesh.points) + 1
     return CalculixResult(

@@ -218,9 +218,10 @@ def _made_ready(
     if bundle.deck is not None:
         message = "answers in place of the embedded solver, so there is nothing to compare with"
         raise BundleError([BundleProblem("deck", message)])
-    if bundle.others:
-        message = "comparisons of several interfaces are not there yet"
-        raise BundleError([BundleProblem("interface", message)])
+    keys = ["interface" for _ in bundle.others] + [one.key for one in bundle.further]
+    for key in keys[:1]:
+        message = "comparisons of several interfaces or further inputs are not there yet"
+        raise BundleError([BundleProblem(key, message)])
     part, notes = comparable(build(bundle))
     wrenches = chosen_wrenches(part, texts)
     deck_of(replace(part, coupling="rigid"))  # what CalculiX has no counterpart of, before a solve

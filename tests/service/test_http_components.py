@@ -161,6 +161,18 @@ def test_a_bundle_with_a_mistake_is_refused_by_key_and_nothing_is_added(
     assert http.get("/v1/components/beam").status_code == 404
 
 
+def test_a_bundle_with_a_temperature_is_refused_by_that_key(http, folder):
+    heated = "[inputs.temperature]\nrange = [0, 50]\nreference = 20\n[analysis]"
+    expands = "poisson_ratio = 0.3\nthermal_expansion = 1e-5"
+    text = bar_text(inputs=("[analysis]", heated), material=("poisson_ratio = 0.3", expands))
+    reply = upload(http, bundle_zip(text))
+    assert reply.status_code == 422, reply.text
+    (problem,) = reply.json()["errors"]
+    assert problem["loc"] == "inputs.temperature"
+    assert "not there yet" in problem["msg"]
+    assert list((folder / "components").iterdir()) == []
+
+
 def test_a_bundle_of_several_interfaces_is_refused_and_nothing_is_added(http, folder):
     reply = upload(http, bundle_zip(LINK))
     assert reply.status_code == 422

@@ -43,6 +43,7 @@ def bundles():
         "analysis": {},
         "range": {},
         "tolerance": {},
+        "inputs": {"temperature": {}, "acceleration": {}},
     }
     choice = {"near": [0, 0, 0], "plane": "x"}
     meshes = [{"generator": name} for name in GENERATORS]
