@@ -5,7 +5,6 @@ import zipfile
 import pytest
 from starlette.testclient import TestClient
 
-from tests.fea.two_interfaces import LINK
 from tests.service.document import document
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.http.app import create_app
@@ -159,37 +158,6 @@ def test_a_bundle_with_a_mistake_is_refused_by_key_and_nothing_is_added(
     assert "Nothing was added" in problem["detail"]
     assert list((folder / "components").iterdir()) == []
     assert http.get("/v1/components/beam").status_code == 404
-
-
-def test_a_bundle_with_a_temperature_is_refused_by_that_key(http, folder):
-    heated = "[inputs.temperature]\nrange = [0, 50]\nreference = 20\n[analysis]"
-    expands = "poisson_ratio = 0.3\nthermal_expansion = 1e-5"
-    text = bar_text(inputs=("[analysis]", heated), material=("poisson_ratio = 0.3", expands))
-    reply = upload(http, bundle_zip(text))
-    assert reply.status_code == 422, reply.text
-    (problem,) = reply.json()["errors"]
-    assert problem["loc"] == "inputs.temperature"
-    assert "not there yet" in problem["msg"]
-    assert list((folder / "components").iterdir()) == []
-
-
-def test_a_bundle_of_several_interfaces_is_refused_and_nothing_is_added(http, folder):
-    reply = upload(http, bundle_zip(LINK))
-    assert reply.status_code == 422
-    (problem,) = reply.json()["errors"]
-    assert problem["loc"] == "interface"
-    assert "tables of several interfaces are not there yet" in problem["msg"]
-    assert not (folder / "components" / "link").exists()
-
-
-def test_a_folder_of_several_interfaces_in_the_library_is_named_as_unusable(http, folder):
-    link = folder / "components" / "link"
-    link.mkdir(parents=True)
-    (link / "component.toml").write_text(LINK)
-    http.get("/v1/components")
-    reply = http.get("/v1/components/link")
-    assert reply.status_code >= 400
-    assert "several interfaces are not there yet" in reply.text
 
 
 @pytest.mark.parametrize(
