@@ -95,7 +95,7 @@ def first_design(span: LoadRange, known: Known, count: int) -> Floats:
     Fewer come from a span so narrow that there are not as many different wrenches in it.
     """
     middle, half = (span.low + span.high) / 2, (span.high - span.low) / 2
-    at_rest = np.clip(np.zeros_like(half), span.low, span.high)
+    at_rest = np.clip(span.space.zero, span.low, span.high)
     signs = CORNERS if span.space.is_default else np.empty((0, len(half)))
     corners = middle + OUT * signs * half
     chosen = list(known.new(np.concatenate((at_rest[None], corners))))
@@ -329,7 +329,7 @@ def _candidates(surrogate: Surrogate, span: LoadRange) -> Floats:
     if has_tangents or not surrogate.has_axes:
         return full
     parts = [full]
-    at_rest = np.clip(np.zeros(6), span.low, span.high)
+    at_rest = np.clip(span.space.zero, span.low, span.high)
     for axis in AXES:
         own = np.isin(np.arange(6), axis.inputs)
         parts.append(np.where(own, spread_wrenches(span, AXIS_CANDIDATES, start), at_rest))

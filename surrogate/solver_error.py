@@ -41,7 +41,8 @@ class SolverError:
     ----------
     values : mapping
         ``mesh``: shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None where it is not known;
-        ``loads``: (6,), N and N·m, largest of the range. ``mesh_stiffness``: (6, 6), N/m and so on,
+        ``loads``: (6,), N and N·m, largest of the range. ``zero``: (6,), from where inputs count;
+        optional. ``mesh_stiffness``: (6, 6), N/m and so on,
         what the mesh adds to the stiffness; optional. Of a linear component ``linearity``: (6,), m
         and rad, at such loads, growing with their square; None where it is not known. Of any other
         ``mesh_growth``: (6,), of the same form, see `grown`. Further entries are words for people.
@@ -58,6 +59,7 @@ class SolverError:
         m = PER_INTERFACE * max(n // PER_INTERFACE, 1)  # further inputs are fewer than six
         loads = _numbers(values.get("loads"), (n,), "loads")
         self.mesh = None if values.get("mesh") is None else _numbers(values["mesh"], (m, n), "mesh")
+        self.zero = _shaped(values.get("zero", [0.0] * n), (n,), "zero")
         linearity = values.get("linearity")
         self.linearity = None if linearity is None else _numbers(linearity, (m,), "linearity")
         self.growth = _numbers(values.get("mesh_growth", [0.0] * m), (m,), "mesh_growth")
@@ -123,7 +125,7 @@ class SolverError:
             return self
         wrench, moved, tangent = _that_tell(rows)
         one_over = self._one_over
-        size = np.abs(wrench)
+        size = np.abs(wrench - self.zero)
         part = (size * one_over).max(axis=1, initial=0.0)
         inside = (part > 0.0) & (part <= 1.0 + _NEGLIGIBLE)
         if load_range is not None:
@@ -157,13 +159,14 @@ class SolverError:
 
     def _shares(self, wrench: Floats) -> tuple[Floats, Floats]:
         """Return what grows with the loads, and with the square of the largest of them."""
-        sizes = np.abs(wrench)
+        sizes = np.abs(wrench - self.zero)
         most = (sizes * self._one_over).max(initial=0.0)
         return self._matrix @ sizes, self._square * (most * most)
 
     def at_full_range(self) -> dict[str, list[float] | None]:
         """Return `parts` at the largest loads of the range, all at once."""
-        return self.parts(np.where(np.isfinite(self._loads), self._loads, 0.0).tolist())
+        loads = np.where(np.isfinite(self._loads), self._loads, 0.0)
+        return self.parts((self.zero + loads).tolist())
 
 
 def _that_tell(rows: Rows) -> tuple[Floats, Floats, Floats]:

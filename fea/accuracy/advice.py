@@ -34,7 +34,7 @@ def over_tolerance(
     if solver_error is None:
         return []
     loads = np.array(solver_error["loads"])
-    allowed = np.resize(np.repeat([translation, rotation], 3), loads.shape)
+    allowed = np.repeat([translation, rotation], 3)
     found = []
     if solver_error.get("mesh") is not None:
         errors = np.array(solver_error["mesh"]) @ loads + np.array(
@@ -87,8 +87,8 @@ def _of_buckling(factor: float | None) -> list[BundleProblem]:
 
 
 def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
-    """Return the largest ratio of error to tolerance, and that in words."""
-    ratios = errors / allowed
+    """Return the largest ratio of error (6 i,) to tolerance (6,), and that in words."""
+    ratios = errors / np.resize(allowed, errors.shape)
     output = int(ratios.argmax())
     interface, freedom = divmod(output, len(_OUTPUTS))
     worst, unit = float(ratios[output]), "m" if freedom < 3 else "rad"

@@ -38,12 +38,12 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``mesh``: shape (6 i, 6 i) for i interfaces, as lists, not negative, m/N, m/(N·m), rad/N,
-        rad/(N·m): the bar at a wrench is this times the size of each load. ``mesh_stiffness``: the
-        same shape, the inverse units: what the mesh adds to the stiffness, signed.
-        ``mesh_basis``, in words.
+        ``mesh``: shape (6 i, k) for i interfaces and k inputs, as lists, not negative, m/N,
+        m/(N·m), rad/N, rad/(N·m): the bar at a wrench is this times the size of each input, from
+        ``zero`` (k numbers, where one is not 0). ``mesh_stiffness``: shape (k, 6 i), the inverse
+        units: what the mesh adds to the stiffness, signed. ``mesh_basis``, in words.
         ``cell_size``: the middle one of all edges' lengths, m. ``loads``: the largest of the range,
-        six, N and N·m, 0 on locked freedoms: the guide takes these. Of a linear component also
+        k numbers, SI, 0 on locked freedoms: the guide takes these. Of a linear component also
         ``linearity`` (six numbers, m and rad, or None)
         and ``buckling`` (or None): see `fea.accuracy.beyond_linear`; ``linearity_basis``.
 
@@ -54,7 +54,7 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     """
     bundle = solver.component.bundle
     second = coarser(solver)
-    result = {**_mesh(solver, second), "loads": _largest(bundle)}
+    result = {**_mesh(solver, second), **_largest(bundle)}
     result["cell_size"] = _cell_size(solver.component.mesh)
     if bundle is None or solver.component.analysis.nonlinear:
         return result
@@ -62,17 +62,18 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
 
 
 def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
-    recovered = recovered_error(solver)
+    compliance = solver.linear.compliance
+    recovered = recovered_error(solver)[: len(compliance)]
     if second is None:
         return _report(
-            solver.compliance,
+            compliance,
             _RECOVERED_ALONE * np.array([recovered]),
             "stresses recovered at six unit loads; no second mesh can be made",
         )
-    change = solver.compliance - second.compliance
+    change = compliance - second.linear.compliance
     own, other = (len(one.component.mesh.points) for one in (solver, second))
     return _report(
-        solver.compliance,
+        compliance,
         0.5 * np.array([change, recovered]),
         f"a coarser mesh of {other} nodes beside this one of {own}, and recovered stresses, at six "
         "unit loads",
@@ -80,16 +81,21 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
 
 
 def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
-    """Return the report of `errors`, shape (n, 6 i, 6 i), the parts of the compliance's error."""
+    """Return the report of `errors`, shape (n, 6 i, k), the parts of the compliance's error."""
     found = {"mesh": np.abs(errors).sum(axis=0).tolist(), "mesh_basis": basis}
     # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.
-    acting = np.diag(compliance) > 0
-    scale = np.sqrt(np.where(acting, np.diag(compliance), 1.0))
+    loads = len(compliance)
+    diagonal = np.diag(compliance)
+    acting = diagonal > 0
+    scale = np.sqrt(np.where(acting, diagonal, 1.0))
     own = np.ix_(acting, acting)
-    stiffness = np.zeros_like(compliance)
-    stiffness[own] = np.linalg.inv((compliance / np.outer(scale, scale))[own])
+    stiffness = np.zeros((loads, loads))
+    stiffness[own] = np.linalg.inv((compliance[:, :loads] / np.outer(scale, scale))[own])
     stiffness /= np.outer(scale, scale)
-    return found | {"mesh_stiffness": (stiffness @ errors.sum(axis=0) @ stiffness).tolist()}
+    # Further inputs are no generalised forces of an interface: their rows are zero.
+    added = np.zeros(compliance.T.shape)
+    added[:loads] = stiffness @ errors.sum(axis=0)[:, :loads] @ stiffness
+    return found | {"mesh_stiffness": added.tolist()}
 
 
 def _cell_size(mesh: Mesh) -> float:
@@ -112,25 +118,28 @@ def accuracy_or_why(solver: Solver) -> dict[str, Any]:
         return accuracy_of(solver)
     except (SolveFailed, BundleError, ValueError, ArithmeticError, MemoryError) as error:
         why = f"the estimate failed: {str(error) or type(error).__name__}"
-        return {"mesh": None, "mesh_basis": why, "loads": _largest(solver.component.bundle)}
+        return {"mesh": None, "mesh_basis": why, **_largest(solver.component.bundle)}
 
 
 def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:
     """Return the same of a component that an outside solver answers for: nothing is known."""
     words = "an outside solver's own mesh: the deck's author knows how far it is off"
-    return {"mesh": None, "mesh_basis": words, "loads": _largest(bundle)}
+    return {"mesh": None, "mesh_basis": words, **_largest(bundle)}
 
 
-def _largest(bundle: Bundle | None) -> list[float]:
-    """Return the largest of each load in the range, N and N·m, 0 where a guide takes it.
+def _largest(bundle: Bundle | None) -> dict[str, list[float]]:
+    """Return ``loads``, the largest of each input in the range, 0 where a guide takes it.
 
-    An error that grows with the square of the largest load must not grow with one that is not felt.
+    And ``zero``, from where inputs count, if one is not 0. An error that grows with the square of
+    the largest load must not grow with one that is not felt.
     """
     if bundle is None:
-        return [1.0] * len(FREEDOMS)
-    largest = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
+        return {"loads": [1.0] * len(FREEDOMS)}
+    largest = np.maximum(np.abs(bundle.acting.low), np.abs(bundle.acting.high))
     idle = [one in own.locked for own in bundle.interfaces for one in FREEDOMS]
-    return np.where(idle or False, 0.0, largest).tolist()
+    largest[: len(idle)][idle] = 0.0
+    zero = [0.0] * len(bundle.range.low) + [one.reference for one in bundle.further]
+    return {"loads": largest.tolist()} | ({"zero": zero} if any(zero) else {})
 
 
 def _linearity(solver: Solver, loads: DeclaredRange) -> dict[str, Any]:

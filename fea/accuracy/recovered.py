@@ -58,7 +58,10 @@ class _Piece(NamedTuple):
 
 
 def recovered_error(solver: Solver) -> Array:
-    """Return about what the compliance lacks for its mesh, shape (6 i, 6 i), SI; symmetric, >= 0.
+    """Return about what responses to unit inputs lack for the mesh, shape (k, k), SI; symmetric.
+
+    The first 6 i rows are of the displacements of i interfaces. A strain of heat is the same
+    in both fields that are compared, and cancels.
 
     Raises
     ------
@@ -67,7 +70,7 @@ def recovered_error(solver: Solver) -> Array:
     """
     pieces = list(_pieces(solver))
     smooth = _at_corners(pieces, len(solver.component.mesh.points))
-    error = np.zeros_like(solver.compliance)
+    error = np.zeros((solver.linear.fields.shape[2],) * 2)
     for piece in pieces:
         error += _energy(piece, smooth[piece.material])
     return 0.5 * (error + error.T)
@@ -75,7 +78,7 @@ def recovered_error(solver: Solver) -> Array:
 
 def _pieces(solver: Solver) -> Iterator[_Piece]:
     component, body = solver.component, solver.body
-    unit = solver.linear.fields[:, :, : len(solver.compliance)]
+    unit = solver.linear.fields
     sorts = zip(body.parts, body.cells, solver.volumes, strict=True)
     for part, nodes, (numbers, _) in sorts:
         weights = part.gradients.weights

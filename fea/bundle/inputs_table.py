@@ -5,7 +5,7 @@ from __future__ import annotations
 from wrenchbook.fea.spec.schema import ACCELERATIONS, TEMPERATURE, Interface, Material, ScalarInput
 from wrenchbook.fea.spec.toml_table import Keys
 
-_UNIT = "K or °C"
+_UNITS = ("degC", "K")
 _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
@@ -23,14 +23,15 @@ def read_inputs(top: Keys) -> tuple[ScalarInput, ...]:
 
 
 def _temperature(keys: Keys) -> ScalarInput | None:
-    ends = keys.numbers("range", 2, _UNIT)
-    reference = keys.number("reference", _UNIT)
+    unit = keys.choice("unit", _UNITS, required=False) or _UNITS[0]
+    ends = keys.numbers("range", 2, unit)
+    reference = keys.number("reference", unit)
     keys.close()
     if ends is None or reference is None:
         return None
     if ends[0] >= ends[1]:
         keys.wrong("range", f"must rise from low to high, not [{ends[0]:g}, {ends[1]:g}]")
-    return ScalarInput(TEMPERATURE, _UNIT, ends[0], ends[1], reference)
+    return ScalarInput(TEMPERATURE, unit, ends[0], ends[1], reference)
 
 
 def _acceleration(keys: Keys) -> list[ScalarInput]:

@@ -161,7 +161,7 @@ class ScalarInput:
     name
         `TEMPERATURE` or one of `ACCELERATIONS`, which follow it.
     unit
-        Of the three numbers: K or °C, or m/s^2.
+        Of the three numbers: degC, K, or m/s^2.
     low, high
         The range expected.
     reference

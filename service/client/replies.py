@@ -101,10 +101,10 @@ class Displacement:
     ) -> Self:
         """Make one from the reply to `wrench`, shape (6,), N and N·m, or to the wire's loads."""
         error = body.get("error") or {}
-        job, shared = body.get("job"), {k: v for k, v in body.items() if k != "interfaces"}
+        job, shared = body.get("job"), {k: v for k, v in body.items() if k != "displacements"}
         parts = {
             name: cls.read(component, wrench_of((loads or {}).get(name, {})), shared | part)
-            for name, part in body.get("interfaces", {}).items()
+            for name, part in body.get("displacements", {}).items()
         }
         if parts:
             wrench = np.concatenate([part.wrench for part in parts.values()])

@@ -61,7 +61,7 @@ def _fields(outcome: Outcome) -> dict[str, Any]:
     """Return the fields of every answer."""
     value, error = outcome.displacement, outcome.error
     if outcome.interfaces:
-        moved: dict[str, Any] = {"interfaces": _by_interface(outcome)}
+        moved: dict[str, Any] = {"displacements": _by_interface(outcome)}
     else:
         moved = {
             "translation": value[:3] if value else None,

@@ -18,7 +18,7 @@ from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, read_bundle
 from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.service.contract import MOMENT_POINT
 from wrenchbook.surrogate.table.rows import LoadRange, Tolerance, acting
-from wrenchbook.surrogate.table.space import PER_INTERFACE, Space, space_of
+from wrenchbook.surrogate.table.space import PER_INTERFACE, Input, Space, space_of
 
 HANGING = (
     "relative to the unloaded part without its weight, the geometry of its mesh: at zero load it "
@@ -177,11 +177,7 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
         fingerprint=bundle.fingerprint,
         has_fea=bundle.has_fea,
         linear=bundle.analysis is not None and not bundle.analysis.nonlinear,
-        load_range=LoadRange(
-            np.asarray(bundle.range.low, dtype=float),
-            np.asarray(bundle.range.high, dtype=float),
-            space_of([one.name for one in bundle.interfaces] or [""]),
-        ),
+        load_range=_load_range(bundle),
         tolerance=Tolerance(limit.translation, limit.rotation) if limit else None,
         shipped=shipped,
         files=files,
@@ -197,6 +193,16 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
             for material in bundle.materials
             if material.yield_strength is not None
         },
+    )
+
+
+def _load_range(bundle: Bundle) -> LoadRange:
+    """Return the range of all inputs of a bundle: its loads, then its further inputs."""
+    further = [Input(one.name, one.unit, "scalar", zero=one.reference) for one in bundle.further]
+    return LoadRange(
+        np.append(bundle.range.low, [one.low for one in bundle.further]),
+        np.append(bundle.range.high, [one.high for one in bundle.further]),
+        space_of([one.name for one in bundle.interfaces] or [""], further),
     )
 
 

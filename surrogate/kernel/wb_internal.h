@@ -104,6 +104,7 @@ typedef struct {
 typedef struct {
     int asks, mesh_known, linear, linearity_known, whole, none;
     const double *mesh, *square, *one_over, *stiffness;
+    const double *zero; /* (n) from where inputs count, NULL for none */
 } wb_solver;
 
 struct wb_table {

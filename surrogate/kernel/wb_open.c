@@ -124,6 +124,7 @@ static void read_solver(reader *r) {
     s->mesh = doubles(r, "solver/mesh", 2, (int64_t)t->outputs, (int64_t)t->inputs);
     s->square = doubles(r, "solver/square", 1, (int64_t)t->outputs);
     s->one_over = doubles(r, "solver/one_over", 1, (int64_t)t->inputs);
+    if (exists(r, "solver/zero")) s->zero = doubles(r, "solver/zero", 1, (int64_t)t->inputs);
     s->stiffness = doubles(r, "solver/stiffness", 2, (int64_t)t->inputs, (int64_t)t->outputs);
     if (*r->bad) return;
     s->asks = flags[0], s->mesh_known = flags[1], s->linear = flags[2];

@@ -123,15 +123,17 @@ static void keep(const wb_table *t, wb_reply *reply) {
 /* `SolverError.widened`: what the solver of the rows may itself be wrong by. */
 static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
-    double most = 0, lacking[WB_MOST];
+    double most = 0, lacking[WB_MOST], size[WB_MOST];
     int by_row = reply->method == WB_ROW && wb_is_beyond(t, reply->inputs);
     int asks = s->asks > 1 || (s->asks > 0 && by_row);
     int told = asks && lacking_of(t, o, work, reply, lacking);
-    for (int k = 0; k < t->inputs; k++) most = larger(fabs(reply->inputs[k]) * s->one_over[k], most);
+    for (int k = 0; k < t->inputs; k++) {
+        size[k] = fabs(reply->inputs[k] - (s->zero ? s->zero[k] : 0.0));
+        most = larger(size[k] * s->one_over[k], most);
+    }
     for (int q = 0; q < t->outputs; q++) {
         double small = 0, more = s->square[q] * (most * most);
-        for (int k = 0; k < t->inputs; k++)
-            small += s->mesh[t->inputs * q + k] * fabs(reply->inputs[k]);
+        for (int k = 0; k < t->inputs; k++) small += s->mesh[t->inputs * q + k] * size[k];
         if (told) more = larger(lacking[q] - small, 0);
         reply->error[q] = reply->interpolation[q] + small + more;
         if (!s->linear) small += more, more = 0;

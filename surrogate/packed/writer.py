@@ -152,9 +152,9 @@ def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
     """Yield the solver's share of errors.
 
     ``mesh`` (m, n), ``square`` (m), ``one_over`` (n), ``stiffness`` (n, m), SI, see
-    `SolverError.packed`; ``flags``: when an answer's tangent is needed, whether the discretisation
-    error is known, whether the component is linear, whether its linearity is known, whether all
-    parts of the error are known.
+    `SolverError.packed`; ``zero`` (n), from where inputs count, if one is not 0; ``flags``: when
+    an answer's tangent is needed, whether the discretisation error is known, whether the component
+    is linear, whether its linearity is known, whether all parts of the error are known.
     """
     error, shape = table.solver_error, table.fit.matrix.shape
     matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
@@ -164,6 +164,8 @@ def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
         matrix, square, one_over, stiffness, asks = error.packed
         known, linear = error.mesh is not None, "linearity" in error.values
         linearity_known = error.linearity is not None
+        if error.zero.any():
+            yield "solver/zero", error.zero
     flags = [int(asks[0]), known, linear, linearity_known, table.bars_are_whole]
     yield "solver/flags", np.array(flags, dtype=np.int32)
     yield "solver/mesh", matrix

@@ -122,7 +122,7 @@ def need_of(
     mistakes = []
     for load, (low, high) in enumerate(ends.tolist()):
         one = whole.space.inputs[load]
-        least, most = min(whole.low[load], 0.0), max(whole.high[load], 0.0)
+        least, most = min(whole.low[load], one.zero), max(whole.high[load], one.zero)
         if low > high:
             message = f"the low end of {one.name}, {low:g}, is above the high end, {high:g}"
             mistakes.append((load, message))

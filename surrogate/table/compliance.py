@@ -32,8 +32,8 @@ class ComplianceFit:
     origin : str
         "stored" (mean of the rows' own compliances), "fitted" or "none".
     offset : ndarray, shape (6,), m and rad
-        The displacement at zero load: that of the component's own weight, if a linear solve
-        stored it; else zero.
+        The displacement where all inputs are 0: that of the component's own weight, if a linear
+        solve stored it, and of a reference temperature that is not 0.
     """
 
     matrix: Floats
@@ -75,9 +75,9 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     fit = _from_rows(rows, load_range, linear=linear)
     if len(stored) and not fit.complete:
         matrix = np.where(fit.known, fit.matrix, stored.mean(axis=0))
-        return ComplianceFit(
-            matrix, np.ones(len(load_range.low), dtype=bool), fit.error, fit.origin
-        )
+        offset = 0.0 - matrix @ load_range.space.zero
+        known = np.ones(len(load_range.low), dtype=bool)
+        return ComplianceFit(matrix, known, fit.error, fit.origin, offset)
     return fit
 
 
@@ -105,8 +105,9 @@ def _from_stored(stored: Floats, load_range: LoadRange) -> ComplianceFit:
 
 
 def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
-    """Fit the columns that the rows tell, by least squares on scaled loads."""
-    scaled = rows.wrench / load_range.scale
+    """Fit the columns that the rows tell, by least squares on scaled loads from their zeros."""
+    zero = load_range.space.zero
+    scaled = (rows.wrench - zero) / load_range.scale
     if not scaled.any():
         shape = rows.compliance.shape[1:]
         none = np.zeros(shape[1], dtype=bool)
@@ -118,9 +119,12 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
     columns, *_ = np.linalg.lstsq(scaled, rows.displacement, rcond=RANK)
     residual = rows.displacement - scaled @ columns
     matrix = np.where(known, columns.T / load_range.scale, 0.0)
+    offset = 0.0 - matrix @ zero  # and not -0.0
     if linear:
-        return ComplianceFit(matrix, known, _fit_error(rows, residual, len(spanned)), "fitted")
-    return ComplianceFit(matrix, known, _secant_error(rows, scaled, residual), "fitted")
+        error = _fit_error(rows, residual, len(spanned))
+    else:
+        error = _secant_error(rows, scaled, residual)
+    return ComplianceFit(matrix, known, error, "fitted", offset)
 
 
 def _secant_error(rows: Rows, scaled: Floats, residual: Floats) -> Floats:

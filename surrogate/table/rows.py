@@ -68,14 +68,14 @@ class LoadRange:
 
     @cached_property
     def ends(self) -> Floats:
-        """The range stretched to hold zero, and by what rounding may add, (2, 6), N and N·m."""
-        slack = ON_END * self.scale
-        return np.stack((np.minimum(self.low, 0.0) - slack, np.maximum(self.high, 0.0) + slack))
+        """The range stretched to hold no load, and by what rounding may add, (2, n)."""
+        slack, zero = ON_END * self.scale, self.space.zero
+        return np.stack((np.minimum(self.low, zero) - slack, np.maximum(self.high, zero) + slack))
 
     def exceeded(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
         """Return which loads of wrenches, shape (n, 6), N and N·m, are out of range, (n, 6).
 
-        It is stretched to hold zero, from where every answer is counted. A load within 1e-9 of
+        It is stretched to hold no load, from where every answer is counted. A load within 1e-9 of
         the range beyond an end counts as on it.
         """
         loads, (low, high) = np.asarray(wrenches, dtype=float), self.ends

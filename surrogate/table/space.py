@@ -52,12 +52,15 @@ class Input:
     kind : {"force", "moment", "scalar"}
     interface : str
         Where a load acts; empty for scalars, and where there is one interface.
+    zero : float
+        Value without an effect, in its unit: of a temperature the reference.
     """
 
     name: str
     unit: str
     kind: InputKind
     interface: str = ""
+    zero: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,11 @@ class Space:
     def several(self) -> tuple[str, ...]:
         """The names of the interfaces; none where there is one."""
         return self.interfaces if len(self.interfaces) > 1 else ()
+
+    @cached_property
+    def zero(self) -> Floats:
+        """The inputs that have no effect, shape (n,), in their units: no load."""
+        return np.array([one.zero for one in self.inputs])
 
     @cached_property
     def is_rotation(self) -> NDArray[np.bool_]:
@@ -203,8 +211,8 @@ class Space:
         return cls(inputs, tuple(Output(**one) for one in words["outputs"]))
 
 
-def _filled(entries: dict[str, str]) -> dict[str, str]:
-    return {name: text for name, text in entries.items() if text}
+def _filled(entries: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in entries.items() if value}
 
 
 def space_of(interfaces: Sequence[str] = ("",), scalars: Sequence[Input] = ()) -> Space:

@@ -64,7 +64,7 @@ def test_query_queues_by_default_and_says_how_to_look_at_the_job(stub: Stub, run
 def test_query_sends_loads_by_interface_and_prints_each_displacement(stub: Stub, run: Run):
     moved = {"translation": [0.0, 1e-3, 0.0], "rotation": [0.0] * 3, "error": None}
     parts = {"left": moved, "right": moved}
-    stub.answers(Answer({"component": "link", "coverage": "covered", "interfaces": parts}))
+    stub.answers(Answer({"component": "link", "coverage": "covered", "displacements": parts}))
     status, out, _ = run("query", "link", "--load", "right=0,10,1", "--input", "temperature=80")
     assert status == 0
     assert stub.seen[0].body["loads"] == {"right": {"force": [0, 10, 1], "moment": [0, 0, 0]}}

@@ -37,8 +37,8 @@ def test_the_component_names_its_inputs_its_range_and_its_interfaces(link):
 def test_a_load_at_one_interface_moves_it_and_not_the_held_one(solved):
     body = solved.post(f"{URL}/displacement", json=RIGHT).json()
     assert body["coverage"] == "covered"
-    assert body["interfaces"]["left"]["translation"] == [0.0, 0.0, 0.0]
-    moved = body["interfaces"]["right"]
+    assert body["displacements"]["left"]["translation"] == [0.0, 0.0, 0.0]
+    moved = body["displacements"]["right"]
     assert moved["translation"][1] == pytest.approx(10 * moved["translation"][2])
     assert moved["error"]["translation"][1] > 0.0
 
@@ -66,7 +66,7 @@ def test_loads_by_interface_are_refused_where_there_is_one(http):
 
 
 def test_a_batch_has_the_digits_of_the_single_answers(solved):
-    single = solved.post(f"{URL}/displacement", json=RIGHT).json()["interfaces"]["right"]
+    single = solved.post(f"{URL}/displacement", json=RIGHT).json()["displacements"]["right"]
     wrench = [0.0] * 6 + [0.0, 10.0, 1.0, 0.0, 0.0, 0.0]
     many = solved.post(f"{URL}/displacements", json={"wrenches": [wrench]}).json()
     assert many["displacements"][0][6:9] == single["translation"]

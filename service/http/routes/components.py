@@ -254,7 +254,8 @@ def _space(component: Component) -> dict[str, Any]:
     """Return the names and units of inputs and outputs where they are not those of one wrench."""
     if component.space.is_default:
         return {}
-    return {"interfaces": interfaces_of(component), "space": component.space.words()}
+    several = {"interfaces": interfaces_of(component)} if component.space.several else {}
+    return {**several, "space": component.space.words()}
 
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
