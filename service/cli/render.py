@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from rich.table import Table
 from wrenchbook.service.cli.pace import Pace, error_bars
 from wrenchbook.service.client import Client, Displacement, Job, ProblemError
 from wrenchbook.service.client.errors import mistake_line
+from wrenchbook.service.client.wrenches import wrench_of
 from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
 
 POLL_S = 0.2
@@ -139,7 +140,7 @@ def job_table(jobs: Sequence[Job]) -> Table:
     """Lay out jobs, with how far they are or why they failed."""
     table = Table("id", "component", "status", "attempt", "wrench, N and N·m", "")
     for job in jobs:
-        wrench = " ".join(f"{load:g}" for load in [*job.raw["force"], *job.raw["moment"]])
+        wrench = _inputs(job.raw)
         table.add_row(
             str(job.id),
             job.component,
@@ -156,6 +157,17 @@ def _state(job: Job) -> str:
         return f"{job.raw['error']['kind']}: {job.raw['error']['message']}"
     progress = job.raw.get("progress") or {}
     return f"{progress.get('fraction', 0):.0%} {progress.get('message', '')}" if progress else ""
+
+
+def _inputs(raw: Mapping[str, Any]) -> str:
+    """Return the inputs of a job in words: its loads, by interface, and further ones by name."""
+    loads = raw.get("loads") or {"": raw}
+    words = [
+        " ".join(filter(None, (name, *(f"{load:g}" for load in wrench_of(one)))))
+        for name, one in loads.items()
+    ]
+    words += [f"{name} {value:g}" for name, value in raw.get("inputs", {}).items()]
+    return ", ".join(words)
 
 
 def row_errors(out: Console, reply: dict[str, Any]) -> None:

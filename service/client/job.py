@@ -90,8 +90,11 @@ class Job:
 
     @property
     def vector(self) -> Vector | None:
-        """The displacement a done job found, shape (6,), m and rad."""
-        return joined(self.raw.get("translation"), self.raw.get("rotation"))
+        """The displacement a done job found, shape (6,), or six an interface, m and rad."""
+        parts = list(self.raw.get("displacements", {}).values()) or [self.raw]
+        found = [joined(one.get("translation"), one.get("rotation")) for one in parts]
+        known = [one for one in found if one is not None]
+        return np.concatenate(known) if known else None
 
 
 @dataclass(frozen=True, eq=False)

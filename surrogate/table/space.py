@@ -187,6 +187,24 @@ class Space:
         wrenches = (loads.get(name, zero) for name in self.interfaces)
         return (*chain.from_iterable(wrenches), *(further[name] for name in names))
 
+    def by_name(self, inputs: Sequence[float]) -> dict[str, Any]:
+        """Return inputs in their order, shape (n,), SI, as `vector` takes them.
+
+        Returns
+        -------
+        dict
+            ``loads``: ``{"force": three, "moment": three}`` by interface, these themselves where
+            there is one; ``inputs``: the further ones by name, where there are any.
+        """
+        loads = {
+            name: {"force": inputs[k : k + 3], "moment": inputs[k + 3 : k + PER_INTERFACE]}
+            for name, k in zip(self.interfaces, range(0, len(inputs), PER_INTERFACE), strict=False)
+        }
+        first = len(self.inputs) - len(self.scalars)
+        further = dict(zip((one.name for one in self.scalars), inputs[first:], strict=True))
+        words: dict[str, Any] = {"loads": loads} if self.several else loads[self.interfaces[0]]
+        return words | ({"inputs": further} if further else {})
+
     def largest_of_kind(self, values: Floats) -> Floats:
         """Return, for each output, the largest of its kind, translations or rotations.
 

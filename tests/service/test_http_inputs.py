@@ -99,3 +99,10 @@ def test_a_temperature_beyond_its_range_is_named_with_the_range(hot):
     reply = ask(hot, 130.0, on_thin="reject")
     assert reply.status_code == 409
     assert "temperature = 130 degC is outside the load range, 0..120 degC" in reply.text
+
+
+def test_a_job_has_its_inputs_by_name(hot):
+    jobs = hot.get("/v1/jobs").json()["jobs"]
+    job = next(one for one in jobs if one["inputs"] == inputs(60.0, -9.81))
+    assert job["force"] == job["moment"] == [0.0] * 3
+    assert job["translation"][0] == pytest.approx(LENGTH * EXPANSION * 40.0, rel=1e-6)

@@ -112,3 +112,11 @@ def test_a_call_for_one_wrench_says_so(solved, call):
 
 def test_coverage_has_no_gaps_by_axis(solved):
     assert solved.get(f"{URL}/coverage").json()["gaps"] == []
+
+
+def test_a_job_has_loads_and_displacements_by_interface(solved):
+    jobs = solved.get("/v1/jobs").json()["jobs"]
+    job = next(one for one in jobs if one["loads"]["right"]["force"] == [0.0, 10.0, 1.0])
+    assert job["loads"]["left"]["moment"] == [0.0] * 3
+    assert job["displacements"]["left"]["translation"] == [0.0] * 3
+    assert job["displacements"]["right"]["translation"][1] != 0.0

@@ -157,3 +157,11 @@ def test_one_interface_alone_is_the_default_space():
     assert DEFAULT.is_default
     assert not WARM.is_default
     assert DEFAULT.words()["outputs"][0] == {"name": "ux", "unit": "m"}
+
+
+def test_inputs_by_name_are_those_that_vector_takes():
+    space = space_of(("left", "right"), [Input("temperature", "K", "scalar")])
+    inputs = [float(k) for k in range(13)]
+    named = space.by_name(inputs)
+    loads = {name: [*one["force"], *one["moment"]] for name, one in named["loads"].items()}
+    assert space.vector(loads, named["inputs"]) == tuple(inputs)

@@ -14,6 +14,7 @@ from pydantic import AfterValidator
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
+from wrenchbook.service.contract import by_part
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, refused
@@ -22,6 +23,7 @@ from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, zipped
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
 from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422))
 # The end, where the reason stands; all of it is in the attempt's files.
@@ -49,11 +51,11 @@ def job_body(
 
     `rows` are those of many jobs, read together; one alone reads its own.
     """
+    space = _space(workspace, job)
     body: dict[str, Any] = {
         **job_link(job),
         "component": job.component,
-        "force": job.wrench[:3],
-        "moment": job.wrench[3:],
+        **(space.by_name(job.wrench) if space else {"wrench": job.wrench}),
         "attempt": job.attempt,
         "not_before": _time(job.not_before),
         "created": _time(job.created),
@@ -69,8 +71,21 @@ def job_body(
         body["row"] = job.row
         row = workspace.ledger.row(job.row) if rows is None else rows.get(job.row)
         if row is not None:  # GET /health/ready names a damaged one
-            body |= {"translation": row.displacement[:3], "rotation": row.displacement[3:]}
+            body |= _moved(row, space)
     return body
+
+
+def _space(workspace: Workspace, job: JobRecord) -> Space | None:
+    """Return the inputs of a job; None where its component is gone or has others now."""
+    library, name = workspace.library, job.component
+    space = library[name].space if name in library else DEFAULT
+    return space if len(space.inputs) == len(job.wrench) else None
+
+
+def _moved(row: LedgerRow, space: Space | None) -> dict[str, Any]:
+    if space and space.several:
+        return {"displacements": by_part(row.displacement, space.several)}
+    return by_part(row.displacement)
 
 
 @router.get("", summary="List jobs, newest first, a page at a time")
