@@ -16,6 +16,7 @@ from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.mesh.groups import group_nodes, missing
 from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
@@ -90,6 +91,8 @@ class ComponentModel:
         Its name, empty if it is alone; the other interfaces.
     further
         The inputs behind the loads.
+    warmth
+        Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere.
     """
 
     bundle: Bundle
@@ -108,6 +111,7 @@ class ComponentModel:
     sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
     bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
     further: tuple[ScalarInput, ...] = ()
+    warmth: Array | None = None
 
     @property
     def temperature(self) -> ScalarInput | None:
@@ -195,7 +199,15 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         sliding=sliding,
         bushings=tuple(zip(springs, (own.stiffness for own in supports.bushings), strict=True)),
         further=bundle.further,
+        warmth=_warmth(bundle, mesh),
     )
+
+
+def _warmth(bundle: Bundle, mesh: Mesh) -> Array | None:
+    for one in bundle.further:
+        if one.field is not None:
+            return shape_on(mesh.points, one.field, one.reference)
+    return None
 
 
 def _expanding(bundle: Bundle) -> tuple[Material, ...]:

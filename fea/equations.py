@@ -12,6 +12,9 @@ from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.coupling import Coupling, Distributed, Rigid
 from wrenchbook.fea.coupling.coupling import SectionCoupling
+from wrenchbook.fea.element.cell_stiffness import CellStiffness
+from wrenchbook.fea.mesh.mesh import CellBlock
+from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.recovery.weight import pull_of
 from wrenchbook.fea.spec.schema import FREEDOMS
 
@@ -35,6 +38,9 @@ def system_of(component: ComponentModel, active: Array) -> System:
     materials, numbers = component.materials, component.material_of_cells
     integration = component.analysis.integration
     filled = filled_cells(mesh, materials, numbers, integration, component.axes)
+    if component.warmth is not None:
+        warmth = component.warmth
+        filled = [(block, _warmed(block, part, warmth, integration)) for block, part in filled]
     nodes, held = component.sliding
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
     gravity, weight, pull = component.analysis.gravity, None, None
@@ -43,6 +49,16 @@ def system_of(component: ComponentModel, active: Array) -> System:
         weight = None if gravity is None else pull @ np.array(gravity)
     pull = pull if component.accelerated else None
     return System(body, coupling, component.mesh.points, weight, pull)
+
+
+def _warmed(
+    block: CellBlock, cells: CellStiffness, warmth: Array, integration: str
+) -> CellStiffness:
+    """Return cells that expand by the part of the temperature's rise at each point, (nodes,)."""
+    values = reference_element(block.kind, integration).values
+    assert cells.expansion is not None
+    part = warmth[block.nodes] @ values.T
+    return replace(cells, expansion=part[:, :, None, None] * cells.expansion)
 
 
 def _section(

@@ -100,14 +100,14 @@ def _stiffness(
 
 
 def _expansion(materials: list[Material], frame: Array) -> Array | None:
-    """Return thermal strains per kelvin, shape (cells, 3, 3), 1/K; None for none."""
+    """Return thermal strains per kelvin, shape (cells, 1, 3, 3), 1/K; None for none."""
     found = {}
     for one in materials:
         if one.thermal_expansion is None:
             return None
         own = np.eye(3) if one.orthotropic is None else np.array(one.orthotropic.axes) @ frame.T
         found[id(one)] = (own.T * one.thermal_expansion) @ own
-    return np.array([found[id(one)] for one in materials])
+    return np.array([found[id(one)] for one in materials])[:, None]
 
 
 def _elasticity(material: Material, frame: Array) -> Array:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from wrenchbook.fea.spec.schema import ACCELERATIONS, TEMPERATURE, Interface, Material, ScalarInput
-from wrenchbook.fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys, bundle_file
 
 _UNITS = ("degC", "K")
 _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
-def read_inputs(top: Keys) -> tuple[ScalarInput, ...]:
+def read_inputs(top: Keys, folder: Path) -> tuple[ScalarInput, ...]:
     """Return ``[inputs]``: the temperature and the three accelerations, those that are given."""
     keys = top.table("inputs", required=False)
     if keys is None:
@@ -17,21 +19,22 @@ def read_inputs(top: Keys) -> tuple[ScalarInput, ...]:
     warm = keys.table(TEMPERATURE, required=False)
     pulled = keys.table("acceleration", required=False)
     keys.close()
-    found = [] if warm is None else [_temperature(warm)]
+    found = [] if warm is None else [_temperature(warm, folder)]
     found += [] if pulled is None else _acceleration(pulled)
     return tuple(one for one in found if one is not None)
 
 
-def _temperature(keys: Keys) -> ScalarInput | None:
+def _temperature(keys: Keys, folder: Path) -> ScalarInput | None:
     unit = keys.choice("unit", _UNITS, required=False) or _UNITS[0]
     ends = keys.numbers("range", 2, unit)
     reference = keys.number("reference", unit)
+    field = bundle_file(keys, "field", folder, required=False)
     keys.close()
     if ends is None or reference is None:
         return None
     if ends[0] >= ends[1]:
         keys.wrong("range", f"must rise from low to high, not [{ends[0]:g}, {ends[1]:g}]")
-    return ScalarInput(TEMPERATURE, unit, ends[0], ends[1], reference)
+    return ScalarInput(TEMPERATURE, unit, ends[0], ends[1], reference, field)
 
 
 def _acceleration(keys: Keys) -> list[ScalarInput]:

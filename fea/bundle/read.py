@@ -110,7 +110,7 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
         "others": tuple(interfaces[1:]),
         "analysis": read_analysis(top.table("analysis", required=False)),
         "range": read_range(top, found),
-        "further": read_inputs(top),
+        "further": read_inputs(top, folder),
         "tolerance": read_tolerance(top.table("tolerance", required=False)),
         "deck": read_deck(top.table("deck", required=False), folder),
     }

@@ -89,6 +89,9 @@ def _require_counterparts(component: ComponentModel) -> None:
         if one.coupling != "rigid":
             message = 'a deck has no spring on a mean motion; write it with coupling = "rigid"'
             problems.append(BundleProblem(f"{one.key}.coupling", message))
+    if component.warmth is not None:
+        message = "a deck has one temperature; write *TEMPERATURE there, without a field"
+        problems.append(BundleProblem("inputs.temperature.field", message))
     for block in component.mesh.blocks:
         if block.kind not in _ELEMENTS:
             known = ", ".join(_ELEMENTS)

@@ -67,6 +67,8 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         content["solver"] = NONLINEAR_SOLVER
     if heated:
         content["inputs"] = {"temperature": further[TEMPERATURE].reference}
+        if (field := further[TEMPERATURE].field) is not None:
+            content["inputs"]["field"] = _bytes(field)
     if ACCELERATIONS[0] in further:
         content["acceleration"] = densities
     # json writes floats by repr, so equal numbers give equal text and different ones do not.

@@ -166,6 +166,9 @@ class ScalarInput:
         The range expected.
     reference
         Where it has no effect.
+    field
+        A file of temperatures at points, see `fea.mesh.io.temperature_field`; None for the same
+        everywhere.
     """
 
     name: str
@@ -173,6 +176,7 @@ class ScalarInput:
     low: float
     high: float
     reference: float = 0.0
+    field: Path | None = None
 
     @property
     def key(self) -> str:

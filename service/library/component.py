@@ -168,6 +168,7 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     """Return the component that a checked bundle describes."""
     limit = bundle.tolerance
     named = [bundle.mesh.file] if bundle.mesh else []
+    named += [one.field for one in bundle.further]
     named += [bundle.deck.file, *bundle.deck.files] if bundle.deck else []
     files = (bundle.folder / FILE_NAME, *(path for path in named if path))
     return Component(
