@@ -161,8 +161,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     Raises
     ------
     BundleError
-        If the bundle has nothing to solve, its mesh cannot be read, a group is not in the mesh, a
-        cell has no material or two, or supports or interface cannot hold a body.
+        If there is nothing to solve, or a file, a group, a material or a support will not do.
     """
     supported = bundle.supports is not None or any(one.held for one in bundle.interfaces)
     if bundle.mesh is None or bundle.interface is None or not supported:
