@@ -11,6 +11,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -303,8 +304,10 @@ class Library:
             self._broken.pop(folder.name, None)
 
     def _register(self, folder: Path, *, shipped: bool) -> Component:
-        bundle = read_bundle(folder)
-        component = component_of(bundle, shipped=shipped)
+        started = time.time_ns()
+        component = component_of(read_bundle(folder), shipped=shipped)
+        if any(one and one[0] > started for one in component.stamp):
+            component = replace(component, stamp=())  # edited while it was read: to be read again
         if not shipped:
             self._refuse_other_name(folder, component.name)
         self._put({**self._components, component.name: component})

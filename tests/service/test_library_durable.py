@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.service.library.component import (
     Component,
     ComponentExistsError,
@@ -197,3 +197,19 @@ def test_a_zip_that_cannot_be_unpacked_is_the_senders_to_mend(library, tmp_path,
     with pytest.raises(BundleError, match="The zip cannot be unpacked"):
         library.add_zip(damaged_zip(kind))
     assert list((tmp_path / "components").iterdir()) == []
+
+
+def test_a_component_edited_while_it_is_read_is_read_again(library, tmp_path, monkeypatch):
+    library.add_zip(rig_zip())
+    (file,) = (tmp_path / "components").glob("rig/component.toml")
+
+    def read_and_edit(folder):
+        found = read_bundle(folder)
+        monkeypatch.setattr("wrenchbook.service.library.library.read_bundle", read_bundle)
+        file.write_text(file.read_text().replace('title = "', 'title = "After: ', 1))
+        return found
+
+    monkeypatch.setattr("wrenchbook.service.library.library.read_bundle", read_and_edit)
+    file.write_text(file.read_text().replace('title = "', 'title = "Before: ', 1))
+    assert library["rig"].title.startswith("Before: ")
+    assert library["rig"].title.startswith("After: Before: ")
