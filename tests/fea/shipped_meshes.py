@@ -1,4 +1,4 @@
-"""Writes the meshes of the shipped `link` and `hot_bracket`: ``python -m tests.fea.shipped_meshes``.
+"""Writes the meshes of `link` and `hot_bracket`: ``python -m tests.fea.shipped_meshes``.
 
 Both are hex20 on a lattice of cells, some of which are left out. They are mesh files, so that a
 server without gmsh solves the parts.
@@ -32,7 +32,7 @@ def halves(ends: list[float], cells: list[int]) -> np.ndarray:
 
 
 def written(title: str, cells: dict[str, list[np.ndarray]], sets: Sets) -> str:
-    """Return an Abaqus file of cells, shape (20, 3) each, mm, by element set; equal points merge."""
+    """Return an Abaqus file of cells, shape (20, 3) each, mm, by element set."""
     numbers: dict[tuple[float, ...], int] = {}
     lines, element = [], count(1)
     for name, own in cells.items():
