@@ -86,3 +86,24 @@ def test_a_script_runs_as_it_stands(name, package, seconds, url: str, capsys) ->
     told = capsys.readouterr().out
     assert "0 thin, 0 outside, 0 unknown" in told
     assert " 0 answers" not in told
+
+
+@pytest.fixture(scope="module")
+def solving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A server with a solver and empty tables."""
+    with served(tmp_path_factory.mktemp("solving"), solvers=1) as client:
+        yield client.url
+
+
+# Gravity on the tool bends the link by some millimetres. The bracket's arm curls under 100 K by
+# 1.2 mm, and sags by its load on top.
+@pytest.mark.parametrize(
+    ("name", "smallest", "largest"),
+    [("mujoco_link", 5e-4, 7e-3), ("mujoco_hot_bracket", 1e-3, 3e-3)],
+)
+def test_a_script_moves_a_shipped_part_as_far_as_it_bends(
+    name, smallest, largest, solving: str, capsys
+) -> None:
+    pytest.importorskip("mujoco", reason="has no wheel here")
+    assert smallest < script(name).main(solving, 0.5) < largest
+    assert "largest translation: " in capsys.readouterr().out

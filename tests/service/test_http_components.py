@@ -35,7 +35,7 @@ def bar_text(**changes):
 
 def test_the_library_lists_the_shipped_components(http):
     names = [one["name"] for one in http.get("/v1/components").json()["components"]]
-    assert {"bar", "plate", "plate_thin", "spring"} <= set(names)
+    assert {"bar", "plate", "plate_thin", "spring", "link", "hot_bracket"} <= set(names)
 
 
 def test_the_library_is_listed_in_pages_of_a_search_each_component_once(http):

@@ -82,7 +82,7 @@ def test_every_key_of_a_full_bundle_is_read(tmp_path):
     assert bundle.has_fea
 
 
-@pytest.mark.parametrize("name", ["bar", "plate", "plate_thin", "spring"])
+@pytest.mark.parametrize("name", ["bar", "plate", "plate_thin", "spring", "link", "hot_bracket"])
 def test_the_shipped_bundles_can_be_read_and_are_named_as_their_folder(name):
     bundle = read_bundle(SHIPPED / name)
     assert bundle.name == name

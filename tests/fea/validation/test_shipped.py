@@ -86,7 +86,7 @@ def test_the_bar_is_timoshenkos_beam_in_all_six_entries():
         assert compliance[i, j] == pytest.approx(expected, rel=5e-3), (i, j)
 
 
-@pytest.mark.parametrize("name", ["bar", "plate", "plate_thin", "spring"])
+@pytest.mark.parametrize("name", ["bar", "plate", "plate_thin", "spring", "link", "hot_bracket"])
 def test_every_shipped_compliance_is_symmetric_positive_and_energetic(name):
     built = Solver(read_bundle(SHIPPED / name))
     assert built.linear.asymmetry < 1e-9
