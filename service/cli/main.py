@@ -99,7 +99,9 @@ AtInterface = Annotated[
 ]
 FurtherInput = Annotated[
     list[str] | None,
-    typer.Option("--input", help="a further input, SI; repeatable", metavar="NAME=NUMBER"),
+    typer.Option(
+        "--input", help="a further input in its own unit; repeatable", metavar="NAME=NUMBER"
+    ),
 ]
 Budget = Annotated[int, typer.Option(min=1, help="largest number of solves")]
 WaitS = Annotated[
