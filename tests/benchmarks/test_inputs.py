@@ -80,6 +80,23 @@ class Lab:
             source=["fea"] * len(solved),
         )
 
+    def straight(self) -> dict[str, float]:
+        """Return the worst output's RMS error over its range, %, of the tangent at zero alone."""
+        rest = self.rows(self.range.space.zero[None])
+        assert rest.compliance is not None
+        found = {}
+        for where, (wrenches, truth) in self.checked.items():
+            answer = rest.displacement + (wrenches - rest.wrench) @ rest.compliance[0].T
+            error = np.sqrt(((answer - truth.displacement) ** 2).mean(axis=0))
+            found[where] = float(100 * (error / self.span(truth)).max())
+        return found
+
+    def span(self, truth: Rows) -> Floats:
+        """Return each output's range over some rows, shape (m,), m and rad; infinite of none."""
+        span = np.ptp(truth.displacement, axis=0)
+        least = NEAR_ZERO * self.range.space.largest_of_kind(span)
+        return np.where(span > 0, np.maximum(span, least), np.inf)
+
     def filled(self, rows: Rows, solves: int) -> tuple[Rows, AnyTable]:
         """Return rows that fill has brought to so many, and their table."""
         table = build(rows, self.range, tolerance=UNREACHABLE)
@@ -99,15 +116,13 @@ def figures(lab: Lab, table: AnyTable, where: str) -> tuple[float, ...]:
     that of the worst output; last the ratio of the median bar to the median error.
     """
     wrenches, truth = lab.checked[where]
-    found, space = packed_of(table).batch(wrenches), lab.range.space
-    span = np.ptp(truth.displacement, axis=0)
-    moves = span > 0
-    span = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))[moves]
+    found, span = packed_of(table).batch(wrenches), lab.span(truth)
+    moves = np.isfinite(span)
     error = np.abs(found.outputs - truth.displacement)[:, moves]
     bar = found.errors[:, moves]
     known = np.isfinite(bar).all(axis=1)
     inside = error[known] <= bar[known]
-    rms, most = np.sqrt((error**2).mean(axis=0)) / span, error.max(axis=0) / span
+    rms, most = np.sqrt((error**2).mean(axis=0)) / span[moves], error.max(axis=0) / span[moves]
     parts = [rms.max(), most.max(), known.mean()]
     if not known.any():
         return (*(100 * float(part) for part in parts), np.nan, np.nan, np.nan)
@@ -122,6 +137,8 @@ def test_error_by_the_number_of_solves(name: str, tmp_path: Path) -> None:
     lab, rows = Lab(folder_of(name, tmp_path)), Rows.empty()
     varies = int((lab.range.high > lab.range.low).sum())
     print(f"\n{name}, {varies} inputs that vary; errors of the worst output over its range")
+    for where, percent in lab.straight().items():
+        print(f"by the tangent at zero alone, {where}: RMS {percent:.2f} %")
     heads = ("solves", "at", "RMS %", "largest %", "bars %", "inside %", "worst %", "ratio")
     print("".join(f"{head:>10}" for head in (*heads, "seconds")), flush=True)
     missed = []
