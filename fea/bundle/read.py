@@ -29,12 +29,15 @@ from wrenchbook.fea.bundle.tables import (
 from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
+    MOST_INPUTS,
     Analysis,
     Bundle,
     Deck,
+    DeclaredRange,
     Interface,
     Material,
     MeshSource,
+    ScalarInput,
     Supports,
 )
 from wrenchbook.fea.spec.toml_table import Keys
@@ -118,6 +121,7 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
     _check_frame(top, parts["deck"], interfaces)
     _check_weight(top, parts["deck"], parts["materials"], parts["analysis"])
     check_inputs(top, parts["further"], parts["materials"], interfaces)
+    _check_count(top, parts["range"], parts["further"])
     top.close()
     if top.problems:
         raise BundleError(top.problems)
@@ -188,6 +192,16 @@ def _check_frame(top: Keys, deck: Deck | None, interfaces: list[Interface | None
     if interface.locked:
         message = "a [deck] is not changed; hold these freedoms in the deck and leave locked out"
         top.wrong("interface.locked", message)
+
+
+def _check_count(top: Keys, loads: DeclaredRange | None, further: tuple[ScalarInput, ...]) -> None:
+    """Note a range whose corners are too many to look at each."""
+    if loads is None:
+        return
+    vary = len(further) + sum(a < b for a, b in zip(loads.low, loads.high, strict=True))
+    if vary > MOST_INPUTS:
+        message = f"{vary} inputs vary, and {MOST_INPUTS} may; give some loads the range 0"
+        top.wrong("interface", message)
 
 
 def _check_weight(

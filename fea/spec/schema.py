@@ -23,7 +23,7 @@ MOMENTS = ("spatial", "conjugate")
 INTEGRATIONS = ("reduced", "full")
 LAWS = ("isotropic", "orthotropic", "neo-hookean")
 
-_MOST_LOADS = 18  # of three interfaces: 2^18 corners of 18 loads are 38 MB
+MOST_INPUTS = 18  # that vary, the loads of three interfaces: 2^18 corners of 18 loads are 38 MB
 
 UNITS: Mapping[str, float] = {
     "m": 1.0,
@@ -288,8 +288,8 @@ class DeclaredRange:
             If there are more than 2^18: three interfaces have so many.
         """
         ends = [tuple(dict.fromkeys(pair)) for pair in zip(self.low, self.high, strict=True)]
-        if math.prod(len(pair) for pair in ends) > 2**_MOST_LOADS:
-            raise ValueError(f"a range of more than {_MOST_LOADS} loads has too many corners")
+        if math.prod(len(pair) for pair in ends) > 2**MOST_INPUTS:
+            raise ValueError(f"a range of more than {MOST_INPUTS} loads has too many corners")
         return np.array(list(product(*ends)))
 
 

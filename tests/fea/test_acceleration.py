@@ -178,3 +178,14 @@ def test_the_fingerprint_changes_with_the_density_and_not_with_the_range(tmp_pat
     assert digits(PULLED) == digits(wider)
     assert len({digits(PULLED), digits(PULLED, 7800.0), digits({}), digits(PULLED | WARM)}) == 4
     assert digits({}) == digits({}, 7800.0)
+
+
+def test_more_inputs_than_there_are_corners_to_look_at_are_refused(tmp_path):
+    whole = table(WARM | PULLED)
+    del whole["interface"], whole["range"]
+    whole["interface"] = [
+        {"name": name, "section": name, "coupling": "rigid", "range": TABLE["range"]}
+        for name in ("x1", "y1", "z1")
+    ]
+    with pytest.raises(BundleError, match="22 inputs vary, and 18 may"):
+        bundle_of(whole, tmp_path)
