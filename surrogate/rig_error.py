@@ -65,8 +65,9 @@ def branches(rows: Rows, load_range: LoadRange) -> Floats:
     Noise is normal: its kurtosis is 3, and shows to sqrt(24 / n) in n readings besides the first of
     each wrench. Readings in two branches are all as far from their mean.
     """
-    groups, found = repeated(rows, load_range), np.zeros(6)
-    for output in range(6):
+    outputs = rows.displacement.shape[1]
+    groups, found = repeated(rows, load_range), np.zeros(outputs)
+    for output in range(outputs):
         moved = rows.displacement[:, output]
         several = [own for places in groups if len(own := _known(moved[places])) > 1]
         deviations = np.concatenate([np.empty(0), *(own - own.mean() for own in several)])

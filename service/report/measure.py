@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 import tracemalloc
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,12 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
-from wrenchbook.surrogate.answer import METHODS
+from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
+from wrenchbook.surrogate.table.space import Space
 
 Array = np.ndarray
 Report = Callable[[float, str], None]
@@ -42,14 +44,15 @@ def measure(
         Wrenches to compare.
     """
     linear = not bundle.analysis.nonlinear
-    locked_names = bundle.interface.locked if bundle.interface else ()
-    locked = [place for place, name in enumerate(FREEDOMS) if name in locked_names]
+    freedoms = [name in one.locked for one in bundle.interfaces for name in FREEDOMS]
+    locked = np.flatnonzero(freedoms).tolist()
     wrenches = acting(random_wrenches(load_range, count, seed), locked)
     levels = _solve_levels(bundle, wrenches, report)
     finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
     solved = _solved_in_both(finest, own)
     reference = finest["displacement"][solved]
-    scale = _scale(reference)
+    space = load_range.space
+    scale = _scale(reference, space)
     report(0.85, "measuring tables")
     compared = wrenches[solved]
     references = {"finest": reference, "own": own["displacement"][solved]}
@@ -66,7 +69,9 @@ def measure(
         "wrenches": {"asked": count, "compared": int(solved.sum()), "seed": seed},
         "range": np.ptp(reference, axis=0).tolist(),
         "floor": scale.tolist(),
-        "tolerance": [limit.translation] * 3 + [limit.rotation] * 3 if limit else None,
+        "outputs": list(space.output_names),
+        "tolerance": limit
+        and np.where(space.is_rotation, limit.rotation, limit.translation).tolist(),
         "default": _default(build(rows, load_range, linear=linear).coverage_summary()),
         "fea": meshes,
         "tables": tables,
@@ -100,8 +105,8 @@ def _solved_in_both(finest: dict[str, Any], own: dict[str, Any]) -> Array:
 
 
 def random_wrenches(load_range: LoadRange, count: int, seed: int) -> Array:
-    """Return full wrenches spread over the load range, shape (count, 6), N and N·m."""
-    points = qmc.Halton(d=6, rng=seed).random(count)
+    """Return full wrenches spread over the load range, shape (count, n), SI."""
+    points = qmc.Halton(d=len(load_range.low), rng=seed).random(count)
     return load_range.low + points * (load_range.high - load_range.low)
 
 
@@ -123,7 +128,7 @@ def _solve_all(bundle: Bundle, wrenches: Array, heard: Callable[[float], None]) 
     started = time.perf_counter()
     solver = Solver(bundle)
     setup = time.perf_counter() - started
-    displacement = np.full((len(wrenches), 6), np.nan)
+    displacement = np.full((len(wrenches), len(FREEDOMS) * len(bundle.interfaces)), np.nan)
     seconds, failures = [], []
     for place, wrench in enumerate(wrenches):
         heard(place / len(wrenches))
@@ -175,14 +180,12 @@ def _tables(
         "memory_bytes": memory,
         "fea_s": float(np.sum(rows.source == "fea") * solve_seconds),
     }
-    return [
-        {
-            "method": method,
-            **size,
-            **_method(surrogate, method, wrenches, references, scale),
-        }
-        for method in METHODS
-    ]
+    found = []
+    for method in METHODS:
+        with suppress(UnknownMethodError):  # several interfaces have no axes, few rows no kriging
+            figures = _method(surrogate, method, wrenches, references, scale)
+            found.append({"method": method, **size, **figures})
+    return found
 
 
 def _method(
@@ -196,7 +199,8 @@ def _method(
     answers = table.batch(wrenches, method=method)
     error = np.abs(answers.outputs - references["own"])
     known = np.isfinite(answers.errors)
-    inside = [_share(error[known[:, k], k] <= answers.errors[known[:, k], k]) for k in range(6)]
+    outputs = range(known.shape[1])
+    inside = [_share(error[known[:, k], k] <= answers.errors[known[:, k], k]) for k in outputs]
     middle, late = answer_times(table, method, wrenches)
     return {
         "covered": float(np.mean(answers.coverage == 0)),
@@ -206,7 +210,7 @@ def _method(
         "lookup_error": errors(error, scale),
         "inside_error_bar": inside,
         "bar_over_error": [
-            _ratio(answers.errors[known[:, k], k], error[known[:, k], k]) for k in range(6)
+            _ratio(answers.errors[known[:, k], k], error[known[:, k], k]) for k in outputs
         ],
     }
 
@@ -214,11 +218,11 @@ def _method(
 def errors(error: Array, scale: Array) -> dict[str, list[float | None]]:
     """Return RMS, 95 % and largest error per output, m and rad; rows with NaN are left out.
 
-    `error` has shape (n, 6), m and rad; ``rms_relative`` is in parts of `scale`, shape (6,).
+    `error` has shape (n, m), m and rad; ``rms_relative`` is in parts of `scale`, shape (m,).
     """
     kept = error[np.isfinite(error).all(axis=1)]
     if not len(kept):
-        nothing: list[float | None] = [None] * 6
+        nothing: list[float | None] = [None] * len(scale)
         return dict.fromkeys(("rms", "p95", "max", "rms_relative"), nothing)
     rms = np.sqrt(np.mean(kept**2, axis=0))
     return {
@@ -229,11 +233,10 @@ def errors(error: Array, scale: Array) -> dict[str, list[float | None]]:
     }
 
 
-def _scale(reference: Array) -> Array:
-    """Return what an error is relative to, shape (6,): the range, or a floor if near zero."""
+def _scale(reference: Array, space: Space) -> Array:
+    """Return what an error is relative to, shape (m,): the range, or a floor if near zero."""
     span = np.ptp(reference, axis=0)
-    floor = NEAR_ZERO * np.repeat([span[:3].max(), span[3:].max()], 3)
-    return np.maximum(span, floor)
+    return np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
 
 
 def worst(entry: dict[str, Any]) -> float:

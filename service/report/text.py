@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,12 +64,17 @@ def default_entry(report: dict[str, Any]) -> dict[str, Any]:
     return next(e for e in report["tables"] if e["method"] == name and e["rows"] == rows)
 
 
+def _outputs(report: dict[str, Any]) -> Sequence[str]:
+    """Return the names of the outputs; reports of version 0.2 have none."""
+    return report.get("outputs", OUTPUTS)
+
+
 def _over_tolerance(report: dict[str, Any], entry: dict[str, Any]) -> str:
     """Return the first output whose 95 % error is over the tolerance, or an empty text."""
     if report["tolerance"] is None:
         return ""
     errors = entry["lookup_error"]["p95"]
-    for name, error, limit in zip(OUTPUTS, errors, report["tolerance"], strict=True):
+    for name, error, limit in zip(_outputs(report), errors, report["tolerance"], strict=True):
         if error is None or error > limit:
             return name
     return ""
@@ -109,7 +115,7 @@ def _meshes(report: dict[str, Any]) -> ReportSection:
         )
         for entry in report["fea"]
     )
-    head = ("mesh", "unknowns", "set-up, s", "solve p50, s", "p95, s", *OUTPUTS)
+    head = ("mesh", "unknowns", "set-up, s", "solve p50, s", "p95, s", *_outputs(report))
     return ReportSection("Finite elements", "Direct solves, one thread.", head, lines)
 
 
@@ -128,13 +134,22 @@ def _tables(report: dict[str, Any]) -> ReportSection:
         )
         for entry in sorted(report["tables"], key=lambda entry: (entry["rows"], lookup(entry)))
     )
-    head = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB", *OUTPUTS)
+    head = (
+        "method",
+        "rows",
+        "FEA spent, s",
+        "build, s",
+        "p50, µs",
+        "p99, µs",
+        "MB",
+        *_outputs(report),
+    )
     note = (
         "Errors against solves on the table's own mesh. Beaten neither in error against the finest "
         "mesh nor in run time: "
         f"{'; '.join(report['pareto'])}."
     )
-    return ReportSection("Tables", note, (*head, "covered"), lines)
+    return ReportSection("Tables", note, (*head, *_outputs(report), "covered"), lines)
 
 
 def _absolute(report: dict[str, Any]) -> ReportSection:
@@ -153,7 +168,9 @@ def _absolute(report: dict[str, Any]) -> ReportSection:
         "range is below a thousandth of the largest of its kind counts as near zero: its relative "
         "error is taken over that floor."
     )
-    return ReportSection("Absolute errors against the tolerance", note, ("", *OUTPUTS), lines)
+    return ReportSection(
+        "Absolute errors against the tolerance", note, ("", *_outputs(report)), lines
+    )
 
 
 def _bars(report: dict[str, Any]) -> ReportSection:
@@ -166,7 +183,7 @@ def _bars(report: dict[str, Any]) -> ReportSection:
         "Share of true errors within the error bar (against the table's own mesh), and the median "
         "error bar over the median error."
     )
-    return ReportSection("Error bars", note, ("method", *OUTPUTS), lines)
+    return ReportSection("Error bars", note, ("method", *_outputs(report)), lines)
 
 
 def _inside(share: float | None, ratio: float | None) -> str:

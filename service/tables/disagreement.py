@@ -56,8 +56,8 @@ def disagreement(
         reason = "there is no solved row" if not counts["solved"] else "there is no measured row"
         return counts | {"compared": 0, "outside": 0, "outputs": {}, "rows": [], "reason": reason}
     of_solves = rows.take(solved)
-    loads = np.abs(span.ends).max(axis=0)
-    known = error or SolverError({"mesh": np.zeros((6, 6)).tolist(), "loads": loads.tolist()})
+    none = np.zeros((len(span.space.outputs), len(span.low)))
+    known = error or SolverError({"mesh": none.tolist(), "loads": span.scale.tolist()})
     how: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "locked": locked}
     table = build(of_solves, span, solver_error=known, **how)
     places = np.flatnonzero(within)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..answer import ANSWERED, METHODS, NAMES, UnknownMethodError
+from ..answer import ANSWERED, BY_AXES, METHODS, NAMES, UnknownMethodError
 from ..packed.format import Packed
 from ..packed.reasons import FIXED, Reason, text_of, unmeasured_text
 
@@ -241,6 +241,11 @@ def mistake(code: int, method: str | None, packed: Packed) -> Exception:
             f"the table of a scene answers by its default method alone, {own}: download the whole "
             "table for others",
         )
+    if code == NO_METHOD and method in METHODS:
+        why = "the table has too few rows for it"
+        if method in BY_AXES:
+            why = "it is for one wrench at one interface, without further inputs"
+        return UnknownMethodError(method, f"no answer by {method!r}: {why}")
     return {
         1: ValueError("wrenches and displacements must be finite numbers"),
         NO_METHOD: UnknownMethodError(method or "(default)"),
