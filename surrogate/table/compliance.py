@@ -31,7 +31,7 @@ class ComplianceFit:
         95 % error bar of `matrix @ wrench` on the rows.
     origin : str
         "stored" (mean of the rows' own compliances), "fitted" or "none".
-    offset : ndarray, shape (6,), m and rad
+    offset : ndarray, shape (6,), m and rad, or () for none
         The displacement where all inputs are 0: that of the component's own weight, if a linear
         solve stored it, and of a reference temperature that is not 0.
     """
@@ -40,7 +40,7 @@ class ComplianceFit:
     known: NDArray[np.bool_]
     error: Floats
     origin: str
-    offset: Floats = field(default_factory=lambda: np.zeros(6))
+    offset: Floats = field(default_factory=lambda: np.zeros(()))
 
     @property
     def complete(self) -> bool:

@@ -12,7 +12,7 @@ from wrenchbook.fea.component import AttachedInterface
 from wrenchbook.fea.coupling.section import section_of_facets
 
 LINK = """
-name = "link"
+name = "two_ends"
 title = "Link between two joints"
 [mesh]
 generator = "bar"

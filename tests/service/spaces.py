@@ -18,7 +18,7 @@ SPACE = space_of(("left", "right"), [Input("temperature", "degC", "scalar")])
 N, M = len(SPACE.inputs), len(SPACE.outputs)
 
 
-def add_component(http: Any, name: str = "link", *, linear: bool = False, **more: Any) -> None:
+def add_component(http: Any, name: str = "two_ends", *, linear: bool = False, **more: Any) -> None:
     """Add a component without rows, whose inputs lie within -1 and 1."""
     body = {"name": name, "title": name, "range": {"force": [1] * 3, "moment": [1] * 3}}
     assert http.post("/v1/components", json=body).status_code == 201
@@ -31,7 +31,7 @@ def add_component(http: Any, name: str = "link", *, linear: bool = False, **more
     library._put({**library._components, name: whole})
 
 
-def add_link(http: Any, count: int = 40, name: str = "link", **more: Any) -> None:
+def add_link(http: Any, count: int = 40, name: str = "two_ends", **more: Any) -> None:
     """Add a component with rows of a smooth response; its table holds them on return."""
     add_component(http, name, **more)
     workspace = http.app.state.workspace

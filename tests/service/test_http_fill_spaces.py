@@ -15,13 +15,13 @@ from wrenchbook.surrogate.table.rows import LoadRange
 
 @pytest.fixture(scope="module")
 def http(tmp_path_factory):
-    with TestClient(create_app(Settings(tmp_path_factory.mktemp("link"), solvers=0))) as client:
+    with TestClient(create_app(Settings(tmp_path_factory.mktemp("two_ends"), solvers=0))) as client:
         add_link(client, has_fea=True)
         yield client
 
 
 def filled(http, **more):
-    return http.post("/v1/components/link/fill", json={"budget": 3, **more})
+    return http.post("/v1/components/two_ends/fill", json={"budget": 3, **more})
 
 
 def test_solves_of_a_fill_lie_within_the_loads_of_its_interface(http):
@@ -29,7 +29,7 @@ def test_solves_of_a_fill_lie_within_the_loads_of_its_interface(http):
     limit = {"translation": 1e-5, "rotation": 1e-5}
     reply = filled(http, range=wanted, outputs=["left.ux"], tolerance=limit)
     assert reply.status_code == 202, reply.text
-    wrenches = http.app.state.workspace.submission.pending_wrenches("link")
+    wrenches = http.app.state.workspace.submission.pending_wrenches("two_ends")
     assert len(wrenches) == 3
     assert (np.abs(wrenches[:, :3]) <= 0.5).all()
     assert not wrenches[:, 3 : N - 1].any()
@@ -48,20 +48,20 @@ def test_an_output_that_the_component_has_not_is_422_with_its_place(http):
 
 
 def test_the_compliance_has_the_names_of_the_space(http):
-    reply = http.get("/v1/components/link/compliance")
+    reply = http.get("/v1/components/two_ends/compliance")
     assert reply.status_code == 200
     assert reply.json()["columns"][N - 1] == "temperature [degC]"
 
 
 def test_coverage_is_answered(http):
-    assert http.get("/v1/components/link/coverage").status_code == 200
+    assert http.get("/v1/components/two_ends/coverage").status_code == 200
 
 
 def test_the_demand_map_of_many_inputs_outlasts_a_restart(tmp_path):
     span = LoadRange(-np.ones(N), np.ones(N), SPACE)
     counts = QueryStatistics(tmp_path / "demand.json")
-    counts.note("link", span, tuple([0.4] * N), "thin")
+    counts.note("two_ends", span, tuple([0.4] * N), "thin")
     counts.save()
-    found = QueryStatistics(tmp_path / "demand.json").map_of("link", span)
+    found = QueryStatistics(tmp_path / "demand.json").map_of("two_ends", span)
     assert found["asked"] == 1
     assert len(found["cells"][0]["wrench"]) == N

@@ -6,7 +6,7 @@ import pytest
 from tests.fea.two_interfaces import LINK
 from tests.service.test_http_components import bundle_zip, upload
 
-URL = "/v1/components/link"
+URL = "/v1/components/two_ends"
 RIGHT = {"loads": {"right": {"force": [0, 10, 1]}}}
 
 

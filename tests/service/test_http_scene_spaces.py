@@ -21,18 +21,18 @@ SCENE = {
 
 @pytest.fixture(scope="module")
 def http(tmp_path_factory):
-    with TestClient(create_app(Settings(tmp_path_factory.mktemp("link"), solvers=0))) as client:
+    with TestClient(create_app(Settings(tmp_path_factory.mktemp("two_ends"), solvers=0))) as client:
         add_link(client)
         add_link(client, 1, "straight", linear=True)
         yield client
 
 
-def planned(http, wanted, name="link"):
+def planned(http, wanted, name="two_ends"):
     return http.post("/v1/scenes/plan", json={"components": {name: wanted}})
 
 
 def test_a_nonlinear_component_is_looked_up_with_the_reason(http):
-    plan = planned(http, SCENE).json()["components"]["link"]
+    plan = planned(http, SCENE).json()["components"]["two_ends"]
     assert plan["decision"] == "table"
     assert "one interface" in plan["reason"]
     assert plan["loads"] == ["left.fx", "left.mx", "temperature"]
@@ -52,7 +52,7 @@ def test_a_linear_component_has_the_matrix_of_the_loads_that_occur(http):
 
 
 def test_a_further_input_that_is_left_out_has_its_whole_range(http):
-    plan = planned(http, {"loads": {"left": {"force": [1, 1, 1]}}}).json()["components"]["link"]
+    plan = planned(http, {"loads": {"left": {"force": [1, 1, 1]}}}).json()["components"]["two_ends"]
     assert plan["loads"] == ["left.fx", "left.fy", "left.fz", "temperature"]
 
 
@@ -64,12 +64,14 @@ def test_a_scene_without_any_load_is_rigid(http):
 
 
 def test_the_cut_table_answers_as_the_whole_one(http):
-    reply = http.get("/v1/components/link/scene", params={"wanted": orjson.dumps(SCENE).decode()})
+    reply = http.get(
+        "/v1/components/two_ends/scene", params={"wanted": orjson.dumps(SCENE).decode()}
+    )
     assert reply.status_code == 200
     cut = PackedTable.from_bytes(reply.content)
     queries = np.zeros((50, N))
     queries[:, [0, 3, N - 1]] = np.random.default_rng(5).uniform(0, 0.5, (50, 3))
-    whole = http.app.state.workspace.surrogate("link").packed.batch(queries)
+    whole = http.app.state.workspace.surrogate("two_ends").packed.batch(queries)
     found = cut.batch(queries)
     read = [0, 5]
     np.testing.assert_array_equal(found.outputs[:, read], whole.outputs[:, read])
@@ -95,7 +97,7 @@ def test_the_cut_table_answers_as_the_whole_one(http):
 def test_a_scene_that_cannot_be_is_422_with_the_place_of_the_mistake(http, wanted, place):
     reply = planned(http, wanted)
     assert reply.status_code == 422
-    assert f"components.link.{place}" in [one["loc"] for one in reply.json()["errors"]]
+    assert f"components.two_ends.{place}" in [one["loc"] for one in reply.json()["errors"]]
 
 
 def test_loads_by_interface_of_a_component_with_one_interface_are_422(http):

@@ -12,25 +12,25 @@ from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings
 
 WHERE = np.linspace(-0.5, 0.5, N).tolist()
-QUERY = {"name": "link", "input": [WHERE], "config": {"on_thin": "estimate"}}
+QUERY = {"name": "two_ends", "input": [WHERE], "config": {"on_thin": "estimate"}}
 PLACES = {"outWrt": 0, "inWrt": 0}
 
 
 @pytest.fixture(scope="module")
 def link(tmp_path_factory):
-    with TestClient(create_app(Settings(tmp_path_factory.mktemp("link"), solvers=0))) as client:
+    with TestClient(create_app(Settings(tmp_path_factory.mktemp("two_ends"), solvers=0))) as client:
         add_link(client)
         yield client
 
 
 @pytest.fixture
 def table(link):
-    return link.app.state.workspace.surrogate("link").packed
+    return link.app.state.workspace.surrogate("two_ends").packed
 
 
 def test_sizes_are_the_numbers_of_inputs_and_outputs(link):
-    assert ask(link, "InputSizes", name="link").json() == {"inputSizes": [len(SPACE.inputs)]}
-    assert ask(link, "OutputSizes", name="link").json() == {"outputSizes": [len(SPACE.outputs)]}
+    assert ask(link, "InputSizes", name="two_ends").json() == {"inputSizes": [len(SPACE.inputs)]}
+    assert ask(link, "OutputSizes", name="two_ends").json() == {"outputSizes": [len(SPACE.outputs)]}
 
 
 def test_evaluate_gives_the_tables_outputs(link, table):
