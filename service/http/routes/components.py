@@ -189,7 +189,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
         "interface": interface_of(component),
-        **_space(component),
+        **_interfaces(component),
         "warnings": [
             *_warnings(component, own_error, known=table.bars_are_whole),
             *({"where": "rows", "message": one} for one in _of_rows(component, table)),
@@ -250,12 +250,8 @@ def _range(component: Component) -> dict[str, Any]:
     return ({"loads": loads} if space.several else next(iter(loads.values()))) | inputs
 
 
-def _space(component: Component) -> dict[str, Any]:
-    """Return the names and units of inputs and outputs where they are not those of one wrench."""
-    if component.space.is_default:
-        return {}
-    several = {"interfaces": interfaces_of(component)} if component.space.several else {}
-    return {**several, "space": component.space.words()}
+def _interfaces(component: Component) -> dict[str, Any]:
+    return {"interfaces": interfaces_of(component)} if component.space.several else {}
 
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
@@ -270,6 +266,8 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "linear": component.linear,
         "shipped": component.shipped,
         "range": _range(component),
+        # The inputs and outputs where they are not those of one wrench.
+        **({} if component.space.is_default else {"space": component.space.words()}),
         "tolerance": (
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),

@@ -8,6 +8,8 @@ import { trouble } from "./api.js";
 const BUILDING_MS = 3000; // between tries of a table that is being built
 // Views that new rows make stale, and that do not follow them on their own.
 const FOLLOW = ["shape", "rows", "response", "checks", "entry"];
+// Views of one wrench at one interface, without further inputs.
+const OF_ONE = ["shape", "rows", "response", "checks", "report", "demand"];
 const TABS = [
   ["overview", "Overview", "overview.js"],
   ["query", "Query", "query.js"],
@@ -26,7 +28,7 @@ export async function show(root, [name, tab = "overview"], signal) {
   // The library's entry is told at once; all there is to say of a large table takes seconds.
   const { components } = await listed(signal);
   const about = components.find((one) => one.name === name) || await get(of(name), signal);
-  const there = TABS.filter(([, , , needs]) => !needs || about.has_fea);
+  const there = TABS.filter(([view, , , needs]) => (!needs || about.has_fea) && !(about.space && OF_ONE.includes(view)));
   const [chosenTab, text, file] = there.find(([one]) => one === tab) || there[0];
   document.title = `${name}: ${text} · wrenchbook`;
   const changed = el("div", { "aria-live": "polite" }), body = el("div", { class: "stack" }), byTab = document.activeElement?.closest(".tabs");

@@ -4,7 +4,8 @@ import { get, post, send, trouble } from "./api.js";
 import { el, note, notify, pill, put, save } from "./dom.js";
 import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
-import { seconds, time, wrench } from "./format.js";
+import { seconds, time } from "./format.js";
+import { said } from "./inputs.js";
 
 const SHOWN = 50, NEWEST = 20; // jobs: of a page; whose solve times are averaged
 
@@ -118,7 +119,7 @@ function change(list, row, job) {
     el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
       running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null,
       job.status === "failed" && job.error ? el("span", { class: "small" }, job.error.message) : null)),
-    el("td", { class: "small whole" }, job.force ? wrench(job.force, job.moment) : ""),
+    el("td", { class: "small whole" }, said(job)),
     el("td", { class: "muted small" }, job.seconds ? seconds(job.seconds) : left),
     el("td", {}, actions(list, row, job)));
 }
@@ -157,7 +158,7 @@ async function saveFiles(id) {
 
 export function jobFacts(job) {
   return [
-    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Wrench", wrench(job.force, job.moment)],
+    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Wrench", said(job)],
     ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
     ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? String(job.row) : ""],
     ["Waits", job.waiting ? job.waiting.reason || "" : ""],

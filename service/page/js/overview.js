@@ -5,7 +5,8 @@ import { el, facts, field, note, notify, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
 import { beingBuilt } from "./empty.js";
 import { findingNote } from "./findings.js";
-import { LOADS, count, number, quantity, symbol, unitOfLoad, percent } from "./format.js";
+import { count, number, quantity, percent } from "./format.js";
+import { inputsOf, mark, spansOf } from "./inputs.js";
 import { sharesOf, wholeError } from "./shares.js";
 
 export async function show(root, { name }, signal) {
@@ -49,6 +50,10 @@ function warnings(about, signal, done) {
 const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg || JSON.stringify(one));
 
 async function cover(place, about, signal, isLatest) {
+  if (about.space) {
+    put(place, el("p", {}, about.rows ? `${count(about.rows)} rows.` : "The table has no rows yet."), el("p", { class: "muted small" }, "Drawings of coverage, rows, response and shape are for one wrench at one interface; an answer has its coverage."));
+    return;
+  }
   const { of: rows } = await caughtUp(about.name, signal);
   const parts = [];
   if (rows) {
@@ -107,9 +112,9 @@ function method(about) {
 }
 
 function loads(about) {
-  const spans = [...about.range.force, ...about.range.moment];
-  return table(["Load", "#from", "#to", ""], LOADS.map((load, place) =>
-    [symbol(load), number(spans[place][0]), number(spans[place][1]), unitOfLoad(load)]));
+  const spans = spansOf(about);
+  return table(["Load", "#from", "#to", ""], inputsOf(about).map(({ name, unit }, place) =>
+    [el("span", {}, mark(name)), number(spans[place][0]), number(spans[place][1]), unit]));
 }
 
 function contract(about) {
@@ -125,6 +130,7 @@ function contract(about) {
     ["Section", held?.section],
     ["Point", held?.point ? held.point.map((one) => quantity(one, "m")).join(", ") : ""],
     ["Coupling", held?.coupling],
+    ...Object.entries(about.interfaces || {}).map(([name, one]) => [`Interface ${name}`, `${one.section}, ${one.coupling}${one.held ? ", held" : ""}${one.point ? `, at ${one.point.map((part) => quantity(part, "m")).join(", ")}` : ""}`]),
     ["Locked", held?.locked?.join(", ")],
   ]);
 }

@@ -1,10 +1,12 @@
 // Ask for a displacement; where a solve is queued, watch it and ask again.
 
 import { caughtUp, get, of, post, trouble } from "./api.js";
+import { picture } from "./arrows.js";
 import { remember } from "./asked.js";
 import { el, field, note, pill, put, select } from "./dom.js";
 import { listen } from "./events.js";
-import { OUTPUTS, number, percent, symbol, unitOfOutput, withBar, wrench as said } from "./format.js";
+import { OUTPUTS, number, percent, symbol, unitOfOutput, withBar } from "./format.js";
+import { named, said } from "./inputs.js";
 import { solverError } from "./shares.js";
 import { curlOf, pythonOf, snippet, versionQuery } from "./snippet.js";
 import { versionField } from "./version.js";
@@ -13,12 +15,15 @@ import { wrenchForm } from "./wrench_form.js";
 const ON_THIN = [["queue", "queue a solve"], ["estimate", "estimate only"], ["reject", "reject"]];
 const METHODS = [["", "default of the table"], ["kriging", "kriging"], ["griddata", "griddata"], ["additive", "additive"], ["linear", "linear"], ["tangent", "tangent"], ["nearest", "nearest"]];
 
+const BY_AXES = ["griddata", "additive", "tangent"]; // for one wrench at one interface alone
+
 export async function show(root, about, signal) {
   const answer = el("section", { class: "stack", "aria-live": "polite" },
-    el("p", { class: "empty" }, "Enter the wrench that acts on the component at its interface point, in the undeformed interface frame."));
+    el("p", { class: "empty" }, about.space ? "Enter the loads that act on the component at each interface's point, in its undeformed frame." : "Enter the wrench that acts on the component at its interface point, in the undeformed interface frame."));
   const curl = snippet("From a shell"), python = snippet("From Python");
   const onThin = select(about.has_fea ? ON_THIN : ON_THIN.slice(1), about.has_fea ? "queue" : "estimate", () => tell());
-  const method = select(METHODS, "", () => tell());
+  const methods = about.space ? METHODS.filter(([name]) => !BY_AXES.includes(name)) : METHODS;
+  const method = select(methods, "", () => tell());
   const version = versionField(about, signal, () => tell());
   const options = () => ({ onThin: onThin.value, method: method.value, version: version.read() });
   const ask = (wrench) => query(answer, about, wrench, options(), signal);
@@ -27,16 +32,22 @@ export async function show(root, about, signal) {
     more: el("div", { class: "stack" }, field("If the table does not cover the wrench", onThin), field("Method", method), version.root),
   });
   const tell = () => {
-    curl.say(curlOf(about.name, form.read(), options()));
-    python.say(pythonOf(about.name, form.read(), options()));
+    curl.say(curlOf(about, form.read(), options()));
+    python.say(pythonOf(about, form.read(), options()));
+    drawing?.again();
   };
+  let drawing = null;
   tell();
   put(root, el("div", { class: "two" }, el("section", { class: "card" }, form.form), el("div", { class: "stack" },
     el("div", { class: "card" }, answer), el("div", { class: "card" }, curl.root, python.root))));
+  if (!about.space || !about.has_fea) return;
+  const place = el("section", { class: "card" }, el("h2", {}, "Loads at the interfaces"));
+  root.append(place);
+  drawing = await picture(place, about, form.read, signal);
 }
 
 async function query(place, about, wrench, options, signal, watched = null) {
-  const body = { force: wrench.slice(0, 3), moment: wrench.slice(3), on_thin: options.onThin };
+  const body = { ...named(about, wrench), on_thin: options.onThin };
   if (options.method) body.method = options.method;
   let answer;
   try {
@@ -55,25 +66,30 @@ const shareOf = (part) => (part < 10 ? percent(part, 3) : `${number(part, 2)} ti
 const beyond = (about) => `The error bar exceeds the tolerance because of the ${solverError(about)} error. More solves do not lower it; the component's overview says what does.`;
 
 function shown(answer, about, wrench) {
-  const values = answer.translation ? [...answer.translation, ...answer.rotation] : null;
-  const bars = answer.error ? [...answer.error.translation, ...answer.error.rotation] : [];
-  const limit = about.tolerance;
+  return [
+    el("div", { class: "line" }, pill(answer.coverage), el("span", { class: "muted small" }, about_(answer))),
+    answer.reason ? note(answer.coverage, answer.reason) : null,
+    answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", beyond(about)) : null,
+    Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance)),
+    answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
+    el("p", { class: "muted small" }, said(named(about, wrench))),
+  ];
+}
+
+// The displacement of an interface, its name empty where there is one.
+function moved(name, part, limit) {
+  if (!part.translation) return null;
+  const values = [...part.translation, ...part.rotation];
+  const bars = part.error ? [...part.error.translation, ...part.error.rotation] : [];
   const lines = OUTPUTS.map((output, place) => {
-    const { value, bar } = withBar(values?.[place], bars[place], unitOfOutput(output));
+    const { value, bar } = withBar(values[place], bars[place], unitOfOutput(output));
     const allowed = limit && (place < 3 ? limit.translation : limit.rotation);
     const share = allowed && bars[place] !== null && bars[place] !== undefined ? shareOf(bars[place] / allowed) : "";
     return row(symbol(output), value, bar, share);
   });
   const head = ["", "value", "95 % error bar", limit ? "of the tolerance" : ""].map((one, place) =>
     el("th", { scope: "col", class: place ? "number" : null }, one));
-  return [
-    el("div", { class: "line" }, pill(answer.coverage), el("span", { class: "muted small" }, about_(answer))),
-    answer.reason ? note(answer.coverage, answer.reason) : null,
-    answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", beyond(about)) : null,
-    values ? el("table", { class: "answer" }, el("thead", {}, el("tr", {}, head)), el("tbody", {}, lines)) : null,
-    answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
-    el("p", { class: "muted small" }, said(wrench.slice(0, 3), wrench.slice(3))),
-  ];
+  return el("table", { class: "answer" }, name ? el("caption", {}, name) : null, el("thead", {}, el("tr", {}, head)), el("tbody", {}, lines));
 }
 
 function row(name, value, bar, share) {
@@ -105,8 +121,8 @@ async function watch(place, about, wrench, options, job, signal) {
     while (!["done", "failed", "cancelled"].includes(now.status)) now = await get(`v1/jobs/${job.id}?wait_s=20`, signal);
     ended.abort();
     if (now.status === "done") {
-      await caughtUp(about.name, signal);
-      await query(place, about, wrench, options, signal, job.id);
+      if (!about.space) await caughtUp(about.name, signal);
+      await query(place, about, wrench, about.space ? { ...options, onThin: "wait" } : options, signal, job.id);
     } else put(place, note("outside", el("strong", {}, `The solve ${now.status === "failed" ? "failed" : "was cancelled"}.`), now.error ? now.error.message : "", link));
   } catch (error) {
     ended.abort();

@@ -2,7 +2,8 @@
 
 import { listed, post, trouble } from "./api.js";
 import { el, facts, field, note, pill, put } from "./dom.js";
-import { LOADS, OUTPUTS, count, number, plain, quantity, seconds, symbol, unitOfLoad, unitOfOutput } from "./format.js";
+import { count, number, quantity, seconds, unitOfOutput } from "./format.js";
+import { inputsOf, label, mark, named, outputsOf, spansOf } from "./inputs.js";
 
 export async function show(root, _, signal) {
   document.title = "Scene plan · wrenchbook";
@@ -20,7 +21,7 @@ export async function show(root, _, signal) {
     try {
       const body = { components: Object.fromEntries([...chosen].map(([name, form]) => [name, form.read()])) };
       const told = await post("v1/scenes/plan", body, signal);
-      put(plan, Object.entries(told.components).map(([name, one]) => planned(name, one, components.find((other) => other.name === name)?.has_fea)));
+      put(plan, Object.entries(told.components).map(([name, one]) => planned(name, one, components.find((other) => other.name === name))));
     } catch (error) { if (!signal.aborted) put(plan, trouble(error)); }
   };
   put(root,
@@ -34,19 +35,18 @@ export async function show(root, _, signal) {
 }
 
 function needForm(one) {
-  const spans = [...one.range.force, ...one.range.moment];
-  const loads = LOADS.map((load, place) => {
+  const spans = spansOf(one), known = outputsOf(one);
+  const loads = inputsOf(one).map(({ name: load, unit, zero = 0 }, place) => {
     const acts = el("input", { type: "checkbox", checked: true, "aria-label": `${load} acts` });
     const [low, high] = spans[place].map((end, which) => el("input", { type: "number", step: "any", value: String(end), "aria-label": `${load} ${which ? "to" : "from"}` }));
     acts.addEventListener("change", () => { low.disabled = high.disabled = !acts.checked; });
-    const root = el("div", { class: "line load" }, el("label", { class: "check" }, acts, symbol(load)), low, el("span", { class: "muted" }, "to"), high, el("span", { class: "muted small" }, unitOfLoad(load)));
-    return { root, read: () => (acts.checked ? [Number(low.value), Number(high.value)] : [0, 0]) };
+    const root = el("div", { class: "line load" }, el("label", { class: "check" }, acts, mark(load)), low, el("span", { class: "muted" }, "to"), high, el("span", { class: "muted small" }, unit));
+    return { root, read: () => (acts.checked ? [Number(low.value), Number(high.value)] : [zero, zero]) };
   });
-  const outputs = OUTPUTS.map((output) => el("input", { type: "checkbox", checked: true, value: output }));
+  const outputs = known.map((output) => el("input", { type: "checkbox", checked: true, value: output }));
   const limits = ["translation", "rotation"].map((kind) => el("input", { type: "number", step: "any", min: 0, value: String(one.tolerance?.[kind] ?? "") }));
   const read = () => {
-    const all = loads.map((load) => load.read());
-    const need = { force: all.slice(0, 3), moment: all.slice(3), outputs: outputs.filter((box) => box.checked).map((box) => box.value) };
+    const need = { ...named(one, loads.map((load) => load.read())), outputs: outputs.filter((box) => box.checked).map((box) => box.value) };
     if (limits.every((limit) => Number(limit.value) > 0)) need.tolerance = { translation: Number(limits[0].value), rotation: Number(limits[1].value) };
     return need;
   };
@@ -54,23 +54,24 @@ function needForm(one) {
     el("div", { class: "halves" },
       el("fieldset", {}, el("legend", {}, "Loads that occur"), loads.map((load) => load.root)),
       el("div", { class: "stack" },
-        el("fieldset", {}, el("legend", {}, "Outputs that are read"), el("div", { class: "line" }, OUTPUTS.map((output, place) => el("label", { class: "check" }, outputs[place], symbol(output))))),
+        el("fieldset", {}, el("legend", {}, "Outputs that are read"), el("div", { class: "line" }, known.map((output, place) => el("label", { class: "check" }, outputs[place], mark(output))))),
         el("fieldset", {}, el("legend", {}, "Tolerance"), el("div", { class: "three" }, field("translation, m", limits[0]), field("rotation, rad", limits[1]))))));
   return { root, read };
 }
 
-function planned(name, one, hasFea) {
-  const bound = one.displacement_bound.map((value, place) => [plain(OUTPUTS[place]), value === null ? "not known" : quantity(value, unitOfOutput(OUTPUTS[place]))]);
+function planned(name, one, about) {
+  const outputs = outputsOf(about), unit = (output) => unitOfOutput(output.split(".").at(-1));
+  const bound = one.displacement_bound.map((value, place) => [label(outputs[place]), value === null ? "not known" : quantity(value, unit(outputs[place]))]);
   const kinds = { rigid: "covered", linear: "covered", table: "running" };
   const saved = one.saves;
   return el("section", { class: "card" },
     el("div", { class: "line ends" }, el("h2", {}, name), pill(one.decision, kinds[one.decision])),
     el("p", {}, one.reason),
     facts([
-      ["Loads", one.loads.map(plain).join(", ")],
-      ["Axes", Object.entries(one.axes).map(([axis, held]) => `${axis}: ${held.inputs.map(plain).join(", ")} (${held.dimensions}-D)`).join("; ")],
-      ["Outputs", one.outputs.map(plain).join(", ")],
-      ["First solves", hasFea ? `${count(one.solves.scene)} of ${count(one.solves.whole)}` : ""],
+      ["Loads", one.loads.map(label).join(", ")],
+      ["Axes", Object.entries(one.axes).map(([axis, held]) => `${axis}: ${held.inputs.map(label).join(", ")} (${held.dimensions}-D)`).join("; ")],
+      ["Outputs", one.outputs.map(label).join(", ")],
+      ["First solves", about.has_fea ? `${count(one.solves.scene)} of ${count(one.solves.whole)}` : ""],
       ["Saves", [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ")],
     ]),
     el("details", {}, el("summary", {}, "Largest displacements"), facts(bound)),

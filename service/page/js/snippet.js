@@ -2,12 +2,21 @@
 
 import { base, key, of } from "./api.js";
 import { el, notify } from "./dom.js";
+import { named } from "./inputs.js";
 
 const list = (values) => `[${values.map((one) => (Number.isFinite(one) ? String(one) : "0")).join(", ")}]`;
 const server = () => base.href.replace(/\/$/, "");
 
-export function curlOf(name, wrench, options) {
-  const body = `{"force": ${list(wrench.slice(0, 3))}, "moment": ${list(wrench.slice(3))}${extra(options)}}`;
+// JSON, which is Python too.
+function literal(value) {
+  if (Array.isArray(value)) return list(value);
+  return typeof value === "object" ? `{${entries(value)}}` : Number.isFinite(value) ? String(value) : "0";
+}
+
+const entries = (values) => Object.entries(values).map(([key_, value]) => `"${key_}": ${literal(value)}`).join(", ");
+
+export function curlOf(about, wrench, options) {
+  const { name } = about, body = `{${entries(named(about, wrench))}${extra(options)}}`;
   const quote = options.version === null ? "" : "'"; // a shell takes a ? for a pattern
   const lines = [`curl -X POST ${quote}${server()}/${of(name)}/displacement${versionQuery(options)}${quote}`, "-H 'Content-Type: application/json'"];
   if (key()) lines.push('-H "Authorization: Bearer $WRENCHBOOK_KEY"');
@@ -21,17 +30,19 @@ function extra({ onThin, method }) {
   return (onThin === "queue" ? "" : `, "on_thin": "${onThin}"`) + (method ? `, "method": "${method}"` : "");
 }
 
-export function pythonOf(name, wrench, { onThin, method, version }) {
+export function pythonOf(about, wrench, { onThin, method, version }) {
+  const { name } = about, { loads, force, moment, inputs } = named(about, wrench);
   const keyed = key() ? ', key=os.environ["WRENCHBOOK_KEY"]' : "";
   const more = (onThin === "queue" ? "" : `, on_thin="${onThin}"`) + (method ? `, method="${method}"` : "") + (version === null ? "" : `, table_version=${version}`);
+  const given = [loads ? "loads=loads" : "force, moment", ...(inputs ? [`inputs=${literal(inputs)}`] : [])].join(", ");
   return [
     ...(key() ? ["import os", ""] : []),
     "from wrenchbook import Client",
     "",
     `with Client("${server()}"${keyed}) as client:`,
-    `    force, moment = ${list(wrench.slice(0, 3))}, ${list(wrench.slice(3))}`,
-    `    answer = client.displacement("${name}", force, moment${more})`,
-    "    print(answer.translation, answer.rotation, answer.error, answer.coverage)",
+    loads ? `    loads = ${literal(loads)}` : `    force, moment = ${list(force)}, ${list(moment)}`,
+    `    answer = client.displacement("${name}", ${given}${more})`,
+    loads ? "    print({name: one.translation for name, one in answer.interfaces.items()}, answer.coverage)" : "    print(answer.translation, answer.rotation, answer.error, answer.coverage)",
   ].join("\n");
 }
 

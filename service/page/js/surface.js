@@ -46,11 +46,12 @@ export function moved(vertices, displacement, factor) {
 export const column = (points, k, scale) => points.map((point) => point[k] * scale);
 export const lengths = (vectors) => vectors.map((one) => Math.hypot(...one));
 
-export function extent(vertices) {
-  const spans = [0, 1, 2].map((k) => {
+export function spansOf(vertices) {
+  return [0, 1, 2].map((k) => {
     let low = Infinity, high = -Infinity;
     for (const point of vertices) { low = Math.min(low, point[k]); high = Math.max(high, point[k]); }
     return high - low;
   });
-  return Math.hypot(...spans);
 }
+
+export const extent = (vertices) => Math.hypot(...spansOf(vertices));

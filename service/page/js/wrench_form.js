@@ -1,40 +1,50 @@
-// Six loads to type, kept for the component while the tab is open.
+// The inputs of a component to type, kept for the component while the tab is open.
 
 import { el, id } from "./dom.js";
-import { LOADS, number, symbol, unitOfLoad } from "./format.js";
+import { number } from "./format.js";
+import { inputsOf, mark, spansOf } from "./inputs.js";
+
+const A_WRENCH = 6;
 
 const kept = (name) => `wrenchbook-wrench-${name}`;
 
 export function lastWrench(about) {
   try {
     const found = JSON.parse(sessionStorage.getItem(kept(about.name)));
-    if (Array.isArray(found) && found.length === 6 && found.every(Number.isFinite)) return found;
+    if (Array.isArray(found) && found.length === inputsOf(about).length && found.every(Number.isFinite)) return found;
   } catch { /* what is kept is not ours: start anew */ }
   return usual(about);
 }
 
 // A load that tells something: the largest force downwards, half of it.
 function usual(about) {
-  const spans = [...about.range.force, ...about.range.moment];
-  const strongest = [2, 1, 0].find((place) => spans[place][0] < 0) ?? 2;
-  return spans.map((span, place) => (place === strongest ? Number((span[0] / 2).toPrecision(3)) || span[1] / 2 : 0));
+  const spans = spansOf(about), inputs = inputsOf(about);
+  const loaded = Math.max(0, spans.findIndex(([low, high]) => low < high)), first = loaded - (loaded % A_WRENCH);
+  const strongest = [2, 1, 0].map((k) => first + k).find((place) => spans[place]?.[0] < 0) ?? first + 2;
+  return spans.map((span, place) => (place === strongest ? Number((span[0] / 2).toPrecision(3)) || span[1] / 2 : inputs[place].zero || 0));
 }
 
 // `asked(wrench)` is called on submit, `changed(wrench)` at each edit.
 export function wrenchForm(about, { action, asked, changed, more = [] }) {
   const start = lastWrench(about);
-  const spans = [...about.range.force, ...about.range.moment];
-  const inputs = LOADS.map((load, place) => el("input", {
-    type: "number", step: "any", required: true, value: String(start[place]), name: load, id: id(load),
-    "aria-label": `${load} in ${unitOfLoad(load)}`,
-    title: `${number(spans[place][0])} to ${number(spans[place][1])} ${unitOfLoad(load)}`,
+  const spans = spansOf(about), known = inputsOf(about);
+  const inputs = known.map(({ name, unit }, place) => el("input", {
+    type: "number", step: "any", required: true, value: String(start[place]), name, id: id(name),
+    "aria-label": `${name} in ${unit}`,
+    title: `${number(spans[place][0])} to ${number(spans[place][1])} ${unit}`,
     oninput: () => changed?.(read()),
   }));
   const read = () => inputs.map((input) => (input.value === "" ? NaN : Number(input.value)));
-  const group = (text, from) => el("fieldset", {},
-    el("legend", {}, text),
-    el("div", { class: "three" }, [0, 1, 2].map((place) =>
-      el("label", {}, symbol(LOADS[from + place]), inputs[from + place]))));
+  const labelled = (places) => el("div", { class: "three" }, places.map((place) =>
+    el("label", {}, known[place].kind === "scalar" ? `${known[place].name}, ${known[place].unit}` : mark(known[place].name.split(".").at(-1)), inputs[place])));
+  const groups = [];
+  known.forEach((one, place) => {
+    const title = one.kind === "scalar" ? "Further inputs" : `${one.interface ? `${one.interface}: ${one.kind}` : one.kind[0].toUpperCase() + one.kind.slice(1)}, ${one.unit}`;
+    if (groups.at(-1)?.title === title) groups.at(-1).places.push(place); else groups.push({ title, places: [place], own: one });
+  });
+  const idle = ({ places }) => about.space && places.every((place) => spans[place].every((end) => !end));
+  const unloaded = [...new Set(groups.filter(idle).map(({ own }) => own.interface))].filter((name) => groups.every((one) => one.own.interface !== name || idle(one)));
+  const shown = groups.filter((one) => !idle(one)).map(({ title, places }) => el("fieldset", {}, el("legend", {}, title), labelled(places)));
   const form = el("form", {
     class: "stack",
     onsubmit: (event) => {
@@ -43,7 +53,7 @@ export function wrenchForm(about, { action, asked, changed, more = [] }) {
       sessionStorage.setItem(kept(about.name), JSON.stringify(wrench));
       asked(wrench);
     },
-  }, group("Force, N", 0), group("Moment, N·m", 3), more,
+  }, shown, unloaded.length ? el("p", { class: "muted small" }, `No loads at ${unloaded.join(", ")}: the range there is 0.`) : null, more,
     el("div", {}, el("button", { class: "first" }, action)));
   return { form, read, inputs };
 }

@@ -1,0 +1,69 @@
+// A part with arrows of the forces and moments that act at its interfaces.
+
+import { get, of } from "./api.js";
+import { el } from "./dom.js";
+import { named } from "./inputs.js";
+import { draw } from "./plot.js";
+import { column, extent, lines, outline, spansOf as sizes } from "./surface.js";
+import { figure } from "./view3d.js";
+
+const MM = 1e3;
+const LONGEST = 0.35; // of the part's extent: the arrow of the largest force, and of the largest moment
+const FITS = 2.6; // extent over the mean size, as plotly scales it, that fits from the usual distance
+const TIP = 0.25; // of the longest arrow
+
+// `read()` gives the inputs; `again()` of the result draws them anew.
+export async function picture(root, about, read, signal) {
+  const [surface, detail] = await Promise.all([get(`${of(about.name)}/surface`, signal), get(of(about.name), signal)]);
+  const interfaces = Object.entries(detail.interfaces || { "": detail.interface }).filter(([, one]) => one?.point);
+  const mean = Math.cbrt(sizes(surface.vertices).reduce((product, one) => product * one, 1));
+  const place = el("div", { class: "plot", id: "loads", "data-away": Math.max(1.12, extent(surface.vertices) / mean / FITS) });
+  const view = figure(place, "The part and its loads", marks());
+  root.append(view.root);
+  const edges = lines(surface.vertices, outline(surface.vertices, surface.triangles), MM);
+  const drawing = await draw(place, (shade) => drawn(about, surface, edges, interfaces, read(), shade, view.camera()), signal, `${about.name} with its loads`);
+  view.hold(drawing);
+  return drawing;
+}
+
+function marks() {
+  const one = (colour, text) => {
+    const mark = el("i", { class: "square" });
+    mark.style.background = `var(--${colour})`;
+    return el("li", {}, mark, text);
+  };
+  return el("ul", { class: "key-of-marks" }, one("outside", "force"), one("query", "moment"));
+}
+
+function drawn(about, { vertices, triangles }, edges, interfaces, values, shade, camera) {
+  const corners = [0, 1, 2].map((k) => triangles.map((one) => one[k]));
+  const body = { type: "mesh3d", x: column(vertices, 0, MM), y: column(vertices, 1, MM), z: column(vertices, 2, MM), i: corners[0], j: corners[1], k: corners[2], color: shade.accent, opacity: 0.25, hoverinfo: "skip" };
+  const rim = { type: "scatter3d", mode: "lines", ...edges, line: { color: shade.muted, width: 2 }, hoverinfo: "skip" };
+  const names = { type: "scatter3d", mode: "markers+text", text: interfaces.map(([name]) => name), textposition: "top center", textfont: { color: shade.ink }, marker: { size: 4, color: shade.ink }, hoverinfo: "skip" };
+  ["x", "y", "z"].forEach((axis, k) => { names[axis] = interfaces.map(([, one]) => one.point[k] * MM); });
+  const size = LONGEST * extent(vertices) * MM;
+  const arrows = ["force", "moment"].flatMap((kind, place) => {
+    const loads = interfaces.map(([name]) => vectorOf(about, values, name, kind));
+    const most = Math.max(...loads.map((load) => Math.hypot(...load)));
+    return interfaces.flatMap(([, one], k) => (loads[k].some((part) => part) ? arrow(one, loads[k].map((part) => (size * part) / most), size, shade[place ? "query" : "outside"]) : []));
+  });
+  const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 4 });
+  return { data: [body, rim, names, ...arrows], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "data", camera }, uirevision: "same" } };
+}
+
+const vectorOf = (about, values, name, kind) => {
+  const all = named(about, values.map((one) => (Number.isFinite(one) ? one : 0)));
+  return (all.loads?.[name] || all)[kind];
+};
+
+// A load in the interface's axes, drawn from its point; the axes are rows in those of the mesh.
+function arrow({ point, axes }, load, size, colour) {
+  const along = [0, 1, 2].map((k) => load.reduce((sum, part, row) => sum + part * axes[row][k], 0));
+  const from = point.map((one) => one * MM), to = from.map((one, k) => one + along[k]), length = Math.hypot(...along);
+  const [x, y, z] = [0, 1, 2].map((k) => [from[k], to[k]]);
+  const [u, v, w] = along.map((one) => [one / length]);
+  return [
+    { type: "scatter3d", mode: "lines", x, y, z, line: { color: colour, width: 6 }, hoverinfo: "skip" },
+    { type: "cone", x: [to[0]], y: [to[1]], z: [to[2]], u, v, w, anchor: "tip", sizemode: "absolute", sizeref: TIP * Math.min(size, Math.max(length, size / 4)), showscale: false, colorscale: [[0, colour], [1, colour]], hoverinfo: "skip" },
+  ];
+}
