@@ -54,7 +54,7 @@ class CellStiffness(ABC):
         return False
 
     def thermal_strain(self, part: Which) -> Array | None:
-        """Return the thermal strain of a few cells; None for none."""
+        """Return the thermal strain of a few cells, (cells, points or 1, 3, 3); None for none."""
         return None if self.thermal is None else self.thermal[part]
 
     def at(self, temperature: float, finite: bool) -> CellStiffness:
