@@ -19,16 +19,18 @@ def read_inputs(top: Keys, folder: Path) -> tuple[ScalarInput, ...]:
     warm = keys.table(TEMPERATURE, required=False)
     pulled = keys.table("acceleration", required=False)
     keys.close()
-    found = [] if warm is None else [_temperature(warm, folder)]
+    found = [] if warm is None else [_temperature(top, warm, folder)]
     found += [] if pulled is None else _acceleration(pulled)
     return tuple(one for one in found if one is not None)
 
 
-def _temperature(keys: Keys, folder: Path) -> ScalarInput | None:
+def _temperature(top: Keys, keys: Keys, folder: Path) -> ScalarInput | None:
     unit = keys.choice("unit", _UNITS, required=False) or _UNITS[0]
     ends = keys.numbers("range", 2, unit)
     reference = keys.number("reference", unit)
     field = bundle_file(keys, "field", folder, required=False)
+    if field is not None and "mesh" not in top:
+        keys.wrong("field", "needs a [mesh]: a measured part has no nodes; leave it out")
     keys.close()
     if ends is None or reference is None:
         return None
@@ -74,10 +76,9 @@ def check_inputs(
     names = [one.name for one in further]
     if not names:
         return
-    if "deck" in top or "mesh" not in top:
-        top.wrong(
-            further[0].key, "needs a [mesh] and no [deck]: the embedded solver alone takes it"
-        )
+    if "deck" in top:
+        message = "a [deck] takes none; the embedded solver and measured tables do"
+        top.wrong(further[0].key, message)
     for one in interfaces:
         if one is not None and one.name in names:
             top.wrong("interface", f'none may have the name "{one.name}", which is an input\'s')

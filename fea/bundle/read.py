@@ -174,7 +174,7 @@ def _check_whole(top: Keys, held: bool) -> None:
                 top.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
     else:
         for key in _SOLVER_TABLES:
-            if key in top:
+            if key in top and not (key == "interface" and top.is_array(key)):
                 top.wrong(key, "needs a [mesh] as well; without one a component is a table only")
 
 

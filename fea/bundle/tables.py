@@ -130,7 +130,8 @@ def read_interfaces(top: Keys) -> list[tuple[Interface | None, DeclaredRange | N
     if not top.is_array("interface"):
         keys = top.table("interface", required=False)
         return [] if keys is None else [(_interface(keys), None)]
-    found = [_named_interface(keys) for keys in top.tables("interface")]
+    has_mesh = "mesh" in top or "deck" in top
+    found = [_named_interface(keys, has_mesh) for keys in top.tables("interface")]
     if len(found) == 1:
         top.wrong("interface", "is one alone; write [interface], without a name, or add others")
     names = [own.name for own, _ in found if own is not None]
@@ -141,9 +142,13 @@ def read_interfaces(top: Keys) -> list[tuple[Interface | None, DeclaredRange | N
     return found
 
 
-def _named_interface(keys: Keys) -> tuple[Interface | None, DeclaredRange | None]:
-    """Return one ``[[interface]]`` and its range."""
+def _named_interface(keys: Keys, has_mesh: bool) -> tuple[Interface | None, DeclaredRange | None]:
+    """Return one ``[[interface]]`` and its range; of a measured part it has no section."""
     name = read_name(keys)
+    if not has_mesh:
+        loads = _loads(keys.table("range"))
+        keys.close()
+        return (Interface("", None, np.eye(3), "", name=name) if name else None), loads
     held = keys.flag("held", required=False) or False
     loads = keys.table("range", required=not held)
     if held and ("locked" in keys or loads is not None):

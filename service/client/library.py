@@ -118,7 +118,8 @@ class LibraryCalls:
         ----------
         component : path or mapping
             A bundle, as its folder or a zip of it; or, for a component that is a table only,
-            ``{"name", "title", "range": {"force": [3], "moment": [3]}}``, N and N·m.
+            ``{"name", "title", "range": {"force": [3], "moment": [3]}}``, N and N·m; several
+            interfaces are ``"interface": [{"name", "range"}]``.
 
         Returns
         -------

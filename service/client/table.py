@@ -6,7 +6,7 @@ import importlib
 import itertools
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from time import perf_counter_ns
 from typing import Any, Self
@@ -15,13 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InvalidArgument, TableError
-from .notebook import (
-    DISPLACEMENT_COLUMNS,
-    WRENCH_COLUMNS,
-    html_table,
-    named_columns,
-    require_pandas,
-)
+from .notebook import html_table, named_columns, require_pandas
 from .replies import (
     COVERAGE,
     EXACT,
@@ -34,7 +28,7 @@ from .replies import (
 from .request import BlockingRunner, Call, Request, component_path, sync_and_async
 from .scene import ComponentPlan, Scene
 from .transport import Transport
-from .wrenches import NAMES, many_wrenches, one_wrench, tolerance_body
+from .wrenches import NAMES, loads_body, many_wrenches, one_wrench, tolerance_body, wrench_of
 
 
 class Table:
@@ -100,8 +94,8 @@ class Table:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return read-only views of the table's arrays by name; none is copied.
 
-        ``space/range`` (2, 6) has the load range, N and N·m; ``gK/row/wrench`` (r, 6), N and N·m,
-        and ``gK/row/moved`` (r, 6), m and rad, the rows of the K-th group of outputs. The names,
+        ``space/range`` (2, n) has the range of the n inputs, SI; ``gK/row/wrench`` (r, n) and
+        ``gK/row/moved`` (r, m), m and rad, the rows of the K-th group of outputs. The names,
         shapes and units of all are in surrogate/packed/writer.py.
         """
         return dict(self._packed.arrays)
@@ -117,6 +111,11 @@ class Table:
         return self._packed.words["summary"]["method"]
 
     @property
+    def space(self) -> Any:
+        """Its inputs and outputs, a `surrogate.table.space.Space`: names, units, interfaces."""
+        return self._packed.space
+
+    @property
     def tolerance(self) -> dict[str, float] | None:
         """The component's own tolerance, ``translation`` in m and ``rotation`` in rad, or None."""
         return _tolerance_of(self._packed)
@@ -129,16 +128,20 @@ class Table:
 
     def answer(
         self,
-        force: ArrayLike,
+        force: ArrayLike | None = None,
         moment: ArrayLike | None = None,
         tolerance: Any = None,
         method: str | None = None,
         derivatives: bool = False,
+        *,
+        loads: Mapping[str, Any] | None = None,
+        inputs: Mapping[str, float] | None = None,
     ) -> Displacement:
         """Return the displacement of the component's interface under one wrench, N and N·m.
 
         Parameters are those of `Client.displacement`, shapes (3,) and (3,) or (6,) and none. It
         answers as the server does with ``estimate``: flagged where it is not covered, without job.
+        With several interfaces `Displacement.interfaces` has one each.
 
         Returns
         -------
@@ -148,22 +151,57 @@ class Table:
         Raises
         ------
         ValueError
-            If a number is not finite, a shape is wrong, or there is no such method.
+            If a number is not finite, a shape is wrong, an interface or an input is unknown or
+            missing, or there is no such method.
         """
-        wrench, limit = one_wrench(force, moment), _six(tolerance)
-        loads, packed = _without_negative_zeros(wrench), self._packed
+        values, wrench, by_name = self._values(force, moment, loads, inputs)
+        packed, limit = self._packed, self._allowed(tolerance)
         started = perf_counter_ns()
         try:
-            found = packed.answer(loads, limit, method)
+            found = packed.answer(values, limit, method)
             elapsed_us = (perf_counter_ns() - started) / 1e3
-            slope = packed.derivative(loads, limit, method) if derivatives else None
+            slope = packed.derivative(values, limit, method) if derivatives else None
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
-        body = _reply(packed, found)
-        body["elapsed_us"] = elapsed_us
+        reply = _reply(packed, found)
+        reply["elapsed_us"] = elapsed_us
         if slope is not None:
-            body["derivative"] = None if np.isnan(slope).all() else slope
-        return Displacement.read(self.name, wrench, body)
+            reply["derivative"] = None if np.isnan(slope).all() else slope
+        return Displacement.read(self.name, wrench, reply, by_name)
+
+    def _values(
+        self,
+        force: ArrayLike | None,
+        moment: ArrayLike | None,
+        loads: Mapping[str, Any] | None,
+        inputs: Mapping[str, float] | None,
+    ) -> tuple[list[float], Vector, dict[str, Any] | None]:
+        """Return the table's inputs, shape (n,), SI, and the wrench, or the wire's loads by name.
+
+        Negative zeros become zeros, as the server reads them.
+        """
+        if force is not None and loads is None and inputs is None and self._packed.inputs == _WHOLE:
+            wrench = one_wrench(force, moment)
+            return (wrench + 0.0).tolist(), wrench, None
+        body, space = loads_body(force, moment, loads, inputs), self.space
+        if "force" in body and space.several:
+            names = ", ".join(space.several)
+            raise InvalidArgument(f"{self.name} has the interfaces {names}: give loads by name")
+        wrenches = {"": body} if "force" in body else body.get("loads", {})
+        six = {name: wrench_of(one).tolist() for name, one in wrenches.items()}
+        try:
+            values = space.vector(six, body.get("inputs", {}))
+        except ValueError as error:
+            raise InvalidArgument(f"{self.name}: {error}") from None
+        return [value + 0.0 for value in values], wrench_of(body), body.get("loads")
+
+    def _allowed(self, tolerance: Any) -> tuple[float, ...] | None:
+        """Return the largest error of each output, shape (m,), m and rad; None for its own."""
+        if tolerance is None:
+            return None
+        pair = tolerance_body(tolerance)
+        kinds = (pair["translation"],) * 3 + (pair["rotation"],) * 3
+        return kinds * (self._packed.outputs // _WHOLE)
 
     def batch(
         self,
@@ -172,16 +210,17 @@ class Table:
         method: str | None = None,
         derivatives: bool = False,
     ) -> Displacements:
-        """Return the displacements under many wrenches, shape (n, 6), N and N·m.
+        """Return the displacements under many wrenches, shape (n, inputs), SI.
 
-        Parameters and errors are those of `answer`.
+        Parameters and errors are those of `answer`; the order of the inputs is that of `space`.
 
         Returns
         -------
         Displacements
-            Shapes (n, 6), m and rad; with `derivatives` also `Displacements.derivatives`.
+            Shapes (n, outputs), m and rad; with `derivatives` also `Displacements.derivatives`.
         """
-        block, limit, packed = many_wrenches(wrenches), _six(tolerance), self._packed
+        packed, limit = self._packed, self._allowed(tolerance)
+        block = many_wrenches(wrenches, packed.inputs)
         loads = block + 0.0  # no negative zeros, as the server reads them
         started = perf_counter_ns()
         try:
@@ -192,7 +231,7 @@ class Table:
             raise InvalidArgument(str(error)) from error
         # Errors without the solver's share cannot be compared with a tolerance.
         whole = packed.arrays["solver/flags"][_ALL_PARTS]
-        allowed = (limit or _six(_tolerance_of(packed))) if whole else None
+        allowed = (limit or self._allowed(_tolerance_of(packed))) if whole else None
         return Displacements(
             component=self.name,
             wrenches=block,
@@ -208,20 +247,28 @@ class Table:
             derivatives=slopes,
         )
 
-    def stiffness(self, force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
+    def stiffness(
+        self,
+        force: ArrayLike | None = None,
+        moment: ArrayLike | None = None,
+        *,
+        loads: Mapping[str, Any] | None = None,
+        inputs: Mapping[str, float] | None = None,
+    ) -> Vector:
         """Return dw/du under one wrench, shape (6, 6): N/m, N/rad, N·m/m, N·m/rad, a line a load.
 
-        It is the inverse of the derivative that `answer` gives; parameters are `answer`'s.
+        It is the inverse of the derivative that `answer` gives, by the loads alone where there are
+        further inputs, shape (m, m) of m outputs; parameters are `answer`'s.
 
         Raises
         ------
         ValueError
             If the derivative is not known here, or has no inverse: a component with locked
-            freedoms has none.
+            freedoms, or an interface that is held, has none.
         """
-        loads = _without_negative_zeros(one_wrench(force, moment))
+        values = self._values(force, moment, loads, inputs)[0]
         try:
-            slope = self._packed.derivative(loads)
+            slope = self._packed.derivative(values)[:, : self._packed.outputs]
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
         if np.isnan(slope).any():
@@ -235,7 +282,12 @@ class Table:
             ) from None
 
     def error_parts(
-        self, force: ArrayLike, moment: ArrayLike | None = None
+        self,
+        force: ArrayLike | None = None,
+        moment: ArrayLike | None = None,
+        *,
+        loads: Mapping[str, Any] | None = None,
+        inputs: Mapping[str, float] | None = None,
     ) -> dict[str, np.ndarray | None]:
         """Return the parts of the error bars under one wrench, N and N·m, that rows do not lower.
 
@@ -243,12 +295,12 @@ class Table:
         -------
         dict
             ``mesh``, of a linear component ``linearity`` and of measured rows with hysteresis or
-            drift ``measurement``: shape (6,), m and rad, None where it is not known. The rest of a
+            drift ``measurement``: shape (m,), m and rad, None where it is not known. The rest of a
             bar is the table's. Empty where there is no such part.
         """
         packed = self._packed
         error = packed.words["solver_error"] or {}
-        found = packed.answer(_without_negative_zeros(one_wrench(force, moment)))
+        found = packed.answer(self._values(force, moment, loads, inputs)[0])
         parts = {"mesh": found.discretisation} if error else {}
         if "linearity" in error:
             parts["linearity"] = found.linearity
@@ -301,19 +353,22 @@ class Table:
         )
 
     def _range(self) -> str:
-        """Return the load range in words, N and N·m."""
+        """Return the load range in words, N and N·m, and that of further inputs."""
         low, high = self._packed.arrays["space/range"]
         spans = [
-            f"{name} {a:g} to {b:g}" for name, a, b in zip(NAMES, low, high, strict=True) if a or b
+            f"{one.name} {a:g} to {b:g}"
+            for one, a, b in zip(self.space.inputs, low, high, strict=True)
+            if a or b
         ]
-        return f"{', '.join(spans)} (N, N·m)"
+        units = ["N", "N·m", *dict.fromkeys(one.unit for one in self.space.scalars)]
+        return f"{', '.join(spans)} ({', '.join(units)})"
 
     def _repr_html_(self) -> str:
         low, high = self._packed.arrays["space/range"]
         rows = self._packed.words["provenance"]["rows"]
         return html_table(
             f"{self.name}, table version {self.version}: {rows} rows, method {self.method}",
-            ["", *WRENCH_COLUMNS],
+            ["", *_columns(self.space.inputs)],
             [["lowest", *low.tolist()], ["highest", *high.tolist()]],
         )
 
@@ -328,10 +383,10 @@ class Table:
         MissingPackage
             If pandas is not installed.
         """
-        pandas, frames = require_pandas(), []
+        pandas, frames, space = require_pandas(), [], self.space
         for group, (wrenches, moved) in enumerate(_row_groups(self._packed.arrays)):
-            columns = named_columns(WRENCH_COLUMNS, wrenches)
-            columns |= named_columns(DISPLACEMENT_COLUMNS, moved)
+            columns = named_columns(_columns(space.inputs), wrenches)
+            columns |= named_columns(_columns(space.outputs), moved)
             frames.append(pandas.DataFrame({"group": group, **columns}))
         return pandas.concat(frames, ignore_index=True) if frames else pandas.DataFrame()
 
@@ -376,15 +431,8 @@ class DownloadCalls(Transport):
         return Table(_opened("from_bytes", content), name, self.blocking(), etag, scene)
 
 
+_WHOLE = len(NAMES)  # loads, or outputs, of one interface
 _ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
-
-
-def _six(tolerance: Any) -> tuple[float, ...] | None:
-    """Return the largest error of each output, shape (6,), m and rad; None for the component's."""
-    if tolerance is None:
-        return None
-    pair = tolerance_body(tolerance)
-    return (pair["translation"],) * 3 + (pair["rotation"],) * 3
 
 
 def _tolerance_of(packed: Any) -> dict[str, float] | None:
@@ -394,29 +442,42 @@ def _tolerance_of(packed: Any) -> dict[str, float] | None:
     return {"translation": translation, "rotation": rotation}
 
 
-def _without_negative_zeros(wrench: Vector) -> list[float]:
-    """Return the loads without negative zeros, as the server reads them."""
-    return (wrench + 0.0).tolist()
+def _columns(quantities: Any) -> list[str]:
+    """Return the names of a CSV export: ``left.fx [N]``, ``mx [N*m]``, ``temperature [degC]``."""
+    return [f"{one.name} [{one.unit.replace('·', '*')}]" for one in quantities]
 
 
 def _reply(packed: Any, found: Any) -> dict[str, Any]:
     """Return the server's reply to ``estimate`` with this answer."""
-    moved, bars = found.outputs, found.error
+    moved, bars, names = found.outputs, found.error, packed.space.interfaces
     source, reason = "table" if moved else None, found.reason
     if found.row is not None:
         source = found.source
         reason = f"{EXACT if found.exact else ROUNDED} {reason}".rstrip()
-    return {
-        "translation": moved and moved[:3],
-        "rotation": moved and moved[3:],
-        "error": bars and {"translation": bars[:3], "rotation": bars[3:]},
+    if packed.outputs == _WHOLE:
+        answered = _moved(moved, bars)
+    else:
+        parts = {name: slice(_WHOLE * k, _WHOLE * (k + 1)) for k, name in enumerate(names)}
+        each = {name: _moved(moved and moved[k], bars and bars[k]) for name, k in parts.items()}
+        answered = {"displacements": each}
+    answered |= {
         "coverage": found.coverage,
         "within_tolerance": found.within_tolerance,
         "source": source,
         "method": found.method,
         "table_version": packed.words["provenance"]["version"],
         "reason": reason,
-    } | ({"missing": found.missing} if found.missing else {})
+    }
+    return answered | ({"missing": found.missing} if found.missing else {})
+
+
+def _moved(moved: list[float] | None, bars: list[float] | None) -> dict[str, Any]:
+    """Return an interface's displacement and error bars, m and rad, as the wire has them."""
+    return {
+        "translation": moved and moved[:3],
+        "rotation": moved and moved[3:],
+        "error": bars and {"translation": bars[:3], "rotation": bars[3:]},
+    }
 
 
 def _call(name: str, scene: Scene | None) -> tuple[str, dict[str, str]]:
@@ -427,7 +488,7 @@ def _call(name: str, scene: Scene | None) -> tuple[str, dict[str, str]]:
 
 
 def _row_groups(arrays: dict[str, Any]) -> Iterator[tuple[Vector, Vector]]:
-    """Yield wrenches and displacements, (r, 6) each, N and N·m, m and rad, of each group."""
+    """Yield inputs (r, n), SI, and displacements (r, m), m and rad, of each group's rows."""
     for number in itertools.count():
         if f"g{number}/row/wrench" not in arrays:
             return

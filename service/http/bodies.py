@@ -232,12 +232,45 @@ class SceneBody(Body):
     ]
 
 
+class MeasuredInterface(Body):
+    """One of several interfaces of a component without finite elements."""
+
+    name: str
+    range: RangeBody
+
+
+class TemperatureBody(Body):
+    """A temperature as a further input; at `reference` it has no effect."""
+
+    unit: Literal["degC", "K"] = "degC"
+    range: Annotated[list[Finite], Field(min_length=2, max_length=2)]
+    reference: Finite
+
+
+class AccelerationBody(Body):
+    """Three accelerations as further inputs, each plus and minus its own, m/s^2."""
+
+    range: Annotated[list[Positive], Field(min_length=3, max_length=3)]
+
+
+class MeasuredInputs(Body):
+    """The further inputs of a component without finite elements."""
+
+    temperature: TemperatureBody | None = None
+    acceleration: AccelerationBody | None = None
+
+
 class TableOnlyComponent(Body):
-    """A component without finite elements: its table is loaded from outside."""
+    """A component without finite elements: its table is loaded from outside.
+
+    It has the range of its only interface, or several interfaces with one each.
+    """
 
     name: str
     title: str
-    range: RangeBody
+    range: RangeBody | None = None
+    interface: Annotated[list[MeasuredInterface] | None, Field(max_length=MOST_VALUES)] = None
+    inputs: MeasuredInputs | None = None
     tolerance: ToleranceBody | None = None
 
 

@@ -146,6 +146,9 @@ class Compliance(TypedDict, total=False):
             "its compliance. Zero for loads without rows, see known_loads"
         ),
     ]
+    offset: Annotated[
+        Six, text("added to matrix times inputs: own weight, a reference that is not 0")
+    ]
     origin: Annotated[Literal["stored", "fitted", "none"], text("of matrix")]
     known_loads: list[str]
     error: Annotated[Six, text("95 % error bar of matrix at the rows, m and rad")]

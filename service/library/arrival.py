@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -132,6 +133,15 @@ def _with_line(head: str, key: str, value: str) -> str:
     if _LINE[key].search(head):
         return _LINE[key].sub(lambda _: line, head, count=1)
     return f"{line}\n{head}"
+
+
+def toml_value(value: Any) -> str:
+    """Return a text, a number, a list or a mapping as a value of TOML, on one line."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key} = {toml_value(own)}' for key, own in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return toml_text(value) if isinstance(value, str) else repr(value)
 
 
 def toml_text(text: str) -> str:

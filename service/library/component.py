@@ -24,6 +24,7 @@ HANGING = (
     "relative to the unloaded part without its weight, the geometry of its mesh: at zero load it "
     "is the sag under gravity"
 )
+UNLOADED = "relative to the part without loads"
 
 FileStamp = tuple[tuple[int, int] | None, ...]
 
@@ -218,8 +219,9 @@ def interface_of(component: Component) -> dict[str, Any] | None:
     dict
         ``section``, ``point`` (shape (3,), m; None for the section's area centre, until a check has
         found it), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and
-        ``moment``, in words. Of a component under its own weight also ``gravity`` (shape (3,),
-        m/s^2, in the mesh's axes) and ``displacement``, what it is relative to, in words.
+        ``moment``, in words. With own weight or further inputs ``displacement`` says what a
+        displacement is relative to; with own weight there is ``gravity`` (shape (3,), m/s^2, in the
+        mesh's axes).
     """
     found = interfaces_of(component)
     return next(iter(found.values())) if len(found) == 1 else None
@@ -265,7 +267,10 @@ def _interfaces(folder: Path, _fingerprint: str) -> dict[str, dict[str, Any]]:
     """Read once for each fingerprint: reading a bundle hashes its mesh."""
     bundle, report = read_bundle(folder), _report(folder)
     gravity = bundle.analysis.gravity
-    own = {"gravity": list(gravity), "displacement": HANGING} if gravity else {}
+    own: dict[str, Any] = {"gravity": list(gravity), "displacement": HANGING} if gravity else {}
+    zeros = [f"{one.name} {one.reference:g} {one.unit}" for one in bundle.further]
+    if zeros:
+        own["displacement"] = f"{own.get('displacement', UNLOADED)}, at {', '.join(zeros)}"
     checked = report.get("sections") or [report.get("section", {})]
     points = [one.get("point") for one in checked] + [None] * len(bundle.interfaces)
     return {
@@ -280,6 +285,7 @@ def _interfaces(folder: Path, _fingerprint: str) -> dict[str, dict[str, Any]]:
             **({"held": one.held} if bundle.others else {}),
         }
         for one, point in zip(bundle.interfaces, points, strict=False)
+        if one.section  # a measured part has none
     }
 
 

@@ -13,13 +13,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.bundle.tables import is_slug
 from wrenchbook.service.files.durable import sync_folder, sync_tree
-from wrenchbook.service.library.arrival import check_mesh, copy_bundle, toml_text, unpack
+from wrenchbook.service.library.arrival import check_mesh, copy_bundle, toml_value, unpack
 from wrenchbook.service.library.bundle_zip import one_problem
 from wrenchbook.service.library.component import (
     CHECK_FILE,
@@ -202,32 +202,21 @@ class Library:
         self._on_added(component)
         return component
 
-    def add_table_only(
-        self,
-        name: str,
-        title: str,
-        force: list[list[float]],
-        moment: list[list[float]],
-        tolerance: dict[str, float] | None,
-    ) -> Component:
+    def add_table_only(self, **entries: Any) -> Component:
         """Add a component that has no finite-element setup, only rows loaded from outside.
 
         Parameters
         ----------
-        force, moment:
-            Three ``[low, high]`` pairs each, N and N·m.
-        tolerance:
-            ``{"translation": m, "rotation": rad}`` or None for no limit.
+        **entries:
+            Those of its component.toml: ``name``, ``title``, ``range`` or ``interface`` (a list of
+            ``{"name", "range"}``), ``inputs`` and ``tolerance``, SI.
 
         Raises
         ------
         BundleError, ComponentExistsError, LibraryUnavailableError
             As `add_zip` does.
         """
-        lines = [f"name = {toml_text(name)}", f"title = {toml_text(title)}", "[range]"]
-        lines += [f"force = {json.dumps(force)}", f"moment = {json.dumps(moment)}"]
-        if tolerance:
-            lines += ["[tolerance]", *(f"{key} = {value!r}" for key, value in tolerance.items())]
+        lines = [f"{key} = {toml_value(value)}" for key, value in entries.items()]
         with self._incoming() as incoming:
             folder = incoming / "bundle"
             folder.mkdir()

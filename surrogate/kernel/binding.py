@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 from ..answer import NAMES
 from ..packed.format import CHECKED, Packed, PackedTableError, checksum_in, map_file, read
 from ..packed.reasons import Reason, text_of
+from ..table.space import Space
 from .library import Work, kernel
 from .replies import AXIS, NO_METHOD, AxisPart, Floats, Replies, Reply, ReplyReader, mistake
 
@@ -113,6 +115,11 @@ class PackedTable:
     def content(self) -> bytes:
         """The file's bytes, also of a mapped file that has been removed or replaced since."""
         return bytes(self._packed.content)
+
+    @cached_property
+    def space(self) -> Space:
+        """The table's inputs and outputs: names, units, interfaces."""
+        return Space.read(self.words["space"])
 
     @property
     def checksum(self) -> int:

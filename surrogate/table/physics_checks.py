@@ -2,7 +2,8 @@
 
 Zero at zero load. A compliance that is symmetric (Maxwell and Betti) and positive. Work done by a
 load on its own displacement that is positive, and grows from row to row along a ray and between
-neighbours. Tangents that lead from a row to its neighbour.
+neighbours. Tangents that lead from a row to its neighbour. Of several interfaces these hold for all
+their loads together; the laws of work are for tables without further inputs, since heat works too.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy.spatial import KDTree
 from .axes import CLEAN
 from .compliance import ComplianceFit
 from .rows import Floats, LoadRange, Rows, Tolerance
-from .space import LOADS, OUTPUTS
+from .space import Space
 
 # Shares of an output's largest value: what passes for zero, for equal, for linear.
 ZERO, LINEAR = 1e-3, 1e-2
@@ -32,19 +33,19 @@ def check_physics(
 ) -> dict[str, Any]:
     """Return all checks of the rows that hold every output, as JSON-able values.
 
-    Only tables of one interface without further inputs are checked; of others no row is.
     Deviations below the uncertainty of a row, and below the tolerance, break no law: by default
     the tolerance is `ZERO` of the largest translation or rotation.
     """
     whole = rows.take(np.isfinite(rows.displacement).all(axis=1))
-    if not len(whole) or not load_range.space.is_default:
+    if not len(whole):
         return {"rows_checked": 0, "ok": None, "checks": {}}
-    stored = np.nan_to_num(whole.uncertainty) + _noise(whole, tolerance)
+    space = load_range.space
+    stored = np.nan_to_num(whole.uncertainty) + _noise(whole, tolerance, space)
     checks = {
         "zero_at_zero_load": _zero(whole, load_range, stored),
         "symmetric": _symmetric(whole, load_range, fit),
         "positive": _positive(whole, load_range, fit),
-        "linear": _linear(whole, fit),
+        "linear": _linear(whole, space, fit),
         "work": _work(whole, load_range, stored),
         "tangents": _tangents(whole, load_range, stored),
     }
@@ -53,18 +54,17 @@ def check_physics(
     return {"rows_checked": len(whole), "ok": not broken, "checks": checks}
 
 
-def _noise(rows: Rows, tolerance: Tolerance | None) -> Floats:
-    """Return deviations that are no evidence, shape (6,), m and rad."""
+def _noise(rows: Rows, tolerance: Tolerance | None, space: Space) -> Floats:
+    """Return deviations that are no evidence, shape (m,), m and rad."""
     if tolerance is not None:
-        return np.repeat([tolerance.translation, tolerance.rotation], 3)
-    largest = np.abs(rows.displacement).max(axis=0)
-    return ZERO * np.repeat([largest[:3].max(), largest[3:].max()], 3)
+        return np.where(space.is_rotation, tolerance.rotation, tolerance.translation)
+    return ZERO * space.largest_of_kind(np.abs(rows.displacement).max(axis=0))
 
 
-def _sizes(rows: Rows) -> Floats:
-    """Return the largest value of each output, (6,), at least a part of its kind's largest."""
+def _sizes(rows: Rows, space: Space) -> Floats:
+    """Return the largest value of each output, (m,), at least a part of its kind's largest."""
     largest = np.abs(rows.displacement).max(axis=0)
-    kinds = np.repeat([largest[:3].max(), largest[3:].max()], 3)
+    kinds = space.largest_of_kind(largest)
     return np.maximum(largest, np.maximum(NEGLIGIBLE * kinds, np.finfo(float).tiny))
 
 
@@ -73,22 +73,27 @@ def _named(rows: Rows, wrong: np.ndarray) -> list[int]:
 
 
 def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
-    unloaded = (np.abs(rows.wrench) <= CLEAN * load_range.scale).all(axis=1)
+    space = load_range.space
+    unloaded = (np.abs(rows.wrench - space.zero) <= CLEAN * load_range.scale).all(axis=1)
     if not unloaded.any():
         return {"ok": None, "reason": "no row at zero load", "rows": []}
-    over = (np.abs(rows.displacement) > ZERO * _sizes(rows) + stored).any(axis=1)
+    over = (np.abs(rows.displacement) > ZERO * _sizes(rows, space) + stored).any(axis=1)
     wrong = np.asarray(unloaded & over)
     worst = np.abs(rows.displacement[unloaded]).max(axis=0).tolist()
     return {
         "ok": not wrong.any(),
-        "displacement": dict(zip(OUTPUTS, worst, strict=True)),
+        "displacement": dict(zip(space.output_names, worst, strict=True)),
         "rows": _named(rows, wrong),
     }
 
 
 def _energies(matrices: Floats, load_range: LoadRange) -> Floats:
-    """Return compliances (..., 6, 6) in units of energy: what each pair of full loads does."""
-    return matrices * load_range.scale[:, None] * load_range.scale[None, :]
+    """Return compliances (..., m, n) in units of energy: what each pair of full loads does.
+
+    Shape (..., m, m): loads, of which there are as many as outputs, stand before other inputs.
+    """
+    scale = load_range.scale[: matrices.shape[-2]]
+    return matrices[..., : len(scale)] * scale[:, None] * scale[None, :]
 
 
 def _asymmetry(energies: Floats) -> Floats:
@@ -98,9 +103,9 @@ def _asymmetry(energies: Floats) -> Floats:
 
 
 def _symmetric(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
-    known = np.outer(fit.known, fit.known)
-    whole = np.where(known, fit.matrix, 0.0)
-    asymmetry = float(_asymmetry(_energies(whole, load_range)))
+    energies = _energies(fit.matrix, load_range)
+    known = fit.known[: len(energies)]
+    asymmetry = float(_asymmetry(np.where(np.outer(known, known), energies, 0.0)))
     there = np.isfinite(rows.compliance).all(axis=(1, 2))
     wrong = np.zeros(len(rows), dtype=bool)
     wrong[there] = _asymmetry(_energies(rows.compliance[there], load_range)) > ASYMMETRY
@@ -120,8 +125,9 @@ def _least(energies: Floats) -> tuple[Floats, Floats]:
 
 
 def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
-    known = np.flatnonzero(fit.known)
-    energies = _energies(fit.matrix, load_range)[np.ix_(known, known)]
+    energies = _energies(fit.matrix, load_range)
+    known = np.flatnonzero(fit.known[: len(energies)])
+    energies = energies[np.ix_(known, known)]
     least, most = _least(energies) if len(known) else (np.float64(0), np.float64(1))
     # The fit's asymmetry is an error of the fit; an eigenvalue can be negative by as much.
     fitted = min(ASYMMETRY, float(_asymmetry(energies))) if len(known) else 0.0
@@ -129,38 +135,44 @@ def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str
     wrong = np.zeros(len(rows), dtype=bool)
     low, high = _least(_energies(rows.compliance[there], load_range))
     wrong[there] = low < -NEGATIVE * high
+    names = load_range.space.input_names
     idle = np.abs(energies).max(axis=1, initial=0.0) < NEGATIVE * most
     return {
         "ok": bool(least >= -max(NEGATIVE, fitted) * most and not wrong.any()),
         "smallest_over_largest_eigenvalue": float(least / most),
-        "loads_without_influence": [LOADS[load] for load in known[idle]],
+        "loads_without_influence": [names[load] for load in known[idle]],
         "rows": _named(rows, wrong),
     }
 
 
-def _linear(rows: Rows, fit: ComplianceFit) -> dict[str, Any]:
-    """Return how far the rows are from one 6x6, and name the farthest."""
-    known = ((rows.wrench == 0) | fit.known).all(axis=1)
+def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
+    """Return how far the rows are from one matrix, and name the farthest."""
+    known = ((rows.wrench == space.zero) | fit.known).all(axis=1)
     if not known.any() or fit.origin == "none":
         return {"ok": None, "reason": "the rows tell no compliance", "rows": []}
-    missed = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(rows)
+    missed = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(
+        rows, space
+    )
     missed = np.where(known[:, None], missed, 0.0)
     index = float(missed.max())
     farthest = np.argsort(-missed.max(axis=1))[:5]
     ok = index <= LINEAR
+    matrix = "a 6x6" if space.is_default else "one matrix"
     word = "suffices" if ok else "does not suffice"
     return {
         "ok": ok,
         "index": index,
-        "per_output": dict(zip(OUTPUTS, missed.max(axis=0).tolist(), strict=True)),
-        "says": f"a 6x6 {word} for this component: max nonlinearity {index:.2%}",
+        "per_output": dict(zip(space.output_names, missed.max(axis=0).tolist(), strict=True)),
+        "says": f"{matrix} {word} for this component: max nonlinearity {index:.2%}",
         "rows": [] if ok else rows.seq[farthest].tolist(),
     }
 
 
 def _work(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     """Check that loads do positive work, alone and on the way to the nearest other row."""
-    uncertainty = stored + NEGATIVE * _sizes(rows)
+    if load_range.space.scalars:
+        return {"ok": None, "reason": "heat and weight do work as well as the loads", "rows": []}
+    uncertainty = stored + NEGATIVE * _sizes(rows, load_range.space)
     work = (rows.wrench * rows.displacement).sum(axis=1)
     wrong = work < -(np.abs(rows.wrench) * uncertainty).sum(axis=1)
     backward = 0
@@ -199,14 +211,15 @@ def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, An
     mean = (some.compliance[first] + some.compliance[second]) / 2
     moved = some.displacement[second] - some.displacement[first]
     missed = np.abs(moved - np.einsum("pij,pj->pi", mean, step))
-    allowed = TANGENT * np.abs(moved) + 0.05 * _sizes(some)
+    sizes = _sizes(some, load_range.space)
+    allowed = TANGENT * np.abs(moved) + 0.05 * sizes
     allowed += stored[there][first] + stored[there][second]
     over = (missed > allowed).any(axis=1)
     blamed = np.bincount(pairs[near][over].reshape(-1), minlength=len(some))
     wrong = blamed > 1 if (blamed > 1).any() else blamed > 0
     return {
         "ok": not over.any(),
-        "largest_miss": float((missed / _sizes(some)).max()),
+        "largest_miss": float((missed / sizes).max()),
         "rows": _named(some, wrong),
     }
 

@@ -48,7 +48,9 @@ def filled(folder: Path) -> None:
     library = Library(folder / "components", folder / "none")
     span = [[-SPAN, SPAN]] * 3
     for number in range(COMPONENTS):
-        library.add_table_only(f"part{number}", "made up", span, span, None)
+        library.add_table_only(
+            name=f"part{number}", title="made up", range={"force": span, "moment": span}
+        )
         ledger.insert_rows(f"part{number}", "", rows_of(number))
     ledger.close()
 

@@ -39,7 +39,9 @@ class Site:
         self.ledger = Ledger(self.folder / "ledger.sqlite", patient=True)
         self.library = Library(self.folder / "components", self.folder / "none")
         for name in names:
-            self.library.add_table_only(name, name, RANGE, RANGE, None)
+            self.library.add_table_only(
+                name=name, title=name, range={"force": RANGE, "moment": RANGE}
+            )
         self.tables = Tables(self.ledger, self.library, self.folder / "tables")
         self.tables.start()
 
@@ -232,7 +234,7 @@ def test_a_row_withdrawn_while_nobody_served_is_not_in_the_table(site):
 def test_an_exception_in_one_tables_build_starves_no_other(site, monkeypatch):
     """The tables after it in the alphabet got no rows any more."""
     for name in ("aaa", "zzz"):
-        site.library.add_table_only(name, name, RANGE, RANGE, None)
+        site.library.add_table_only(name=name, title=name, range={"force": RANGE, "moment": RANGE})
         site.tables.surrogate(name)
     build = live.make
 
@@ -255,7 +257,9 @@ def test_an_exception_in_one_tables_build_starves_no_other(site, monkeypatch):
 
 
 def test_a_component_that_cannot_be_read_leaves_the_others_and_says_why(site):
-    site.library.add_table_only("other", "other", RANGE, RANGE, None)
+    site.library.add_table_only(
+        name="other", title="other", range={"force": RANGE, "moment": RANGE}
+    )
     site.insert(3)
     site.close()
     (site.folder / "components" / "other" / "component.toml").write_text("")
@@ -269,7 +273,9 @@ def test_a_component_that_cannot_be_read_leaves_the_others_and_says_why(site):
 
 @pytest.mark.timeout(280)
 def test_whatever_byte_is_damaged_tables_open_and_sound_components_answer(site):
-    site.library.add_table_only("other", "other", RANGE, RANGE, None)
+    site.library.add_table_only(
+        name="other", title="other", range={"force": RANGE, "moment": RANGE}
+    )
     site.tables.surrogate("other")
     site.insert(20)
     site.insert(20, name="other")
@@ -377,7 +383,9 @@ def test_a_packed_file_that_is_cut_off_or_gone_is_built_anew(site):
 
 
 def test_the_packed_file_of_another_component_or_of_other_rows_is_not_answered_from(site):
-    site.library.add_table_only("other", "other", RANGE, RANGE, None)
+    site.library.add_table_only(
+        name="other", title="other", range={"force": RANGE, "moment": RANGE}
+    )
     site.insert(30)
     before = answer_of(site)
     site.ledger.insert_rows("other", "", [replace_displacement(row) for row in new_rows(30)])
@@ -453,7 +461,9 @@ def test_what_a_killed_writer_of_a_packed_file_has_left_is_removed(site):
 
 
 def test_numpy_tables_used_longest_ago_are_dropped_and_built_again(site):
-    site.library.add_table_only("other", "other", RANGE, RANGE, None)
+    site.library.add_table_only(
+        name="other", title="other", range={"force": RANGE, "moment": RANGE}
+    )
     site.insert(30)
     site.insert(30, name="other")
     first, second = (site.tables.surrogate(name) for name in ("rig", "other"))

@@ -1,5 +1,6 @@
 """A component with temperature and acceleration as further inputs, over HTTP."""
 
+import numpy as np
 import pytest
 
 from tests.service.test_http_components import bundle_zip, upload
@@ -106,3 +107,20 @@ def test_a_job_has_its_inputs_by_name(hot):
     job = next(one for one in jobs if one["inputs"] == inputs(60.0, -9.81))
     assert job["force"] == job["moment"] == [0.0] * 3
     assert job["translation"][0] == pytest.approx(LENGTH * EXPANSION * 40.0, rel=1e-6)
+
+
+def test_the_compliance_has_the_displacement_where_all_inputs_are_zero(hot):
+    ask(hot, 20.0, on_thin="wait")
+    body = hot.get(f"{URL}/compliance").json()
+    matrix, offset = np.array(body["matrix"]), np.array(body["offset"])
+    moved = matrix @ [0, 0, 0, 0, 0, 0, 120.0, 0, 0, 0] + offset
+    assert moved[0] == pytest.approx(EXPANSION * 100 * LENGTH, rel=1e-9)
+    assert body["checks"]["symmetric"]["ok"]
+    assert body["checks"]["positive"]["ok"]
+
+
+def test_a_component_names_the_state_that_a_displacement_is_relative_to(hot):
+    words = hot.get(URL).json()["interface"]["displacement"]
+    assert words == "relative to the part without loads, at temperature 20 degC, ax 0 m/s^2, " + (
+        "ay 0 m/s^2, az 0 m/s^2"
+    )

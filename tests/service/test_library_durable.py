@@ -106,9 +106,13 @@ def test_a_second_server_on_the_folder_does_not_answer_201_with_the_first_ones_c
 ):
     """It moved its bundle into the first one's folder and told the first one's range as added."""
     second = Library(tmp_path / "components", tmp_path / "none")
-    library.add_table_only("two", "first", [[-9, 9]] * 3, [[-9, 9]] * 3, None)
+    library.add_table_only(
+        name="two", title="first", range={"force": [[-9, 9]] * 3, "moment": [[-9, 9]] * 3}
+    )
     with pytest.raises(ComponentExistsError, match="'two' is there already"):
-        second.add_table_only("two", "second", [[-1, 1]] * 3, [[-1, 1]] * 3, None)
+        second.add_table_only(
+            name="two", title="second", range={"force": [[-1, 1]] * 3, "moment": [[-1, 1]] * 3}
+        )
     files = [path.name for path in (tmp_path / "components").rglob("*")]
     assert sorted(files) == ["component.toml", "two"]
     assert second["two"].title == "first"
@@ -119,11 +123,15 @@ def test_two_servers_that_add_one_name_at_the_same_moment_add_it_once(
 ):
     """The other's folder appears between the look and the rename."""
     monkeypatch.setattr("wrenchbook.service.library.library.os.path.lexists", lambda path: False)
-    library.add_table_only("two", "first", [[-9, 9]] * 3, [[-9, 9]] * 3, None)
+    library.add_table_only(
+        name="two", title="first", range={"force": [[-9, 9]] * 3, "moment": [[-9, 9]] * 3}
+    )
     second = Library(tmp_path / "components", tmp_path / "none")
     second._components = {}
     with pytest.raises(ComponentExistsError):
-        second.add_table_only("two", "second", [[-1, 1]] * 3, [[-1, 1]] * 3, None)
+        second.add_table_only(
+            name="two", title="second", range={"force": [[-1, 1]] * 3, "moment": [[-1, 1]] * 3}
+        )
     assert second["two"].title == "first"
 
 
@@ -135,7 +143,9 @@ def test_a_name_whose_files_are_damaged_is_taken_and_nothing_is_put_into_its_fol
     folder.mkdir()
     (folder / "component.toml").write_bytes(b"")
     with pytest.raises(ComponentExistsError):
-        library.add_table_only("rig", "rig", [[-1, 1]] * 3, [[-1, 1]] * 3, None)
+        library.add_table_only(
+            name="rig", title="rig", range={"force": [[-1, 1]] * 3, "moment": [[-1, 1]] * 3}
+        )
     assert [path.name for path in folder.iterdir()] == ["component.toml"]
 
 

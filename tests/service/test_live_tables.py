@@ -31,7 +31,9 @@ def open_tables(tmp_path):
         library = Library(tmp_path / "components", tmp_path / "none")
         for name, count in rows.items():
             if name not in library.names():
-                library.add_table_only(name, name, RANGE, RANGE, None)
+                library.add_table_only(
+                    name=name, title=name, range={"force": RANGE, "moment": RANGE}
+                )
             ledger.insert_rows(name, "", new_rows(count))
         tables = Tables(ledger, library, tmp_path / "tables")
         before(tables)

@@ -39,7 +39,7 @@ class Part:
             self.tables = MappedTables(*where, self.state)
 
     def add(self, name, count):
-        self.library.add_table_only(name, name, RANGE, RANGE, None)
+        self.library.add_table_only(name=name, title=name, range={"force": RANGE, "moment": RANGE})
         self.ledger.insert_rows(name, "", new_rows(count))
 
 
@@ -200,7 +200,9 @@ def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch
 
 def test_a_component_without_rows_answers_at_once(both):
     _, reader = both
-    reader.library.add_table_only("bare", "bare", RANGE, RANGE, None)
+    reader.library.add_table_only(
+        name="bare", title="bare", range={"force": RANGE, "moment": RANGE}
+    )
     assert reader.tables.surrogate("bare").packed.answer((1.0, 0, 0, 0, 0, 0)).coverage == "outside"
 
 

@@ -11,7 +11,7 @@ RANGE = [[-10.0, 10.0]] * 3
 def test_an_export_holds_all_rows_of_a_table_larger_than_one_part_of_the_news(tmp_path):
     ledger = Ledger(tmp_path / "ledger.sqlite")
     library = Library(tmp_path / "components", tmp_path / "none")
-    library.add_table_only("rig", "rig", RANGE, RANGE, None)
+    library.add_table_only(name="rig", title="rig", range={"force": RANGE, "moment": RANGE})
     count = MOST_CHANGES + 2
     ledger.insert_rows(
         "rig", "", (NewRow((load / count, 0, 0, 0, 0, 0), (load,) * 6) for load in range(count))

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
+from tests.surrogate.test_space import range_of
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.compliance import fit_compliance
 from wrenchbook.surrogate.table.conflicts import conflicts
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.space import Input, space_of
+from wrenchbook.surrogate.table.spread import spread_wrenches
 
 ROOT = np.random.default_rng(3).normal(size=(6, 6)) + 3 * np.eye(6)
 SCALED = np.concatenate((np.zeros((1, 6)), clean_wrenches(30, 4), full_wrenches(20, 5)))
@@ -149,3 +152,25 @@ def test_a_compliance_that_is_negative_by_its_own_asymmetry_breaks_no_law() -> N
     assert told["positive"]["smallest_over_largest_eigenvalue"] < -1e-6
     assert told["positive"]["ok"]
     assert not checks(-(moved + noise))["checks"]["positive"]["ok"]
+
+
+def test_laws_of_physics_are_checked_over_all_interfaces() -> None:
+    space = space_of(("left", "right"), [Input("temperature", "degC", "scalar", zero=0.5)])
+    load_range = range_of(space)
+    rng = np.random.default_rng(3)
+    half = rng.uniform(-1, 1, (12, 12))
+    matrix = np.hstack([half @ half.T, rng.uniform(-1, 1, (12, 1))])
+    inputs = spread_wrenches(load_range, 40)
+    inputs[0] = space.zero
+    rows = Rows.of(inputs, (inputs - space.zero) @ matrix.T, space)
+    found = check_physics(rows, load_range, fit_compliance(rows, load_range, linear=False))
+    assert found["ok"]
+    assert found["checks"]["zero_at_zero_load"]["ok"]
+    assert found["checks"]["symmetric"]["asymmetry"] < 1e-9
+    assert found["checks"]["work"]["ok"] is None
+    wrong = rows.displacement.copy()
+    wrong[0, 7] = 1.0
+    moved = Rows.of(inputs, wrong, space, seq=np.arange(40))
+    found = check_physics(moved, load_range, fit_compliance(moved, load_range, linear=False))
+    assert found["checks"]["zero_at_zero_load"]["rows"] == [0]
+    assert found["checks"]["zero_at_zero_load"]["displacement"]["right.uy"] == 1.0

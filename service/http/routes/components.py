@@ -14,7 +14,7 @@ from wrenchbook.fea.accuracy.advice import WHERE, over_tolerance
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
-from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent, ends_of
+from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
 from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
@@ -139,11 +139,7 @@ async def _add_bundle(workspace: Workspace, request: Request) -> Component:
 
 
 def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component:
-    bounds = ends_of(body.range.force, body.range.moment)
-    tolerance = body.tolerance.model_dump() if body.tolerance else None
-    return workspace.library.add_table_only(
-        body.name, body.title, bounds[:3], bounds[3:], tolerance
-    )
+    return workspace.library.add_table_only(**body.model_dump(exclude_none=True))
 
 
 @router.post(

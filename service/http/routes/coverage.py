@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from fastapi import APIRouter
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
@@ -57,6 +58,7 @@ def _compliance(name: str, table: ServedTable) -> Response:
         "tangent_origin": tangent["origin"],
         "origin": fit.origin,
         "matrix": fit.matrix.tolist(),
+        "offset": np.broadcast_to(fit.offset, len(space.outputs)).tolist(),
         "known_loads": [
             load for load, known in zip(space.input_names, fit.known, strict=True) if known
         ],

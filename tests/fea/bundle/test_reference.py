@@ -52,7 +52,8 @@ def bundles():
     for mesh in meshes:
         materials = [{"region": "all"}, {"region": "x", "law": "orthotropic"}]
         yield common | {"mesh": mesh, "material": materials}
-    yield common | {"interface": [{"range": {}}, {}]}
+    with_mesh = {"mesh": {"file": "a.msh"}, "material": [{"region": "all"}]}
+    yield common | with_mesh | {"interface": [{"range": {}}, {}]}
     for reader in _BUILT_IN:
         yield common | {"deck": {"output": {"reader": reader}}}
 
