@@ -89,7 +89,7 @@ class Table:
         OSError
             If it cannot be written.
         """
-        _surrogate("packed.format").write_file(Path(path), [self._packed.content])
+        _surrogate("packed.format").write_file(Path(path), [self.packed.content])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return read-only views of the table's arrays by name; none is copied.
@@ -98,32 +98,32 @@ class Table:
         ``gK/row/moved`` (r, m), m and rad, the rows of the K-th group of outputs. The names,
         shapes and units of all are in surrogate/packed/writer.py.
         """
-        return dict(self._packed.arrays)
+        return dict(self.packed.arrays)
 
     @property
     def version(self) -> int:
         """The table's version, the server's `table_version`."""
-        return self._packed.words["provenance"]["version"]
+        return self.packed.words["provenance"]["version"]
 
     @property
     def method(self) -> str:
         """The method that answers if none is given."""
-        return self._packed.words["summary"]["method"]
+        return self.packed.words["summary"]["method"]
 
     @property
     def space(self) -> Any:
         """Its inputs and outputs, a `surrogate.table.space.Space`: names, units, interfaces."""
-        return self._packed.space
+        return self.packed.space
 
     @property
     def tolerance(self) -> dict[str, float] | None:
         """The component's own tolerance, ``translation`` in m and ``rotation`` in rad, or None."""
-        return _tolerance_of(self._packed)
+        return _tolerance_of(self.packed)
 
     @property
     def plan(self) -> ComponentPlan | None:
         """The scene plan that a scene's table follows; None of a whole table."""
-        scene = self._packed.words.get("scene")
+        scene = self.packed.words.get("scene")
         return None if scene is None else ComponentPlan.read(self.name, scene["plan"])
 
     def answer(
@@ -155,7 +155,7 @@ class Table:
             missing, or there is no such method.
         """
         values, wrench, by_name = self._values(force, moment, loads, inputs)
-        packed, limit = self._packed, self._allowed(tolerance)
+        packed, limit = self.packed, self._allowed(tolerance)
         started = perf_counter_ns()
         try:
             found = packed.answer(values, limit, method)
@@ -180,7 +180,7 @@ class Table:
 
         Negative zeros become zeros, as the server reads them.
         """
-        if force is not None and loads is None and inputs is None and self._packed.inputs == _WHOLE:
+        if force is not None and loads is None and inputs is None and self.packed.inputs == _WHOLE:
             wrench = one_wrench(force, moment)
             return (wrench + 0.0).tolist(), wrench, None
         body, space = loads_body(force, moment, loads, inputs), self.space
@@ -201,7 +201,7 @@ class Table:
             return None
         pair = tolerance_body(tolerance)
         kinds = (pair["translation"],) * 3 + (pair["rotation"],) * 3
-        return kinds * (self._packed.outputs // _WHOLE)
+        return kinds * (self.packed.outputs // _WHOLE)
 
     def batch(
         self,
@@ -219,7 +219,7 @@ class Table:
         Displacements
             Shapes (n, outputs), m and rad; with `derivatives` also `Displacements.derivatives`.
         """
-        packed, limit = self._packed, self._allowed(tolerance)
+        packed, limit = self.packed, self._allowed(tolerance)
         block = many_wrenches(wrenches, packed.inputs)
         loads = block + 0.0  # no negative zeros, as the server reads them
         started = perf_counter_ns()
@@ -268,7 +268,7 @@ class Table:
         """
         values = self._values(force, moment, loads, inputs)[0]
         try:
-            slope = self._packed.derivative(values)[:, : self._packed.outputs]
+            slope = self.packed.derivative(values)[:, : self.packed.outputs]
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
         if np.isnan(slope).any():
@@ -298,7 +298,7 @@ class Table:
             drift ``measurement``: shape (m,), m and rad, None where it is not known. The rest of a
             bar is the table's. Empty where there is no such part.
         """
-        packed = self._packed
+        packed = self.packed
         error = packed.words["solver_error"] or {}
         found = packed.answer(self._values(force, moment, loads, inputs)[0])
         parts = {"mesh": found.discretisation} if error else {}
@@ -342,11 +342,12 @@ class Table:
             self._client.close()
 
     @property
-    def _packed(self) -> Any:
+    def packed(self) -> Any:
+        """Its packed table, `surrogate.kernel.binding.PackedTable`."""
         return self._now[0]
 
     def __repr__(self) -> str:
-        rows, size = self._packed.words["provenance"]["rows"], self._packed.size
+        rows, size = self.packed.words["provenance"]["rows"], self.packed.size
         return (
             f"<Table {self.name!r}, version {self.version}: {rows} rows, method {self.method}, "
             f"range {self._range()}, {size / 1e6:.3g} MB>"
@@ -354,7 +355,7 @@ class Table:
 
     def _range(self) -> str:
         """Return the load range in words, N and N·m, and that of further inputs."""
-        low, high = self._packed.arrays["space/range"]
+        low, high = self.packed.arrays["space/range"]
         spans = [
             f"{one.name} {a:g} to {b:g}"
             for one, a, b in zip(self.space.inputs, low, high, strict=True)
@@ -364,8 +365,8 @@ class Table:
         return f"{', '.join(spans)} ({', '.join(units)})"
 
     def _repr_html_(self) -> str:
-        low, high = self._packed.arrays["space/range"]
-        rows = self._packed.words["provenance"]["rows"]
+        low, high = self.packed.arrays["space/range"]
+        rows = self.packed.words["provenance"]["rows"]
         return html_table(
             f"{self.name}, table version {self.version}: {rows} rows, method {self.method}",
             ["", *_columns(self.space.inputs)],
@@ -384,7 +385,7 @@ class Table:
             If pandas is not installed.
         """
         pandas, frames, space = require_pandas(), [], self.space
-        for group, (wrenches, moved) in enumerate(_row_groups(self._packed.arrays)):
+        for group, (wrenches, moved) in enumerate(_row_groups(self.packed.arrays)):
             columns = named_columns(_columns(space.inputs), wrenches)
             columns |= named_columns(_columns(space.outputs), moved)
             frames.append(pandas.DataFrame({"group": group, **columns}))

@@ -50,7 +50,7 @@ print(json.dumps({
     "same": [here.vector.tolist() == measured.vector.tolist(), here.coverage == measured.coverage,
              (bar.vector == there.vector).all().item(), bar.method == there.method,
              (bar.derivative == there.derivative).all().item()],
-    "table": [type(table).__module__, type(table._packed).__module__],
+    "table": [type(table).__module__, type(table.packed).__module__],
     "batch_uz": batch.displacements[:, 2].tolist(),
     "server_stack": sorted({"fastapi", "starlette", "pydantic", "uvicorn", "sqlite3"}
                            & set(sys.modules)),

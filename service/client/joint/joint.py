@@ -1,0 +1,278 @@
+"""A flexible part between two rigid bodies, as a force element for any simulator."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InvalidArgument
+from .errors import JointRangeError, JointWarning
+from .scheme import rate
+
+Vector = NDArray[np.float64]
+
+FREEDOMS = 6  # of an interface: three translations, then three rotations
+LARGEST_TURN = math.radians(20.0)  # of a table: the contract's limit of rotations
+MOST_LEFT = 2.0  # of the range or of LARGEST_TURN: further out the pose is not that of the part
+CLOSE = 1e-9  # of the range: changes of the boundary point below this are rounding
+SMALL_ANGLE = 1e-4  # rad: below it the series to a^2 is exact to rounding
+MOST_STEPS = 8  # towards the boundary point; each gains some digits
+
+
+class Joint:
+    """A part that pulls back on the two bodies that it connects.
+
+    The simulator has the relative motion of the tip, the interface's side, against the base, the
+    support's side. Each step the joint returns the wrench on the part; the simulator applies its
+    negative to the tip at the interface point, and the wrench itself to the base at the same point.
+
+    Parameters
+    ----------
+    table : Table
+        A downloaded or opened table of a part with one interface that moves.
+    damping : float
+        Share of critical damping of each mode of the part between the two bodies.
+    interface : str, optional
+        Of several interfaces the one at the tip; all others must be held. The only one that moves
+        if it is not given.
+    method : str, optional
+        How the table answers; its own choice otherwise.
+
+    Attributes
+    ----------
+    wrench : numpy.ndarray
+        The wrench on the part in the last step, shape (6,), N and N·m, in the undeformed interface
+        frame, its moment about the interface point where it is now.
+    displacement : numpy.ndarray
+        Shape (6,), m and rad, at the beginning of that step.
+    free : numpy.ndarray of int
+        The freedoms that the part does not lock; others have no wrench.
+
+    Raises
+    ------
+    InvalidArgument
+        If the table's part moves at several interfaces, at none, or has further inputs; if the
+        damping is negative.
+    """
+
+    def __init__(
+        self,
+        table: Any,
+        damping: float = 0.02,
+        *,
+        interface: str | None = None,
+        method: str | None = None,
+    ) -> None:
+        if not (math.isfinite(damping) and damping >= 0.0):
+            raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
+        self._table, self.damping, self._method = table, float(damping), method
+        self._at, self.free = _moving(table, interface)
+        self._warned = False
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the state of the last step."""
+        self.wrench, self.displacement = np.zeros(FREEDOMS), np.zeros(FREEDOMS)
+        self._loads: Vector | None = None  # of all interfaces, where the next search begins
+
+    @property
+    def coverage(self) -> str:
+        """How the table covers the wrench: ``covered``, ``thin`` or ``outside``."""
+        return str(self._table.packed.answer(self._whole(self.wrench).tolist()).coverage)
+
+    def step(
+        self,
+        R: ArrayLike,
+        p: ArrayLike,
+        velocity: ArrayLike,
+        inverse_mass: ArrayLike,
+        dt: float,
+    ) -> Vector:
+        """Return the wrench on the part during a step, shape (6,), N and N·m.
+
+        Parameters
+        ----------
+        R, p : array_like
+            The tip's interface frame in its undeformed frame, which moves with the base: shape
+            (3, 3), dimensionless, and shape (3,), m.
+        velocity : array_like
+            Shape (6,), m/s and rad/s, in the undeformed frame: how fast the interface point and
+            frame would move against the base after the step if the part did not pull.
+        inverse_mass : array_like
+            Shape (6, 6): the relative acceleration by a unit load on the tip and its reaction on
+            the base, 1/kg to 1/(kg·m^2).
+        dt : float
+            The step, s.
+
+        Raises
+        ------
+        JointRangeError
+            If the pose lies beyond twice the load range or 40 degrees.
+        InvalidArgument
+            If the inverse mass is not positive definite.
+        """
+        wrench, stiffness = self.state(p, rotation_vector(R))
+        free, mass = self.free, np.asarray(inverse_mass, dtype=float)
+        square = np.ix_(free, free)
+        slope = rate(stiffness[square], mass[square], dt, self.damping)
+        right = wrench[free] + slope @ np.asarray(velocity, dtype=float)[free]
+        self.wrench = np.zeros(FREEDOMS)
+        self.wrench[free] = np.linalg.solve(np.eye(len(free)) + dt * slope @ mass[square], right)
+        return self.wrench
+
+    def state(self, translation: ArrayLike, rotation: ArrayLike) -> tuple[Vector, Vector]:
+        """Return the wrench of a displacement, shape (6,), and its stiffness, shape (6, 6).
+
+        Parameters
+        ----------
+        translation, rotation : array_like
+            Shape (3,), m, and the rotation vector, shape (3,), rad.
+
+        Returns
+        -------
+        wrench : numpy.ndarray
+            N and N·m.
+        stiffness : numpy.ndarray
+            Its change with the translation and the angle turned about fixed axes, N/m to N·m/rad,
+            symmetric: the part that turning the moment adds is antisymmetric and does no work.
+
+        Raises
+        ------
+        JointRangeError
+            See `step`.
+        """
+        moved = np.concatenate([translation, rotation])
+        wrench, stiffness, left = self._search(moved)
+        if left > 1.0:
+            self._leave(left)
+        self.displacement = moved
+        turned = stiffness.copy()
+        turned[:, 3:] = np.linalg.solve(left_jacobian(moved[3:]).T, stiffness[:, 3:].T).T
+        return wrench, 0.5 * (turned + turned.T)
+
+    def _search(self, moved: Vector) -> tuple[Vector, Vector, float]:
+        """Return wrench, stiffness by the rotation vector, and how far out the pose is, in ranges.
+
+        Beyond the load range the wrench goes on linearly from the boundary of the range, from the
+        wrench in the same ratio.
+        """
+        packed, at = self._table.packed, self._at
+        target = np.zeros(packed.outputs)
+        target[at] = moved
+        turn = math.sqrt(float(moved[3:] @ moved[3:])) / LARGEST_TURN
+        try:
+            loads, slopes = packed.inverse(target, self._loads, self._method)
+            left = max(self._ranges(loads), turn)
+        except ValueError:
+            loads, slopes, left = self._whole(self.wrench), None, math.inf
+        if left <= 1.0:
+            self._loads = loads
+            return loads[at], slopes[at, at], left
+        return self._beyond(loads, target, turn)
+
+    def _beyond(self, loads: Vector, target: Vector, turn: float) -> tuple[Vector, Vector, float]:
+        """Return the same of a pose beyond the range, from the last wrench that was found."""
+        packed, at = self._table.packed, self._at
+        free, stiffness = np.ix_(self.free, self.free), np.zeros((FREEDOMS, FREEDOMS))
+        for _ in range(MOST_STEPS):
+            edge = np.clip(loads / max(turn, 1.0), *packed.arrays["space/range"])
+            answer = packed.answer(edge.tolist(), None, self._method)
+            slope = packed.derivative(edge.tolist(), None, self._method)[at, at]
+            stiffness[free] = np.linalg.inv(slope[free])
+            rest = target[at] - np.array(answer.outputs, dtype=float)[at]
+            before, loads = loads, edge + self._whole(stiffness @ rest)
+            if (np.abs(loads - before) <= CLOSE * packed.arrays["space/scale"]).all():
+                break
+        self._loads = edge
+        return loads[at], stiffness, max(self._ranges(loads), turn)
+
+    def _ranges(self, loads: Vector) -> float:
+        """Return how far out loads are, in half widths of the range; 1 at its boundary."""
+        arrays = self._table.packed.arrays
+        (low, high), scale = arrays["space/range"], arrays["space/scale"]
+        return 1.0 + float((np.maximum(loads - high, low - loads) / scale).max())
+
+    def _whole(self, wrench: Vector) -> Vector:
+        """Return the table's inputs with a wrench at the tip, shape (n,), N and N·m."""
+        loads = np.zeros(self._table.packed.inputs)
+        loads[self._at] = wrench
+        return loads
+
+    def _leave(self, left: float) -> None:
+        """Warn once that the pose is beyond the range; raise where it is far beyond."""
+        name = self._table.name
+        if left > MOST_LEFT:
+            raise JointRangeError(
+                f"{name}: the pose needs {left:.3g} times the load range, or turns by as many times "
+                "20 degrees. Check the masses, the step and the units of the scene, or give the "
+                "component a wider range"
+            )
+        if not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"{name}: the pose is beyond the load range or 20 degrees; the wrench goes on "
+                f"linearly from there, up to {MOST_LEFT:g} times the range",
+                JointWarning,
+                stacklevel=4,  # the caller of step
+            )
+
+
+def rotation_vector(R: ArrayLike) -> Vector:
+    """Return the rotation vector of a matrix, shape (3,), rad, below half a turn.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no rotation, or half a turn.
+    """
+    matrix = np.asarray(R, dtype=float)
+    if matrix.shape != (3, 3) or not np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6:
+        raise InvalidArgument("R must be a rotation matrix, shape (3, 3)")
+    sine = 0.5 * np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )
+    size = math.sqrt(float(sine @ sine))
+    angle = math.atan2(size, 0.5 * (float(np.trace(matrix)) - 1.0))
+    if size == 0.0 and angle > 1.0:
+        raise InvalidArgument("R turns by half a turn: its rotation vector has two directions")
+    return sine * (angle / size if size > 0.0 else 1.0)
+
+
+def left_jacobian(rotation: Vector) -> Vector:
+    """Return T, shape (3, 3), of a rotation vector r, rad: exp(r) turns at T dr/dt about fixed axes.
+
+    T = I + (1 - cos a)/a^2 [r] + (a - sin a)/a^3 [r]^2 with a = |r| (Iserles et al. 2000).
+    """
+    x, y, z = rotation.tolist()
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle < SMALL_ANGLE:
+        return np.eye(3) + 0.5 * cross + cross @ cross / 6.0
+    first = 2.0 * math.sin(0.5 * angle) ** 2 / angle**2
+    second = (angle - math.sin(angle)) / angle**3
+    return np.eye(3) + first * cross + second * (cross @ cross)
+
+
+def _moving(table: Any, interface: str | None) -> tuple[slice, NDArray[np.intp]]:
+    """Return the place of the interface that moves, and its freedoms that are not locked."""
+    space, locked = table.space, np.asarray(table.packed.arrays["space/locked"], dtype=bool)
+    if space.scalars:
+        names = ", ".join(one.name for one in space.scalars)
+        raise InvalidArgument(f"{table.name} has the further inputs {names}; a joint takes none")
+    free = {
+        name: np.flatnonzero(~locked[FREEDOMS * k : FREEDOMS * (k + 1)])
+        for k, name in enumerate(space.interfaces)
+    }
+    move = [name for name, own in free.items() if len(own)]
+    if len(move) != 1 or interface not in (None, *move):
+        listed = ", ".join(map(repr, move)) or "none"
+        raise InvalidArgument(
+            f"a joint needs one interface that moves and all others held; {table.name} moves at "
+            f"{listed}"
+        )
+    k = space.interfaces.index(move[0])
+    return slice(FREEDOMS * k, FREEDOMS * (k + 1)), free[move[0]]

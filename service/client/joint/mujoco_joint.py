@@ -1,0 +1,297 @@
+"""The joint in MuJoCo: three slides and a ball between base and tip carry the part's wrench."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rotation import rotation_matrix
+from .errors import JointError
+from .joint import FREEDOMS, Joint
+from .scheme import rate
+
+try:
+    import mujoco
+except ModuleNotFoundError as error:
+    raise ImportError(
+        "MujocoJoint needs the package 'mujoco', which is not installed: "
+        "pip install 'wrenchbook[mujoco]'",
+        name="mujoco",
+    ) from error
+
+Vector = NDArray[np.float64]
+
+engine: Any = mujoco  # compiled: it has no types
+_JOINT, _OBJECT = engine.mjtJoint, engine.mjtObj
+_SQUARE = 1e-9  # the axes of the slides are unit and orthogonal to rounding of a file's digits
+_REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
+
+
+class MujocoJoint(Joint):
+    """A part that bends between two bodies of a MuJoCo scene, on bases that move too.
+
+    The tip's body is a child of the base's body and has three slides and a ball (of a part with
+    locked freedoms those that are free) at the interface point, in this order: MuJoCo turns the
+    axes of what follows a ball. The axes of the slides are those of the undeformed interface
+    frame. The joints have no stiffness, damping or limits: the part has these.
+
+    Parameters
+    ----------
+    model, data : MjModel, MjData
+    table : Table
+    base, tip : str
+        Names of the two bodies.
+    damping : float
+        Share of critical damping of each mode of the part between the two bodies.
+    **options
+        Of `Joint`.
+
+    Raises
+    ------
+    JointError
+        If the scene has no such bodies or joints, or its integrator is RK4.
+    InvalidArgument
+        See `Joint`.
+
+    Notes
+    -----
+    Generalised forces on the slides and the ball act on both sides, so that the reaction on the
+    base is there by itself. `step` takes the place of ``mj_step``; of several joints in one scene
+    `step_joints` does. Contacts and other constraints feel the part within the step, so that stiff
+    parts on MuJoCo's default contacts do not chatter. Where the base is fixed to the world and the
+    tip's centre of mass is the interface point MuJoCo stores a diagonal mass matrix, and the
+    contact forces of the last step stand for those of this one: an empty ``<body/>`` in the tip
+    avoids it.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        table: Any,
+        base: str = "base",
+        tip: str = "tip",
+        damping: float = 0.02,
+        **options: Any,
+    ) -> None:
+        super().__init__(table, damping, **options)
+        if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:
+            raise JointError(
+                "the integrator RK4 evaluates forces four times a step, and the joint once: use "
+                "Euler, implicit or implicitfast"
+            )
+        self._model, self._data = model, data
+        parent, body = _body(model, base), _body(model, tip)
+        if model.body_parentid[body] != parent:
+            raise JointError(f"body {tip!r} must be a child of body {base!r}; {_REMEDY}")
+        self._find(body, tip)
+
+    def step(self) -> None:  # type: ignore[override]
+        """Advance the scene by one time step; call it in the place of ``mj_step``.
+
+        Raises
+        ------
+        JointRangeError
+            See `Joint.step`.
+        """
+        step_joints(self)
+
+    def _find(self, body: int, name: str) -> None:
+        """Find the joints of the tip: axes, places in qpos and qvel."""
+        model, first = self._model, int(self._model.body_jntadr[body])
+        found = list(range(first, first + int(model.body_jntnum[body])))
+        kinds = [int(model.jnt_type[one]) for one in found]
+        moves, turns = self.free[self.free < 3], self.free[self.free >= 3]
+        if len(turns) not in (0, 1, 3):
+            raise JointError(
+                f"{self._table.name} locks one rotation of three: no MuJoCo joint does"
+            )
+        turning = {0: [], 1: [_JOINT.mjJNT_HINGE], 3: [_JOINT.mjJNT_BALL]}[len(turns)]
+        expected = [int(kind) for kind in [_JOINT.mjJNT_SLIDE] * len(moves) + turning]
+        if kinds != expected:
+            words = (
+                f"{len(moves)} slides" + {0: "", 1: " and a hinge", 3: " and a ball"}[len(turns)]
+            )
+            raise JointError(f"body {name!r} must have {words}, in this order; {_REMEDY}")
+        self._require_bare(found, name)
+        self._axes = self._frame(found, name)
+        self._slides = np.array([model.jnt_qposadr[one] for one in found[: len(moves)]], dtype=int)
+        self._turn = int(model.jnt_qposadr[found[-1]]) if turning else -1
+        start = int(model.jnt_dofadr[first]) if found else 0
+        self._dofs = np.arange(start, start + len(self.free))
+        self._units = np.zeros((len(self._dofs), model.nv))
+        self._units[np.arange(len(self._dofs)), self._dofs] = 1.0
+        self._places = _places(model, self._dofs)
+        self._diagonal = len(self._places[0]) == len(self._dofs) > 1
+
+    def _require_bare(self, found: list[int], name: str) -> None:
+        """Refuse joints with forces of their own."""
+        model = self._model
+        for one in found:
+            dof = int(model.jnt_dofadr[one])
+            own = {
+                "stiffness": model.jnt_stiffness[one],
+                "damping": model.dof_damping[dof],
+                "frictionloss": model.dof_frictionloss[dof],
+                "a limited range": model.jnt_limited[one],
+            }
+            for word, value in own.items():
+                if np.any(value):
+                    raise JointError(
+                        f"a joint of body {name!r} has {word}, which would add to the part's own: "
+                        "remove it (a default class may set it)"
+                    )
+
+    def _frame(self, found: list[int], name: str) -> Vector:
+        """Return the interface frame's axes in the tip's body, shape (3, 3), as columns.
+
+        Of a part with locked freedoms they are the body's own.
+        """
+        own = {
+            int(at): axis for at, axis in zip(self.free, self._model.jnt_axis[found], strict=False)
+        }
+        straight = [own[at] for at in range(3) if at in own]
+        axes = np.array(straight).T if len(straight) == 3 else np.eye(3)
+        hinges = [] if (self.free >= 3).sum() == 3 else [at for at in own if at >= 3]
+        along = [at for at in range(3) if at in own] + hinges
+        right = all(np.abs(own[at] - axes[:, at % 3]).max() < _SQUARE for at in along)
+        if (
+            not right
+            or np.abs(axes.T @ axes - np.eye(3)).max() > _SQUARE
+            or np.linalg.det(axes) < 0
+        ):
+            raise JointError(
+                f"the joints of body {name!r} must have the interface frame's axes in the order x, "
+                "y, z: unit, orthogonal and right-handed; of a part with locked freedoms these are "
+                f"the body's own; {_REMEDY}"
+            )
+        return axes
+
+    def _push(self) -> None:
+        """Apply the wrench of this step, as far as the motion before it determines it.
+
+        The rest depends on the velocity after the step, and enters the mass matrix.
+        """
+        model, data, dofs = self._model, self._data, self._dofs
+        moved, turned = self._displacement()
+        wrench, stiffness = self.state(moved, turned)
+        self._map = self._to_contract(turned)
+        own = self._map.T @ stiffness @ self._map
+        inverse_mass = self._inverse_mass()
+        slope = rate(own, inverse_mass, float(model.opt.timestep), self.damping)
+        self._law = wrench @ self._map, slope
+        data.qfrc_applied[dofs] = 0.0
+        if self._diagonal:
+            self._law = self._lagged(inverse_mass), np.zeros_like(slope)
+        data.qfrc_applied[dofs] = -(self._law[0] + self._law[1] @ data.qvel[dofs])
+
+    def _lagged(self, inverse_mass: Vector) -> Vector:
+        """Return the whole wrench of this step, shape (n,), with the last step's constraint forces.
+
+        For a mass matrix that MuJoCo stores as a diagonal, to which nothing can be added.
+        """
+        model, data, (force, slope) = self._model, self._data, self._law
+        engine.mj_fwdActuation(model, data)
+        engine.mj_fwdAcceleration(model, data)
+        pushed = np.empty((1, model.nv))
+        engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
+        dt = float(model.opt.timestep)
+        velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[self._dofs]
+        implicit = np.eye(len(slope)) + dt * slope @ inverse_mass
+        return np.linalg.solve(implicit, force + slope @ velocity)
+
+    def _add_to_mass(self) -> None:
+        """Add what the velocity after the step changes to the mass matrix of this step."""
+        rows, columns, at = self._places
+        self._data.M[at] += float(self._model.opt.timestep) * self._law[1][rows, columns]
+
+    def _read(self) -> None:
+        """Set the wrench of the step that has been made."""
+        force, slope = self._law
+        self.wrench = self._map @ (force + slope @ self._data.qvel[self._dofs])
+
+    def _inverse_mass(self) -> Vector:
+        """Return the accelerations of the freedoms by unit loads on them, shape (n, n), SI."""
+        solved = np.empty_like(self._units)
+        engine.mj_solveM(self._model, self._data, solved, self._units)
+        return solved[:, self._dofs]
+
+    def _displacement(self) -> tuple[Vector, Vector]:
+        """Return translation, m, and rotation vector, rad, in the undeformed interface frame."""
+        position, moved, turned = self._data.qpos, np.zeros(3), np.zeros(3)
+        slides = self.free[self.free < 3]
+        moved[slides] = position[self._slides]
+        turns = self.free[self.free >= 3] - 3
+        if len(turns) == 1:
+            turned[turns] = position[self._turn]
+        elif len(turns):
+            engine.mju_quat2Vel(turned, position[self._turn : self._turn + 4], 1.0)
+            turned = turned @ self._axes
+        return moved, turned
+
+    def _to_contract(self, rotation: Vector) -> Vector:
+        """Return what turns the joints' velocities into those of the contract, shape (6, free).
+
+        A ball's velocity is that of the tip in its own axes; the contract's about fixed ones.
+        """
+        found = np.zeros((FREEDOMS, len(self._dofs)))
+        found[self.free, np.arange(len(self.free))] = 1.0
+        if (self.free >= 3).sum() == 3:
+            found[3:, -3:] = rotation_matrix(rotation) @ self._axes.T
+        return found
+
+
+def step_joints(*joints: MujocoJoint) -> None:
+    """Advance a scene with one joint or more by a time step, in the place of ``mj_step``.
+
+    The equation of motion with the joints' wrenches w + C v, v the velocity after the step, is
+    (M + dt C) a = f - w - C v0: MuJoCo solves it with its contacts and other constraints.
+
+    Raises
+    ------
+    JointRangeError
+        See `Joint.step`; the scene is where it was.
+    """
+    model, data = joints[0]._model, joints[0]._data
+    engine.mj_step1(model, data)
+    for joint in joints:
+        joint._push()
+    for joint in joints:
+        joint._add_to_mass()
+    engine.mj_factorM(model, data)
+    if model.opt.solver == engine.mjtSolver.mjSOL_PGS or model.opt.noslip_iterations:
+        engine.mj_projectConstraint(model, data)
+    engine.mj_step2(model, data)
+    for joint in joints:
+        joint._read()
+
+
+def _places(model: Any, dofs: NDArray[np.intp]) -> tuple[Any, Any, Any]:
+    """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms.
+
+    Raises
+    ------
+    JointError
+        If MuJoCo is older than its compressed mass matrix.
+    """
+    if not hasattr(model, "M_rowadr"):
+        raise JointError("MujocoJoint needs MuJoCo 4.0 or newer: pip install 'mujoco>=4.0'")
+    found = []
+    for row, dof in enumerate(dofs.tolist()):
+        start, count = int(model.M_rowadr[dof]), int(model.M_rownnz[dof])
+        columns = model.M_colind[start : start + count] - dofs[0]
+        found += [(row, int(one), start + k) for k, one in enumerate(columns) if one >= 0]
+    rows, columns, at = np.array(found).T
+    return rows, columns, at
+
+
+def _body(model: Any, name: str) -> int:
+    """Return the number of a named body."""
+    number = engine.mj_name2id(model, _OBJECT.mjOBJ_BODY, name)
+    if number < 0:
+        names = [engine.mj_id2name(model, _OBJECT.mjOBJ_BODY, k) for k in range(1, model.nbody)]
+        known = ", ".join(repr(one) for one in names if one) or "none with a name"
+        raise JointError(f"the scene has no body {name!r}; it has {known}")
+    return number
