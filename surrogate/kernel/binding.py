@@ -264,6 +264,37 @@ class PackedTable:
             raise mistake(wrong, method, self._packed)
         return found, stiffness
 
+    @staticmethod
+    def joint_rate(stiffness: Floats, inverse_mass: Floats, dt: float, damping: float) -> Floats:
+        """Return the change of a joint's wrench with the relative velocity; see ``wb_joint_rate``.
+
+        Parameters
+        ----------
+        stiffness, inverse_mass
+            Shape (n, n), n at most 6, contiguous: N/m to N·m/rad, 1/kg to 1/(kg·m^2).
+
+        Returns
+        -------
+        ndarray
+            Shape (n, n), N·s/m to N·m·s/rad.
+
+        Raises
+        ------
+        ValueError
+            If the inverse mass is not positive definite, or a number is not finite.
+        """
+        found = np.empty_like(stiffness)
+        wrong = kernel().with_gil.wb_joint_rate(
+            *(len(found), stiffness.ctypes.data, inverse_mass.ctypes.data),
+            *(dt, damping, found.ctypes.data),
+        )
+        if wrong:
+            raise ValueError(
+                "the inverse effective mass of the joint is not positive definite: a freedom "
+                "between base and tip moves no mass"
+            )
+        return found
+
     def axis(
         self,
         group: int,

@@ -31,6 +31,7 @@ def kernel() -> Kernel:
     path = str(ready_library())
     found = Kernel(ctypes.PyDLL(path), ctypes.CDLL(path))
     address, size, whole = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
+    real = ctypes.c_double
     forms = {
         "wb_open_checked": (address, [address, size, address, size]),
         "wb_close": (None, [address]),
@@ -41,6 +42,7 @@ def kernel() -> Kernel:
         "wb_answer_many": (whole, [address, address, size, *[address] * 4, whole]),
         "wb_derivative_many": (whole, [address, address, size, address, address, whole]),
         "wb_inverse": (whole, [address] * 6),
+        "wb_joint_rate": (whole, [whole, address, address, real, real, address]),
         "wb_axis": (whole, [address, address, whole, whole, address, address]),
     }
     for library in found:

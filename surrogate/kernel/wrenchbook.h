@@ -154,6 +154,13 @@ WB_API int wb_derivative_many(const wb_table *table, const wb_options *options, 
  * locked inputs are zero. */
 WB_API int wb_inverse(const wb_table *table, const wb_options *options, const double *outputs,
                       double *inputs, double *stiffness, void *scratch);
+/* The change of a joint's wrench with the relative velocity, C (n, n), n at most 6:
+ * C = sum over the modes of stiffness (n, n) against inverse mass (n, n) of dt theta omega^2 +
+ * 2 damping omega, theta = clip(1 - 0.5 / (omega dt)^2, 0, 1). The step is
+ * (I + dt C A) w' = w + C v, v the velocity that the bodies would have without the joint.
+ * WB_SINGULAR if the inverse mass is not positive definite. */
+WB_API int wb_joint_rate(int n, const double *stiffness, const double *inverse_mass, double dt,
+                         double damping, double *rate);
 /* What axis 0, 1 or 2 contributes to the answer of one group of outputs. */
 WB_API int wb_axis(const wb_table *table, const wb_options *options, int group, int axis,
                    const double *inputs, wb_axis_reply *reply);

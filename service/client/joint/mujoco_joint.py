@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from ..rotation import rotation_matrix
 from .errors import JointError
 from .joint import FREEDOMS, Joint
-from .scheme import rate
 
 try:
     import mujoco
@@ -180,7 +179,7 @@ class MujocoJoint(Joint):
         self._map = self._to_contract(turned)
         own = self._map.T @ stiffness @ self._map
         inverse_mass = self._inverse_mass()
-        slope = rate(own, inverse_mass, float(model.opt.timestep), self.damping)
+        slope = self._rate(own, inverse_mass, float(model.opt.timestep))
         self._law = wrench @ self._map, slope
         data.qfrc_applied[dofs] = 0.0
         if self._diagonal:
