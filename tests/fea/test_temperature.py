@@ -322,8 +322,17 @@ def test_a_bundle_lacks_what_its_temperature_needs(tmp_path):
     fallen = {"temperature": {"range": [50, 20], "reference": 20}}
     found = mistakes(tmp_path, table({"fixed": ["start"]}, inputs=fallen))
     assert "rise" in found["inputs.temperature.range"]
+    deck = {"file": "a.inp", "command": ["ccx", "{job}"]}
+    assert "[deck] takes none" in mistakes(tmp_path, whole | {"deck": deck})["inputs.temperature"]
+
+
+def test_a_measured_part_may_have_a_temperature_without_a_field(tmp_path):
+    whole = table({"fixed": ["start"]})
     only = {key: whole[key] for key in ("name", "title", "range", "inputs")}
-    assert "[mesh]" in mistakes(tmp_path, only)["inputs.temperature"]
+    assert bundle_of(only, tmp_path).further[0].name == "temperature"
+    (tmp_path / "hot.csv").write_text("x,y,z,T\n0,0,0,1\n")
+    only["inputs"] = {"temperature": {**only["inputs"]["temperature"], "field": "hot.csv"}}
+    assert "no nodes" in mistakes(tmp_path, only)["inputs.temperature.field"]
 
 
 def test_an_expansion_without_the_input_is_a_note(tmp_path):
