@@ -190,6 +190,8 @@ void wb_compose(const wb_composition *c, const double small[6], const double wre
 void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,
                            double derivative[36]);
 int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work);
+void wb_kriging_outputs(const wb_table *t, const wb_kriging *k, wb_work *work,
+                        const double *wrench, double *outputs);
 void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
                        const double *wrench, double *outputs, double *error);
 void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,

@@ -4,9 +4,12 @@
 #include <math.h>
 #include <string.h>
 
-enum { MOST_STEPS = 20, MOST_HALVINGS = 12 };
-/* Of the load range: a step that no displacement of a table shows. */
-static const double SMALL_STEP = 1e-12;
+enum { MOST_STEPS = 40, MOST_HALVINGS = 12 };
+/* Of the load range: a step that no displacement of a table shows, and one below which rounding of
+ * the interpolant can keep the next from being shorter. */
+static const double SMALL_STEP = 1e-12, ROUNDING_STEP = 1e-9;
+/* How much shorter each step is while the matrix of another place is good enough. */
+static const double GAIN = 0.1;
 
 static const wb_options OWN = {WB_DEFAULT, NULL};
 
@@ -16,33 +19,52 @@ typedef struct {
     const wb_options *o;
     wb_work work;
     int count, free[WB_MOST];
-    double matrix[WB_MOST * WB_MOST], missed[WB_MOST], size[WB_MOST];
+    double matrix[WB_MOST * WB_MOST], size[WB_MOST];
 } solver;
 
-/* The method's displacement and slopes, with no row and no limit in their place. */
-static int evaluate(solver *s, const double *w, double *outputs, double *slopes) {
-    const wb_table *t = s->t;
-    int n = t->inputs;
-    double own[WB_MOST * WB_MOST];
-    for (int i = 0; i < t->groups; i++) {
-        const wb_group *g = &t->group[i];
-        wb_found found;
-        wb_group_answer(t, g, s->o, &s->work, w, 0, &found);
-        if (found.method == WB_ROW) { /* the interpolant, without the row */
-            wb_group bare = *g;
-            bare.rows.count = 0;
-            wb_group_answer(t, &bare, s->o, &s->work, w, 0, &found);
-        }
-        if (slopes) wb_group_slopes(t, g, &s->work, w, wb_method_of(g, s->o), own);
-        for (int q = 0; q < t->outputs; q++) {
-            if (!g->outputs[q]) continue;
-            outputs[q] = found.outputs[q];
-            if (slopes) memcpy(slopes + n * q, own + n * q, (size_t)n * sizeof(double));
-        }
-    }
+static int all_finite(const solver *s, const double *numbers, int stride) {
     for (int i = 0; i < s->count; i++)
-        if (!isfinite(outputs[s->free[i]])) return 0;
+        for (int k = 0; k < stride; k++)
+            if (!isfinite(numbers[stride * s->free[i] + k])) return 0;
     return 1;
+}
+
+/* The method's displacement by one group of outputs, without the row that there may be. */
+static void group_outputs(solver *s, const wb_group *g, const double *w, double *own) {
+    wb_group bare = *g;
+    wb_found found;
+    bare.rows.count = 0;
+    if (g->used && wb_method_of(g, s->o) == WB_KRIGING) {
+        wb_kriging_outputs(s->t, &g->kriging, &s->work, w, own);
+        return;
+    }
+    wb_group_answer(s->t, &bare, s->o, &s->work, w, 0, &found);
+    memcpy(own, found.outputs, (size_t)s->t->outputs * sizeof(double));
+}
+
+/* The method's displacement, with no row and no limit in its place; 0 if it is not known. */
+static int outputs_at(solver *s, const double *w, double *outputs) {
+    double own[WB_MOST];
+    for (int i = 0; i < s->t->groups; i++) {
+        const wb_group *g = &s->t->group[i];
+        group_outputs(s, g, w, own);
+        for (int q = 0; q < s->t->outputs; q++)
+            if (g->outputs[q]) outputs[q] = own[q];
+    }
+    return all_finite(s, outputs, 1);
+}
+
+/* Its slopes (m, n); 0 if they are not known. */
+static int slopes_at(solver *s, const double *w, double *slopes) {
+    int n = s->t->inputs;
+    double own[WB_MOST * WB_MOST];
+    for (int i = 0; i < s->t->groups; i++) {
+        const wb_group *g = &s->t->group[i];
+        wb_group_slopes(s->t, g, &s->work, w, wb_method_of(g, s->o), own);
+        for (int q = 0; q < s->t->outputs; q++)
+            if (g->outputs[q]) memcpy(slopes + n * q, own + n * q, (size_t)n * sizeof(double));
+    }
+    return all_finite(s, slopes, n);
 }
 
 /* Solve a x = b (count, right) in place by elimination with row pivots; 0 if a is singular. */
@@ -96,59 +118,14 @@ static void sizes_of(solver *s, const double *slopes) {
     }
 }
 
-static double residual(solver *s, const double *target, const double *outputs) {
-    double sum = 0;
-    for (int i = 0; i < s->count; i++) {
-        s->missed[i] = (target[s->free[i]] - outputs[s->free[i]]) / s->size[i];
-        sum += s->missed[i] * s->missed[i];
-    }
-    return sqrt(sum);
-}
-
-/* Go along a Newton step, halved until it comes nearer; returns the new residual. */
-static double advance(solver *s, const double *target, const double *step, double before,
-                      double *w) {
-    double there[WB_MOST], outputs[WB_MOST], share = 1.0, after = before;
-    for (int half = 0; half < MOST_HALVINGS; half++, share *= 0.5) {
-        memcpy(there, w, (size_t)s->t->inputs * sizeof(double));
-        for (int j = 0; j < s->count; j++)
-            there[s->free[j]] += share * step[j] * s->t->scale[s->free[j]];
-        if (!evaluate(s, there, outputs, NULL)) continue;
-        after = residual(s, target, outputs);
-        if (after < before) break;
-    }
-    if (after < before) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
-    return after;
-}
-
-static int iterate(solver *s, const double *target, double *w) {
-    double outputs[WB_MOST], slopes[WB_MOST * WB_MOST];
-    for (int step = 0; step <= MOST_STEPS; step++) {
-        double most = 0;
-        if (!evaluate(s, w, outputs, slopes)) return WB_SINGULAR;
-        if (step == 0) sizes_of(s, slopes);
-        double before = residual(s, target, outputs);
-        scaled_matrix(s, slopes);
-        if (!eliminate(s->matrix, s->missed, s->count, 1)) return WB_SINGULAR;
-        for (int j = 0; j < s->count; j++) most = fmax(most, fabs(s->missed[j]));
-        if (!isfinite(most)) return WB_SINGULAR;
-        if (most <= SMALL_STEP) return WB_OK;
-        if (step == MOST_STEPS) break;
-        double along[WB_MOST];
-        memcpy(along, s->missed, (size_t)s->count * sizeof(double));
-        double after = advance(s, target, along, before, w);
-        if (!(after < before)) /* rounding is all that is left, or nothing leads nearer */
-            return most <= 1e3 * SMALL_STEP ? WB_OK : WB_NO_CONVERGENCE;
-    }
-    return WB_NO_CONVERGENCE;
-}
-
-/* The inverse of du/dw (n, m); zero for locked inputs. */
+/* The inverse of du/dw (n, m) by this method; zero for locked inputs. */
 static int invert(solver *s, const double *w, double *stiffness) {
     int n = s->t->inputs, count = s->count;
-    double outputs[WB_MOST], slopes[WB_MOST * WB_MOST], unit[WB_MOST * WB_MOST] = {0};
+    double slopes[WB_MOST * WB_MOST], unit[WB_MOST * WB_MOST];
     memset(stiffness, 0, (size_t)(n * n) * sizeof(double));
-    if (!evaluate(s, w, outputs, slopes)) return WB_SINGULAR;
+    memset(unit, 0, (size_t)(count * count) * sizeof(double));
+    if (!slopes_at(s, w, slopes)) return WB_SINGULAR;
+    sizes_of(s, slopes);
     scaled_matrix(s, slopes);
     for (int i = 0; i < count; i++) unit[count * i + i] = 1.0;
     if (!eliminate(s->matrix, unit, count, count)) return WB_SINGULAR;
@@ -158,6 +135,64 @@ static int invert(solver *s, const double *w, double *stiffness) {
             stiffness[n * load + q] = unit[count * i + j] * s->t->scale[load] / s->size[j];
         }
     return WB_OK;
+}
+
+/* The step of the loads by a stiffness, over their scales; returns its largest. */
+static double step_by(const solver *s, const double *stiffness, const double *missed, double *step) {
+    double most = 0;
+    for (int i = 0; i < s->count; i++) {
+        int load = s->free[i];
+        step[i] = 0;
+        for (int j = 0; j < s->count; j++)
+            step[i] += stiffness[s->t->inputs * load + s->free[j]] * missed[j];
+        step[i] /= s->t->scale[load];
+        most = fmax(most, fabs(step[i]));
+    }
+    return most;
+}
+
+/* Try a share of a step: where it leads to, what is missed there, and the next step from there by
+ * the same matrix; returns its largest, infinite if the method has no answer there. */
+static double try_step(solver *s, const double *target, const double *stiffness, double share,
+                       const double *w, const double *step, double *there, double *next) {
+    double outputs[WB_MOST], missed[WB_MOST];
+    memcpy(there, w, (size_t)s->t->inputs * sizeof(double));
+    for (int i = 0; i < s->count; i++) {
+        int load = s->free[i];
+        there[load] += share * step[i] * s->t->scale[load];
+    }
+    if (!outputs_at(s, there, outputs)) return INFINITY;
+    for (int i = 0; i < s->count; i++) missed[i] = target[s->free[i]] - outputs[s->free[i]];
+    return step_by(s, stiffness, missed, next);
+}
+
+/* Newton's method with the natural monotonicity test (Deuflhard 2004): the next step by the same
+ * matrix must be shorter. The matrix stays while each is shorter by GAIN. */
+static int iterate(solver *s, const double *target, double *w, double *stiffness, int fresh) {
+    static const double none[WB_MOST];
+    double step[WB_MOST], next[WB_MOST], there[WB_MOST];
+    double most = try_step(s, target, stiffness, 0.0, w, none, there, step);
+    for (int count = 0; count < MOST_STEPS; count++) {
+        if (!isfinite(most)) return WB_SINGULAR;
+        double share = 1.0, after = try_step(s, target, stiffness, share, w, step, there, next);
+        if (most <= SMALL_STEP || (most <= ROUNDING_STEP && !(after <= GAIN * most))) {
+            if (after <= most) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
+            return WB_OK;
+        }
+        if (!fresh && !(after <= GAIN * most)) { /* a matrix of another place */
+            int wrong = invert(s, w, stiffness);
+            if (wrong) return wrong;
+            most = try_step(s, target, stiffness, 0.0, w, none, there, step), fresh = 1;
+            continue;
+        }
+        for (int half = 0; half < MOST_HALVINGS && !(after < most); half++)
+            after = try_step(s, target, stiffness, share *= 0.5, w, step, there, next);
+        if (!(after < most)) return most <= ROUNDING_STEP ? WB_OK : WB_NO_CONVERGENCE;
+        memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
+        memcpy(step, next, sizeof step);
+        most = after, fresh = 0;
+    }
+    return WB_NO_CONVERGENCE;
 }
 
 int wb_inverse(const wb_table *t, const wb_options *options, const double *outputs, double *inputs,
@@ -172,7 +207,10 @@ int wb_inverse(const wb_table *t, const wb_options *options, const double *outpu
         else s.free[s.count++] = k;
         if (!t->locked[k] && !isfinite(outputs[k])) return WB_NOT_FINITE;
     }
-    int found = iterate(&s, outputs, inputs);
+    int known = 0;
+    for (int k = 0; k < t->inputs * t->outputs; k++) known |= stiffness[k] != 0.0;
+    if (!known && (wrong = invert(&s, inputs, stiffness))) return wrong;
+    int found = iterate(&s, outputs, inputs, stiffness, !known);
     if (found == WB_SINGULAR) return found;
     wrong = invert(&s, inputs, stiffness);
     return found ? found : wrong;

@@ -177,15 +177,32 @@ static int is_spanned(const wb_kriging *k, int inputs, const double *at) {
     return 1;
 }
 
-/* The covariances of a value with all rows, and sigma of each share over its process deviation. */
-static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
-                    double *at, double *sigma) {
+/* The covariances of a value with all rows, and the scaled loads. */
+static void covary(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
+                   double *at) {
     int n = t->inputs;
     scale_loads(k, n, wrench, at, work->apart);
     memset(work->flat, 0, (size_t)((n + 1) * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++)
         add_covariances(k->term + (n + 1) * term, n, work->apart, k->stride, work->first,
                         work->second, work->flat);
+}
+
+/* The value of an output by these, over its spread. */
+static double value_of(const wb_table *t, const wb_kriging *k, const wb_work *work,
+                       const double *at, int q) {
+    int n = t->inputs, m = t->outputs, count = (n + 1) * k->stride;
+    double value = product(work->flat, k->weights + (int64_t)q * count, count);
+    value += k->coefficients[q];
+    for (int a = 0; a < n; a++) value += at[a] * k->coefficients[m * (1 + a) + q];
+    return value;
+}
+
+/* The covariances, and sigma of each share over its process deviation. */
+static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
+                    double *at, double *sigma) {
+    int n = t->inputs;
+    covary(t, k, work, wrench, at);
     for (int s = 0; s < k->shares; s++) {
         int anchor = nearest(k, &k->share[s], n, work->apart, work->first);
         sigma[s] = sqrt(squared_deviation(k, &k->share[s], n, anchor, at, work));
@@ -215,10 +232,19 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
     reason->value = sigma[far], reason->limit = *k->share[far].reach;
 }
 
+/* Outputs alone, m and rad. */
+void wb_kriging_outputs(const wb_table *t, const wb_kriging *k, wb_work *work,
+                        const double *wrench, double *outputs) {
+    double at[WB_MOST];
+    covary(t, k, work, wrench, at);
+    for (int q = 0; q < t->outputs; q++)
+        outputs[q] = value_of(t, k, work, at, q) * k->spread[q] + k->offset[q];
+}
+
 /* Outputs and 95 % errors, m and rad. */
 void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
                          const double *wrench, double *outputs, double *error) {
-    int n = t->inputs, m = t->outputs, count = (n + 1) * k->stride;
+    int n = t->inputs, m = t->outputs;
     double at[WB_MOST], sigma[WB_MOST], wide[WB_MOST] = {0};
     explore(t, k, work, wrench, at, sigma);
     int spanned = is_spanned(k, n, at);
@@ -227,9 +253,7 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
             if (k->share[s].outputs[q])
                 wide[q] = spanned ? sigma[s] * factor_of(&k->share[s], sigma[s], q, m) : NAN;
     for (int q = 0; q < m; q++) {
-        double value = product(work->flat, k->weights + (int64_t)q * count, count);
-        value += k->coefficients[q];
-        for (int a = 0; a < n; a++) value += at[a] * k->coefficients[m * (1 + a) + q];
+        double value = value_of(t, k, work, at, q);
         outputs[q] = value * k->spread[q] + k->offset[q];
         double size = (fabs(value) + 1.0) * k->spread[q] + fabs(k->offset[q]);
         double least = fmax(*k->floor * size, k->lost[q]), own = wide[q] * k->deviation[q];

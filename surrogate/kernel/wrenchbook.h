@@ -150,8 +150,9 @@ WB_API int wb_derivative(const wb_table *table, const wb_options *options, const
 WB_API int wb_derivative_many(const wb_table *table, const wb_options *options, size_t n,
                               const double *inputs, double *du_dw, int threads);
 /* Find the wrench whose displacement is `outputs` by Newton's method from `inputs`, by the
- * method's interpolant alone. `stiffness`: the inverse of du/dw there, (n, m). Rows and columns of
- * locked inputs are zero. */
+ * method's interpolant alone. `stiffness`: the inverse of du/dw there, (n, m); before the call that
+ * of a displacement nearby, which saves slopes, or zeros. Rows and columns of locked inputs are
+ * zero. */
 WB_API int wb_inverse(const wb_table *table, const wb_options *options, const double *outputs,
                       double *inputs, double *stiffness, void *scratch);
 /* The change of a joint's wrench with the relative velocity, C (n, n), n at most 6:

@@ -85,7 +85,9 @@ class Joint:
     def restart(self) -> None:
         """Forget the state of the last step."""
         self.wrench, self.displacement = np.zeros(FREEDOMS), np.zeros(FREEDOMS)
-        self._loads: Vector | None = None  # of all interfaces, where the next search begins
+        # Where the next search begins: loads, displacement and stiffness of all interfaces.
+        self._near: Vector | None = None
+        self._loads = self._moved = np.zeros(0)
 
     @property
     def coverage(self) -> str:
@@ -181,13 +183,16 @@ class Joint:
         target[at] = moved
         turn = math.sqrt(float(moved[3:] @ moved[3:])) / LARGEST_TURN
         try:
-            loads, slopes = packed.inverse(target, self._loads, self._method)
+            start = (
+                None if self._near is None else self._loads + self._near @ (target - self._moved)
+            )
+            loads, slopes = packed.inverse(target, start, self._method, self._near)
         except ValueError:  # no such wrench: far beyond the range
             return self._beyond(self._whole(self.wrench), target, turn)
         left = max(self._ranges(loads), turn)
         if left > 1.0:
             return self._beyond(loads, target, turn)
-        self._loads = loads
+        self._loads, self._moved, self._near = loads, target, slopes
         return loads[at], slopes[at, at], left
 
     def _beyond(self, loads: Vector, target: Vector, turn: float) -> tuple[Vector, Vector, float]:
@@ -204,7 +209,7 @@ class Joint:
             before, edge = edge, np.clip(loads / max(turn, 1.0), low, high)
             if (np.abs(edge - before) <= CLOSE * packed.arrays["space/scale"]).all():
                 break
-        self._loads = edge
+        self._near = None
         return loads[at], stiffness, max(self._ranges(loads), turn)
 
     def _ranges(self, loads: Vector) -> float:
