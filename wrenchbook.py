@@ -13,6 +13,8 @@ Table
     A downloaded or opened table, which answers in this process in microseconds.
 Mount, MujocoMount, Settled
     The joint between a rigid-body simulation and a component; in MuJoCo; where it is at rest.
+Joint, MujocoJoint, step_joints
+    A part that bends as a force element between two bodies that move; in MuJoCo, one or several.
 conventions
     Wrenches and poses of ROS, Drake, MuJoCo and PyBullet.
 Scene, ComponentPlan
@@ -28,7 +30,8 @@ plot
 WrenchbookError
     The base of all errors: InvalidArgument, MissingPackage, ProblemError, RecorderError,
     SceneError, ServerTimeout, ServerUnreachable, TableError, MountError (SensorError,
-    DisplacementUnknown, CouplingDiverged). MountWarning is the one warning.
+    DisplacementUnknown, CouplingDiverged), JointError (JointRangeError). MountWarning and
+    JointWarning are the warnings.
 
 Each public name is loaded when it is first used, so that a simulator pays for what it uses. The
 packages next to this file are ``wrenchbook.fea``, ``wrenchbook.surrogate`` and
@@ -76,6 +79,8 @@ if TYPE_CHECKING:
         plot,
     )
     from .service.client.async_client import AsyncClient
+    from .service.client.joint import Joint, JointError, JointRangeError, JointWarning
+    from .service.client.joint.mujoco_joint import MujocoJoint, step_joints
     from .service.client.mount import (
         CouplingDiverged,
         DisplacementUnknown,
@@ -105,10 +110,15 @@ _HOME = {
     "Event": "service.client",
     "InvalidArgument": "service.client",
     "Job": "service.client",
+    "Joint": "service.client.joint",
+    "JointError": "service.client.joint",
+    "JointRangeError": "service.client.joint",
+    "JointWarning": "service.client.joint",
     "MissingPackage": "service.client",
     "Mount": "service.client.mount",
     "MountError": "service.client.mount",
     "MountWarning": "service.client.mount",
+    "MujocoJoint": "service.client.joint.mujoco_joint",
     "MujocoMount": "service.client.mount.mujoco_mount",
     "ProblemError": "service.client",
     "Recorder": "service.client",
@@ -128,6 +138,7 @@ _HOME = {
     "WrenchbookError": "service.client",
     "conventions": "service.client.conventions",
     "plot": "service.client.plot",
+    "step_joints": "service.client.joint.mujoco_joint",
 }
 __all__ = [
     "AsyncClient",
@@ -142,10 +153,15 @@ __all__ = [
     "Event",
     "InvalidArgument",
     "Job",
+    "Joint",
+    "JointError",
+    "JointRangeError",
+    "JointWarning",
     "MissingPackage",
     "Mount",
     "MountError",
     "MountWarning",
+    "MujocoJoint",
     "MujocoMount",
     "ProblemError",
     "Recorder",
@@ -165,6 +181,7 @@ __all__ = [
     "WrenchbookError",
     "conventions",
     "plot",
+    "step_joints",
 ]
 
 

@@ -151,7 +151,8 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     vibration
         ``mass`` (kg, of the component; None without any density), ``first_frequency`` (Hz),
         ``motion`` of the interfaces (6 numbers each, m and rad, of length one), ``riding_mass``
-        (kg); empty where neither bundle nor argument tells a mass, or no frequency was found.
+        (kg), ``condensed_mass`` to the interfaces (6 x 6 each, kg to kg·m^2); empty where neither
+        bundle nor argument tells a mass, or no frequency was found.
     warnings
         Why not, or that some materials count as weightless.
     """
@@ -174,6 +175,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
         "first_frequency": found.frequency,
         "motion": found.interface.tolist(),
         "riding_mass": carried.mass,
+        "condensed_mass": found.condensed.tolist(),
     }
     return result, warnings
 

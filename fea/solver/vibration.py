@@ -106,11 +106,15 @@ class Vibration:
         Hz.
     interface
         Shape (6 i,): the motion of the i interfaces in it, m and rad, of length one.
+    condensed
+        Shape (6 i, 6 i): the component's mass as the interfaces' motion accelerates it, kg, kg·m
+        and kg·m^2; zero at locked freedoms.
     """
 
     mass: float
     frequency: float
     interface: Array
+    condensed: Array
 
 
 def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibration:
@@ -150,7 +154,26 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     stiffness = system.body.strain_energy_products(fields[:, :, None])[0, 0]
     stiffness += system.coupling.spring_energies(inertia.border(x))[0, 0]
     square = stiffness / float(x @ inertia.times(x))
-    return Vibration(own, float(np.sqrt(square) / (2 * np.pi)), _directed(interface))
+    bare = Inertia(system, mass, np.zeros((count, count)))
+    frequency = float(np.sqrt(square) / (2 * np.pi))
+    return Vibration(own, frequency, _directed(interface), condensed_mass(bare))
+
+
+def condensed_mass(inertia: Inertia) -> Array:
+    """Return the mass condensed to the interfaces' motion, shape (6 i, 6 i), kg to kg·m^2.
+
+    Guyan (1965): the kinetic energy of the motions that static loads at the interfaces give.
+    """
+    active, count = inertia.active, len(inertia.interface_mass)
+    own = inertia.first + np.arange(active.size)
+    units = np.zeros((active.size, inertia.size))
+    units[np.arange(active.size), own] = 1.0
+    moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
+    shapes = np.linalg.solve(moved[own].T, moved.T).T
+    energies = shapes.T @ np.stack([inertia.times(one) for one in shapes.T], axis=1)
+    whole = np.zeros((count, count))
+    whole[np.ix_(active, active)] = 0.5 * (energies + energies.T)
+    return whole
 
 
 class Inertia:

@@ -253,13 +253,16 @@ def solver_error_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
     return found if isinstance(found, dict) and found.get("mesh") is not None else None
 
 
-def vibration_of(folder: Path) -> dict[str, Any] | None:
+def vibration_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
     """Return mass and first natural frequency as the check of a bundle found them.
 
     By itself, without what it will carry: ``mass`` (kg), ``first_frequency`` (Hz), ``motion`` (six
-    numbers, m and rad). None where the bundle has no density or no check has been stored.
+    numbers, m and rad), ``condensed_mass`` (6 x 6, kg to kg·m^2). None where the bundle has no
+    density or no check of this setup has been stored.
     """
-    return _report(folder).get("vibration") or None
+    report = _report(folder)
+    found = report.get("vibration") if report.get("fingerprint") == fingerprint else None
+    return found or None
 
 
 @lru_cache(maxsize=256)

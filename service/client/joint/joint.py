@@ -230,8 +230,8 @@ class Joint:
         if left > MOST_LEFT:
             raise JointRangeError(
                 f"{name}: the pose needs {left:.3g} times the load range, or turns by as many "
-                "times 20 degrees. Check the masses, the step and the units of the scene, or give the "
-                "component a wider range"
+                "times 20 degrees. Check the masses, the step and the units of the scene, or give "
+                "the component a wider range"
             )
         if not self._warned:
             self._warned = True

@@ -24,7 +24,7 @@ Vector = NDArray[np.float64]
 
 engine: Any = mujoco  # compiled: it has no types
 _JOINT, _OBJECT = engine.mjtJoint, engine.mjtObj
-_SQUARE = 1e-9  # the axes of the slides are unit and orthogonal to rounding of a file's digits
+_SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 
 
@@ -152,15 +152,13 @@ class MujocoJoint(Joint):
             int(at): axis for at, axis in zip(self.free, self._model.jnt_axis[found], strict=False)
         }
         straight = [own[at] for at in range(3) if at in own]
-        axes = np.array(straight).T if len(straight) == 3 else np.eye(3)
+        given = np.array(straight).T if len(straight) == 3 else np.eye(3)
+        left, _, right = np.linalg.svd(given)
+        axes = left @ right
         hinges = [] if (self.free >= 3).sum() == 3 else [at for at in own if at >= 3]
         along = [at for at in range(3) if at in own] + hinges
-        right = all(np.abs(own[at] - axes[:, at % 3]).max() < _SQUARE for at in along)
-        if (
-            not right
-            or np.abs(axes.T @ axes - np.eye(3)).max() > _SQUARE
-            or np.linalg.det(axes) < 0
-        ):
+        off = [np.abs(own[at] - axes[:, at % 3]).max() for at in along]
+        if max(off, default=0.0) > _SQUARE or np.linalg.det(axes) < 0:
             raise JointError(
                 f"the joints of body {name!r} must have the interface frame's axes in the order x, "
                 "y, z: unit, orthogonal and right-handed; of a part with locked freedoms these are "

@@ -191,7 +191,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
             *({"where": "rows", "message": one} for one in _of_rows(component, table)),
             *({"where": f"import {one['import']}", **one} for one in table.findings),
         ],
-        "vibration": vibration_of(component.folder),
+        "vibration": vibration_of(component.folder, component.fingerprint),
         "solver_error": _solver_error(component, own_error),
         "sources": dict(sorted(table.sources.items())),
         "coverage": table.summary,

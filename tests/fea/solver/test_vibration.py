@@ -144,3 +144,15 @@ def test_calculix_finds_the_same_frequency_on_the_same_mesh(kind, tmp_path):
     # Free tip: a distributed coupling without a mass holds nothing.
     ours = Solver(replace(part, coupling="distributed")).vibration(Riding.of()).frequency
     assert ours == pytest.approx(float(modes[0][3]), rel=1e-5)
+
+
+def test_a_beams_condensed_mass_is_that_of_its_static_shapes():
+    """Cubic shapes of bending: 13/35, 11/210 and 1/105; a linear one along the axis: 1/3."""
+    mass = DENSITY * AREA * LENGTH
+    found = Solver(beam(coupling="rigid")).vibration(Riding.of()).condensed
+    np.testing.assert_allclose(found, found.T, atol=1e-12 * mass)
+    along, across = found[2, 2], found[0, 0]
+    assert along == pytest.approx(mass / 3, rel=1e-3)
+    assert across == pytest.approx(13 / 35 * mass, rel=2e-3)
+    assert abs(found[0, 4]) == pytest.approx(11 / 210 * mass * LENGTH, rel=3e-3)
+    assert found[4, 4] == pytest.approx(mass * LENGTH**2 / 105, rel=5e-3)

@@ -79,7 +79,7 @@ def test_a_flexible_link_between_two_moving_bodies_moves_as_a_fine_chain():
     assert (error < 0.02).all(), error
 
 
-# A part whose energy is quadratic in translation and rotation vector, and which turns by 20 degrees.
+# A part whose energy is quadratic in translation and rotation vector, and which turns far.
 STIFF = np.diag([900.0, 700.0, 800.0, 3.0, 2.0, 2.5])  # N/m to N·m/rad
 STIFF[1, 5] = STIFF[5, 1] = 12.0
 STIFF[2, 4] = STIFF[4, 2] = -11.0
