@@ -111,7 +111,9 @@ def known_frequency(client: Any, component: str, carried: float | ArrayLike | No
 
 def _compliance(client: Any, component: str) -> Vector | None:
     """Return the table's fitted compliance, shape (6, 6), m/N to rad/(N·m); None if unknown."""
-    matrix = np.array(client.compliance(component)["matrix"], dtype=float)
+    facts = client.compliance(component)
+    # At zero load, where there is one: a part that stiffens under load swings slower there.
+    matrix = np.array(facts.get("tangent") or facts["matrix"], dtype=float)
     return matrix if np.isfinite(matrix).all() else None
 
 

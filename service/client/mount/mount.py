@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -15,9 +16,17 @@ from ..replies import Displacement
 from ..rotation import rotation_matrix
 from ..wrenches import ON_THIN, OnThin, tolerance_body
 from . import options, reading
-from .errors import DisplacementUnknown
+from .errors import DisplacementUnknown, MountWarning
 from .frequency import warn_if_ringing
-from .relaxation import Relaxation, Scale, stable_factor
+from .relaxation import (
+    BEYOND,
+    CycleWatch,
+    Relaxation,
+    Scale,
+    require_within_limit,
+    stable_factor,
+    within_limit,
+)
 from .settling import Loop, Settled, by_newton, by_relaxation
 from .source import SolveSource, Source, known, table_source
 from .tally import Coverage
@@ -115,6 +124,7 @@ class Mount:
         self.component, self.mode = component, mode
         self._unmeasured, self._newton = unmeasured, relaxation == "newton"
         self._relaxation = Relaxation(options.fixed_factor(relaxation))
+        self._stepped = self._warned = False
         self._stiffness, self._primed = options.square(stiffness), False
         self.place(R0, p0)
         limit = None if tolerance is None else tolerance_body(tolerance)
@@ -147,11 +157,22 @@ class Mount:
         ValueError
             If it is no pose; the mount is then where it was.
         """
-        self._undeformed = reading.checked_pose(R0, p0)
+        pose = reading.checked_pose(R0, p0)
+        if self._stepped and not self._warned and _is_other(pose, self._undeformed):
+            self._warned = True
+            warnings.warn(
+                f"{self.component}: the base has moved while time passes. A mount is for statics "
+                "and slow scenes on a fixed base: the scene does not feel the base's velocity and "
+                "acceleration. Use a joint (wrenchbook.MujocoJoint, wrenchbook.Joint)",
+                MountWarning,
+                stacklevel=2,
+            )
+        self._undeformed = pose
 
     def restart(self) -> None:
         """Go back to the undeformed pose, and count anew: another run begins."""
         self.displacement: Vector = np.zeros(6)
+        self._stepped, self._beyond, self._cycles = False, 0, CycleWatch()
         self.coverage = Coverage()
         self.last: Displacement | None = None
         self._relaxation.restart()
@@ -219,8 +240,13 @@ class Mount:
         answer, target = self._ask(self._source, wrench)
         if target is not None:
             self._scale.see(target)
-            self.displacement = self._followed(answer, target)
-        self.last = answer
+            moved = within_limit(self._followed(answer, target))
+            self._cycles.see(self._scale.measure(target))
+            self._beyond = 0 if within_limit(target) is target else self._beyond + 1
+            if self._beyond > BEYOND:
+                require_within_limit(target, self.component)
+            self.displacement = moved
+        self.last, self._stepped = answer, True
         return self.pose
 
     def settle(
@@ -260,6 +286,7 @@ class Mount:
             state, radius = by_newton(loop, self.displacement, self._stiffness)
         else:
             state = by_relaxation(loop, self.displacement, self._relaxation)
+        require_within_limit(state.displacement, self.component)
         self.displacement, self.last = state.displacement, state.answer
         residuals = tuple(loop.residuals)
         return Settled(
@@ -309,7 +336,7 @@ class Mount:
             raise InvalidArgument("accuracy must be over 0, in tolerances, and most at least 1")
 
         def read(displacement: Vector) -> Vector:
-            return _reading_of(scene(*self._pose(displacement)))
+            return _reading_of(scene(*self._pose(within_limit(displacement))))
 
         def ask(wrench: Vector) -> tuple[Displacement, Vector]:
             return self._require_answer(source, wrench)
@@ -345,6 +372,10 @@ class Mount:
         """Return the pose of a displacement, shape (6,), m and rad: R0 exp(r) and p0 + R0 t."""
         R0, p0 = self._undeformed
         return R0 @ rotation_matrix(displacement[3:]), p0 + R0 @ displacement[:3]
+
+
+def _is_other(pose: Pose, before: Pose) -> bool:
+    return any((one != other).any() for one, other in zip(pose, before, strict=True))
 
 
 def _reading_of(read: Any) -> Vector:

@@ -39,6 +39,14 @@ ABSURD = 1e100  # tolerances: beyond, squares overflow, and no watch can tell an
 RESTS = 1e-3
 DERIVED = 1e-3  # of the largest answer so far: the tolerance where there is none
 
+# A limit cycle: a span of so many syncs in which answers turn at least once in half the longest
+# period, which is this many syncs, and swing by more than so many tolerances; so many spans in a
+# row that do not become smaller. A scene that comes to rest has long done so.
+SPAN, SHORTEST, SWING, SPANS = 64, 12, 2.0, 3
+UNEXPLAINED = 0.5  # of the variance of answers; noise leaves 0.7 and more
+LARGEST_TURN = math.radians(20.0)  # of the wrench contract
+BEYOND = 16  # syncs in a row with an answer beyond it: no overshoot, but the load
+
 REMEDY = (
     "Remedies: relaxation='aitken' or a fixed factor below 2/(1 + G); relaxation='newton' with the "
     "scene's stiffness; a softer contact or a stiffer component; where loads vibrate from one sync "
@@ -221,6 +229,82 @@ class ContractionWatch:
         if size > 1.0 and onward >= CYCLE:
             raise _run_away(self.size, size)
         return ContractionWatch(size, max(size, self.largest), steady, records, first, onward)
+
+
+class CycleWatch:
+    """What finds a limit cycle: answers that swing, from sync to sync, and do not come to rest.
+
+    A cycle of a scene in contact has a period of some syncs. Loads of such a period are not
+    resolved by the syncs either.
+    """
+
+    def __init__(self) -> None:
+        self._answers: Vector = np.empty((SPAN, 6))
+        self._count = self._rows = 0
+        self._spread = 0.0
+
+    def see(self, answer: Vector) -> None:
+        """Take note of an answer, shape (6,), in tolerances, dimensionless.
+
+        Raises
+        ------
+        CouplingDiverged
+            If the answers of `SPANS` spans in a row swing as far as those of the one before.
+        """
+        self._answers[self._count] = answer
+        self._count += 1
+        if self._count < SPAN:
+            return
+        self._count, before = 0, self._spread
+        spreads = np.ptp(self._answers, axis=0)
+        place = int(spreads.argmax())
+        self._spread = float(spreads[place])
+        slopes = np.diff(self._answers[:, place])
+        turns = int((slopes[1:] * slopes[:-1] < 0.0).sum())
+        swings = self._spread > SWING and SHORTEST * turns >= 2 * SPAN
+        swings = swings and _is_determined(self._answers[:, place])
+        self._rows = self._rows + 1 if swings and self._spread >= STEADY * before else 0
+        if self._rows > SPANS:
+            raise CouplingDiverged(
+                f"the coupling does not come to rest: for {self._rows * SPAN} syncs the answers "
+                f"have swung by {self._spread:.3g} tolerances, back and forth within some syncs. "
+                f"The scene is in a limit cycle, or its loads vibrate faster than the syncs. A "
+                f"part in contact or in motion needs a joint (wrenchbook.MujocoJoint). {REMEDY}"
+            )
+
+
+def _is_determined(answers: Vector) -> bool:
+    """Return whether each answer follows from the four before it, as noise does not.
+
+    By an autoregressive model, which has any sum of two oscillations.
+    """
+    lags = np.stack([answers[k : k - 4] for k in range(4)] + [np.ones(len(answers) - 4)], axis=1)
+    factors, *_ = np.linalg.lstsq(lags, answers[4:], rcond=None)
+    rest = answers[4:] - lags @ factors
+    return float(rest.var()) < UNEXPLAINED * float(answers.var())
+
+
+def within_limit(displacement: Vector) -> Vector:
+    """Return a displacement, shape (6,), m and rad, scaled down to the largest turn of a table."""
+    turned = math.sqrt(float(displacement[3:] @ displacement[3:]))
+    return displacement if turned <= LARGEST_TURN else displacement * (LARGEST_TURN / turned)
+
+
+def require_within_limit(displacement: Vector, component: str) -> None:
+    """Refuse an equilibrium, shape (6,), m and rad, that turns further than a table can hold.
+
+    Raises
+    ------
+    CouplingDiverged
+        If so.
+    """
+    turned = math.degrees(math.sqrt(float(displacement[3:] @ displacement[3:])))
+    if turned > math.degrees(LARGEST_TURN):
+        raise CouplingDiverged(
+            f"{component} would turn by {turned:.3g} degrees, and tables hold "
+            f"{math.degrees(LARGEST_TURN):g}: the load is far beyond the component's range, "
+            "the scene tips or buckles on it, or a sign is wrong: of the wrench, or of stiffness="
+        )
 
 
 def _run_away(before: float, size: float) -> CouplingDiverged:

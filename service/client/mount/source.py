@@ -48,6 +48,8 @@ class TableSource:
         if name != component:
             raise InvalidArgument(f"the table is of component {name!r}, not of {component!r}")
         self._table, self._asked, self._method = table, tolerance, method
+        if method is not None:  # an unknown one is refused here, not in the loop
+            table.answer(np.zeros(6), tolerance=tolerance, method=method)
         own = getattr(table, "tolerance", None)
         self.tolerance = tolerance or (None if own is None else tolerance_body(own))
 
@@ -75,6 +77,8 @@ class ServerSource:
         self._client, self._component = client, component
         self._asked, self._method = tolerance, method
         self.tolerance = tolerance or facts.get("tolerance")
+        if method is not None:  # an unknown one is refused here, not in the loop
+            client.displacement(component, np.zeros(6), on_thin="estimate", method=method)
 
     def ask(self, wrench: Vector, *, derivatives: bool) -> Displacement:
         """Return the answer to a wrench, shape (6,), N and N·m."""
