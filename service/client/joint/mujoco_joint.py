@@ -119,11 +119,14 @@ class MujocoJoint(Joint):
         self._slides = np.array([model.jnt_qposadr[one] for one in found[: len(moves)]], dtype=int)
         self._turn = int(model.jnt_qposadr[found[-1]]) if turning else -1
         start = int(model.jnt_dofadr[first]) if found else 0
-        self._dofs = np.arange(start, start + len(self.free))
-        self._units = np.zeros((len(self._dofs), model.nv))
-        self._units[np.arange(len(self._dofs)), self._dofs] = 1.0
-        self._places = _places(model, self._dofs)
-        self._diagonal = len(self._places[0]) == len(self._dofs) > 1
+        count = len(self.free)
+        self._dofs = slice(start, start + count)
+        self._units = np.eye(model.nv)[self._dofs]
+        self._places = _places(model, np.arange(start, start + count))
+        self._diagonal = len(self._places[0]) == count > 1
+        self._turns = bool((self.free >= 3).sum() == 3)
+        self._unturned = np.zeros((FREEDOMS, count))
+        self._unturned[self.free, np.arange(count)] = 1.0
 
     def _require_bare(self, found: list[int], name: str) -> None:
         """Refuse joints with forces of their own."""
@@ -233,9 +236,8 @@ class MujocoJoint(Joint):
 
         A ball's velocity is that of the tip in its own axes; the contract's about fixed ones.
         """
-        found = np.zeros((FREEDOMS, len(self._dofs)))
-        found[self.free, np.arange(len(self.free))] = 1.0
-        if (self.free >= 3).sum() == 3:
+        found = self._unturned.copy()
+        if self._turns:
             found[3:, -3:] = rotation_matrix(rotation) @ self._axes.T
         return found
 
