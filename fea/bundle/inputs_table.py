@@ -8,6 +8,7 @@ from wrenchbook.fea.spec.schema import ACCELERATIONS, TEMPERATURE, Interface, Ma
 from wrenchbook.fea.spec.toml_table import Keys, bundle_file
 
 _UNITS = ("degC", "K")
+_ABSOLUTE_ZERO = {"degC": -273.15, "K": 0.0}
 _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
@@ -36,6 +37,10 @@ def _temperature(top: Keys, keys: Keys, folder: Path) -> ScalarInput | None:
         return None
     if ends[0] >= ends[1]:
         keys.wrong("range", f"must rise from low to high, not [{ends[0]:g}, {ends[1]:g}]")
+    for key, lowest in (("range", min(ends)), ("reference", reference)):
+        if lowest < _ABSOLUTE_ZERO[unit]:
+            message = f"{lowest:g} {unit} is below absolute zero, {_ABSOLUTE_ZERO[unit]:g} {unit}"
+            keys.wrong(key, message)
     return ScalarInput(TEMPERATURE, unit, ends[0], ends[1], reference, field)
 
 

@@ -146,14 +146,14 @@ def _named_interface(keys: Keys, has_mesh: bool) -> tuple[Interface | None, Decl
     """Return one ``[[interface]]`` and its range; of a measured part it has no section."""
     name = read_name(keys)
     if not has_mesh:
-        loads = _loads(keys.table("range"))
+        loads = _loads(keys.table("range"), may_rest=True)
         keys.close()
         return (Interface("", None, np.eye(3), "", name=name) if name else None), loads
     held = keys.flag("held", required=False) or False
     loads = keys.table("range", required=not held)
     if held and ("locked" in keys or loads is not None):
         keys.wrong("held", "an interface that is held takes neither locked nor range; leave it out")
-    return _interface(keys, name or "", held), _loads(loads) or _NO_LOADS
+    return _interface(keys, name or "", held), _loads(loads, may_rest=True) or _NO_LOADS
 
 
 def read_range(
@@ -208,11 +208,11 @@ def read_analysis(keys: Keys | None) -> Analysis:
     return Analysis(nonlinear is not False, integration or "reduced", weight)
 
 
-def _loads(keys: Keys | None) -> DeclaredRange | None:
-    """Return the loads expected in N and N·m."""
+def _loads(keys: Keys | None, *, may_rest: bool = False) -> DeclaredRange | None:
+    """Return the loads expected in N and N·m; of one interface of several some may be 0."""
     if keys is None:
         return None
-    bounds = _bounds(keys, "force", "N") + _bounds(keys, "moment", "N·m")
+    bounds = _bounds(keys, "force", "N", may_rest) + _bounds(keys, "moment", "N·m", may_rest)
     keys.close()
     if len(bounds) != len(FREEDOMS):
         return None
@@ -220,7 +220,7 @@ def _loads(keys: Keys | None) -> DeclaredRange | None:
     return DeclaredRange(low, high)
 
 
-def _bounds(keys: Keys, key: str, unit: str) -> list[tuple[float, float]]:
+def _bounds(keys: Keys, key: str, unit: str, may_rest: bool) -> list[tuple[float, float]]:
     """Return (low, high) of three loads, each given as a number or as [low, high]."""
     loads = keys.raw(key, list)
     if loads is None:
@@ -228,7 +228,10 @@ def _bounds(keys: Keys, key: str, unit: str) -> list[tuple[float, float]]:
     if len(loads) != 3:
         keys.wrong(key, f"must be three loads in {unit}, each a number or [low, high]")
         return []
-    found = [_bound(keys, f"{key}[{i}]", load, unit) for i, load in enumerate(loads)]
+    found = [
+        (0.0, 0.0) if may_rest and load == 0 else _bound(keys, f"{key}[{i}]", load, unit)
+        for i, load in enumerate(loads)
+    ]
     return [pair for pair in found if pair is not None]
 
 

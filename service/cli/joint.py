@@ -8,7 +8,15 @@ from typing import Annotated
 
 import typer
 
-from wrenchbook.service.cli.connect import DEFAULT_SERVER, Data, Name, Server, connected
+from wrenchbook.service.cli.connect import (
+    DEFAULT_SERVER,
+    AsJson,
+    Data,
+    Name,
+    Server,
+    connected,
+    print_json,
+)
 
 
 def joint(
@@ -24,6 +32,7 @@ def joint(
         bool, typer.Option("--massless", help="do not add the part's own mass to the tip")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="write to this file, not to stdout")] = None,
+    as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
@@ -43,7 +52,9 @@ def joint(
         sys.stderr.write(
             f"{own:.4g} kg of the part's {whole:.4g} kg move with the tip; give the base the rest\n"
         )
-    if out is None:
-        sys.stdout.write(text)
-    else:
+    if out is not None:
         out.write_text(text, encoding="utf-8")
+    if as_json:
+        print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
+    elif out is None:
+        sys.stdout.write(text)

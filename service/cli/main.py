@@ -374,6 +374,10 @@ def _loads(
     """Return the loads of a call; a component with one interface and no load has the zero one."""
     if load is None and further is None and force is None:
         force = ZERO
+    for option, given in (("--load", load), ("--input", further)):
+        names = [name for name, _ in map(_pair, given or ())]
+        if repeated := sorted({name for name in names if names.count(name) > 1}):
+            raise InvalidArgument(f"{option} {repeated[0]} is given twice")
     loads = {name: _of_six(name, text) for name, text in map(_pair, load)} if load else None
     inputs = {name: _number(text) for name, text in map(_pair, further)} if further else None
     return {"force": force, "moment": moment, "loads": loads, "inputs": inputs}

@@ -122,11 +122,16 @@ def _show_recording(out: Console, name: str, found: Recording) -> None:
 
 
 def _show_envelope(out: Console, found: Envelope) -> None:
-    table = Table("load", "least", "largest", "output", "largest displacement")
-    for place, load in enumerate(NAMES):
-        bound = f"{found.displacement_bound[place]:.4g}"
-        low, high = f"{found.min[place]:.6g}", f"{found.max[place]:.6g}"
-        table.add_row(load, low, high, OUTPUTS[place], bound)
+    inputs = found.raw.get("inputs", NAMES)
+    table = Table("input", "least", "largest")
+    for load, low, high in zip(inputs, found.min, found.max, strict=True):
+        table.add_row(load, f"{low:.6g}", f"{high:.6g}")
+    out.print(table)
+    table = Table("output", "largest displacement")
+    for output, bound in zip(
+        found.raw.get("outputs", OUTPUTS), found.displacement_bound, strict=True
+    ):
+        table.add_row(output, f"{bound:.4g}")
     out.print(table)
     verdict = {True: "negligible", False: "not negligible", None: "not known to be negligible"}
     out.print(f"{found.count} wrenches; {found.bound}; {verdict[found.negligible]}.")

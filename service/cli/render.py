@@ -20,7 +20,7 @@ from wrenchbook.service.cli.pace import Pace, error_bars
 from wrenchbook.service.client import Client, Displacement, Job, ProblemError
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.wrenches import wrench_of
-from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
+from wrenchbook.service.contract import DISPLACEMENT_NAMES
 
 POLL_S = 0.2
 INTERRUPTED = 130  # exit status of shells: 128 + SIGINT
@@ -98,7 +98,9 @@ def method_line(component: dict[str, Any]) -> str:
 
 def compliance_tables(body: dict[str, Any]) -> list[Table]:
     """Lay out the compliance at zero load, and the mean over the load range."""
-    known = [load in body["known_loads"] for load in WRENCH_NAMES]
+    # Servers before 0.3 name neither columns nor rows.
+    inputs = [name.split(" ")[0] for name in body.get("columns", WRENCH_NAMES)]
+    known = [load in body["known_loads"] for load in inputs]
     mean = [
         [value if tells else None for value, tells in zip(line, known, strict=True)]
         for line in body["matrix"]
@@ -109,11 +111,13 @@ def compliance_tables(body: dict[str, Any]) -> list[Table]:
     )
     tables = []
     for title, lines in matrices:
-        table = Table(title=title, title_justify="left", caption="m and rad over N and N·m")
-        for heading in ("", *WRENCH_NAMES):
+        table = Table(title=title, title_justify="left", caption="rows and columns in SI")
+        for heading in ("", *inputs):
             table.add_column(heading, justify="right" if heading else "left")
-        for output, line in zip(DISPLACEMENT_NAMES, lines, strict=True):
-            table.add_row(output, *("-" if value is None else f"{value:.3e}" for value in line))
+        for output, line in zip(body.get("rows", DISPLACEMENT_NAMES), lines, strict=True):
+            table.add_row(
+                output.split(" ")[0], *("-" if value is None else f"{value:.3e}" for value in line)
+            )
         tables.append(table)
     return tables
 
@@ -123,8 +127,12 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
     table = Table("name", "title", "rows", "analysis", "largest force, N", "largest moment, N·m")
     for one in components:
         kind = "table only" if not one["has_fea"] else "linear" if one["linear"] else "nonlinear"
+        spans = one["range"].get("loads") or {"": one["range"]}
         force, moment = (
-            " ".join(f"{max(map(abs, span)):g}" for span in one["range"][word])
+            "; ".join(
+                " ".join(filter(None, (name, *(f"{max(map(abs, ends)):g}" for ends in own[word]))))
+                for name, own in spans.items()
+            )
             for word in ("force", "moment")
         )
         rows, others = str(one["rows"]), one.get("another_setup", {}).get("rows")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Coroutine, Iterator, Mapping, Sequence
+from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self, overload
@@ -17,7 +17,7 @@ from .request import AsyncRunner, BlockingRunner, Call, json_request
 from .wrenches import tolerance_body
 
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
-_FIELDS = ("force", "moment", "outputs", "tolerance")
+_FIELDS = ("force", "moment", "loads", "inputs", "outputs", "tolerance")
 
 
 class SceneError(InvalidArgument):
@@ -90,8 +90,10 @@ class Scene:
     ----------
     components : mapping
         Per name ``force`` and ``moment``, three loads each, N and N·m: ``[low, high]``, or a number
-        for plus and minus that; ``outputs``, which of ux uy uz rx ry rz are read, all if left out;
-        ``tolerance``, ``{"translation": m, "rotation": rad}``, the component's own if left out.
+        for plus and minus that; of several interfaces ``loads``, these by interface, and
+        ``inputs``, a span each; ``outputs``, which of ux uy uz rx ry rz (``left.ux``) are read, all
+        if left out; ``tolerance``, ``{"translation": m, "rotation": rad}``, the component's own if
+        left out.
 
     Raises
     ------
@@ -148,7 +150,7 @@ class Scene:
         """
         one = self.component(name)
         return {
-            "range": {"force": one["force"], "moment": one["moment"]},
+            "range": {word: one[word] for word in _FIELDS[:4] if word in one},
             "outputs": one.get("outputs"),
             "tolerance": one.get("tolerance"),
         }
@@ -201,9 +203,15 @@ def _checked(name: str, need: Any) -> dict[str, Any]:
         raise SceneError(
             f"components.{name}: unknown {', '.join(sorted(unknown))}; it has {', '.join(_FIELDS)}"
         )
-    body: dict[str, Any] = {
-        word: _spans(f"components.{name}.{word}", need.get(word)) for word in ("force", "moment")
-    }
+    where = f"components.{name}"
+    if (loads := need.get("loads")) is None:
+        body: dict[str, Any] = _wrench(where, need, ("force", "moment"))
+    else:
+        each = _named(f"{where}.loads", loads).items()
+        body = {"loads": {one: _wrench(f"{where}.loads.{one}", own, own) for one, own in each}}
+    if (further := need.get("inputs")) is not None:
+        spans = _named(f"{where}.inputs", further).items()
+        body["inputs"] = {one: _span(f"{where}.inputs.{one}", span) for one, span in spans}
     if (outputs := need.get("outputs")) is not None:
         body["outputs"] = _outputs(f"components.{name}.outputs", outputs)
     if need.get("tolerance") is not None:
@@ -214,11 +222,30 @@ def _checked(name: str, need: Any) -> dict[str, Any]:
     return body
 
 
+def _named(where: str, given: Any) -> Mapping[str, Any]:
+    if not isinstance(given, Mapping):
+        raise SceneError(f"{where}: a table by name, not {given!r}")
+    return given
+
+
+def _wrench(where: str, need: Any, words: Iterable[str]) -> dict[str, Any]:
+    """Return the spans of force and moment; those that `words` names must be there."""
+    if unknown := set(words) - {"force", "moment"}:
+        raise SceneError(f"{where}: unknown {', '.join(sorted(unknown))}; it has force, moment")
+    return {word: _spans(f"{where}.{word}", need.get(word)) for word in words}
+
+
 def _outputs(where: str, outputs: Any) -> list[str]:
     listed = isinstance(outputs, Sequence) and not isinstance(outputs, str)
-    if not listed or not outputs or not all(one in OUTPUTS for one in outputs):
+    known = listed and all(str(one).rpartition(".")[2] in OUTPUTS for one in outputs)
+    if not known or not outputs:
         raise SceneError(f"{where}: one or more of {', '.join(OUTPUTS)}, not {outputs!r}")
-    return sorted(set(outputs), key=OUTPUTS.index)
+    return sorted(set(outputs), key=_place)
+
+
+def _place(output: str) -> tuple[str, int]:
+    interface, _, own = output.rpartition(".")
+    return interface, OUTPUTS.index(own)
 
 
 def _spans(where: str, spans: Any) -> list[list[float]]:

@@ -26,11 +26,19 @@ from wrenchbook.surrogate.kernel.build import FLAGS as KERNEL_FLAGS
 from wrenchbook.surrogate.kernel.build import sources as kernel_sources
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Space
 
+_NO_PART = "wb_joint.c"  # of the kernel: no FMU has a joint
+
+
+def _kernel_sources() -> list[Path]:
+    """Return the kernel's sources and headers that an FMU has, by name."""
+    return sorted(path for path in kernel_sources() if path.name != _NO_PART)
+
+
 SOURCES = (
     "fmu_instance.c",
     "fmu_variables.c",
     "fmu_simulation.c",
-    *sorted(path.name for path in kernel_sources() if path.suffix == ".c"),
+    *(path.name for path in _kernel_sources() if path.suffix == ".c"),
 )
 # Exponents of the base units.
 _UNITS: dict[str, dict[str, str]] = {
@@ -135,7 +143,13 @@ def _add_variables(root: ElementTree.Element, space: Space) -> None:
     """Add the variables; their value references are their places, as c/fmu.h has them."""
     for one in space.inputs:
         unit, about = _unit(one.unit), "input" if one.kind == "scalar" else "load"
-        _add(root, _named(one), "input", f"{about}, {unit}", {"unit": unit, "start": "0"})
+        _add(
+            root,
+            _named(one),
+            "input",
+            f"{about}, {unit}",
+            {"unit": unit, "start": f"{one.zero:.17g}"},
+        )
     for prefix, about in (("", "displacement"), ("error_", "95 % error bar of the displacement")):
         for output in space.outputs:
             _add(root, prefix + output.name, "output", about, {"unit": output.unit})
@@ -250,7 +264,7 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
     Raises
     ------
     UnknownMethodError
-        If there is no such method.
+        If there is no such method, or the table does not answer by it.
     NotExportableError
         If the table has no rows within its load range.
     CompilerError
@@ -259,16 +273,18 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
     if method is not None and method not in METHODS:
         raise UnknownMethodError(method)
     _check_rows(table)
+    table.answer(table.space.zero.tolist(), None, method)  # by this method, or not at all
     used = ", ".join(dict.fromkeys(method or one["method"] for one in table.words["groups"]))
     about = table.words["provenance"]
     summary = f"table version {about['version']}, {about['rows']} rows, method {used}"
-    space = Space.read(table.words["space"])
+    space = table.space
+    zeros = " ".join(f"{one.zero:.17g}" for one in space.inputs)
     number = -1 if method is None else METHODS.index(method)
     guid = _guid(component, number, table.content)
     parts = {
         "modelDescription.xml": describe(component, guid, _made_by(), summary, space),
         "resources/table.wbt": table.content,
-        "resources/model.txt": f"{guid}\n{number}\n".encode(),
+        "resources/model.txt": f"{guid}\n{number}\n{zeros}\n".encode(),
         **_sources(identifier_of(component)),
     }
     place = PLATFORMS.get((platform.system(), platform.machine()))
@@ -310,7 +326,7 @@ def _sources(identifier: str) -> dict[str, bytes]:
     folder = files(__package__ or "wrenchbook.service.fmu") / "c"
     own = [name for name in SOURCES if name.startswith("fmu_")]
     found = {f"sources/{name}": (folder / name).read_bytes() for name in (*own, *_HEADERS)}
-    found |= {f"sources/{path.name}": path.read_bytes() for path in kernel_sources()}
+    found |= {f"sources/{path.name}": path.read_bytes() for path in _kernel_sources()}
     options = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")) and flag != "-fPIC")
     cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=options)
     return found | {"sources/CMakeLists.txt": cmake.encode()}

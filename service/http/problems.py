@@ -48,6 +48,7 @@ from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.past import PastDamagedError, PastTooLargeError
 from wrenchbook.service.tables.served import TableBehindError
+from wrenchbook.surrogate.answer import UnknownMethodError
 
 MEDIA_TYPE = "application/problem+json"
 CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was whole
@@ -56,6 +57,7 @@ _MOST_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
     ComponentExistsError: (409, "component-exists", "The name is taken"),
+    UnknownMethodError: (422, "method", "Not a method of this table"),
     OneWrenchError: (409, "one-wrench", "The call takes one wrench alone"),
     CatalogueError: (507, "disk", "The library's notes cannot be written"),
     LibraryUnavailableError: (507, "disk", "The component cannot be written; nothing was added"),

@@ -231,6 +231,8 @@ class Widened(_Block, _Box, total=False):
 class Envelope(_Gathered, _Box, total=False):
     at_min: Annotated[list[Six], text("the whole wrench at each least value, N and N·m")]
     at_max: Annotated[list[Six], text("the whole wrench at each largest value, N and N·m")]
+    inputs: Annotated[list[str], text("the order of min and max")]
+    outputs: Annotated[list[str], text("the order of displacement_bound")]
     displacement_bound: Annotated[Six, text("m and rad; null where nothing is known")]
     bound: Annotated[
         dict[Literal["kind", "formula", "coverage"], str | None],

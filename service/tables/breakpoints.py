@@ -46,6 +46,11 @@ def write_breakpoints(table: ServedTable, name: str, path: Path) -> None:
     NoTableError
         If the table does not answer all six outputs within its load range.
     """
+    if not table.load_range.space.is_default:
+        raise NoTableError(
+            f"lookup blocks are for one wrench at one interface, and {name!r} has the inputs "
+            f"{', '.join(table.load_range.space.input_names)}; export fmu, csv, hdf5 or json"
+        )
     low, high = table.load_range.low, table.load_range.high
     wrenches = _between(low, high)
     exact = table.packed.batch(wrenches)

@@ -12,7 +12,7 @@ import numpy as np
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.solver_errors import SolverErrors
-from wrenchbook.surrogate.answer import allowed_by
+from wrenchbook.surrogate.answer import BY_AXES, allowed_by
 from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kriging import Hyperparameters
@@ -120,8 +120,12 @@ class ServedTable:
         packed.answer([0.0] * len(packed.words["space"]["inputs"]))  # reads pages: 0.1 ms
 
     def prefer(self, method: str | None) -> None:
-        """Answer by a method where a request names none; None keeps the table's own default."""
-        if method is not None:
+        """Answer by a method where a request names none; None keeps the table's own default.
+
+        So does one that does not exist for the table's inputs.
+        """
+        exists = self.load_range.space.is_default or method not in BY_AXES
+        if method is not None and exists:
             self.packed.method = self.default = method
 
     @property

@@ -189,3 +189,14 @@ def test_more_inputs_than_there_are_corners_to_look_at_are_refused(tmp_path):
     ]
     with pytest.raises(BundleError, match="22 inputs vary, and 18 may"):
         bundle_of(whole, tmp_path)
+
+
+def test_a_load_of_one_interface_of_several_may_be_zero(tmp_path):
+    whole = table(WARM | PULLED)
+    del whole["interface"], whole["range"]
+    span = {"force": [0, 100, 100], "moment": [0, 0, 5]}
+    whole["interface"] = [
+        {"name": name, "section": name, "coupling": "rigid", "range": span} for name in ("x1", "y1")
+    ]
+    found = bundle_of(whole, tmp_path).range
+    assert found.high.tolist() == [0, 100, 100, 0, 0, 5] * 2

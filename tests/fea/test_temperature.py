@@ -395,3 +395,12 @@ yield_strength = 240e6
     words = as_text(report)
     assert "temperature: -40 to 120, reference 20" in words
     assert "by the temperature alone it moves by (0.0023" in words
+
+
+@pytest.mark.parametrize(
+    "own",
+    [{"range": [-300, 60], "reference": 20}, {"unit": "K", "range": [-20, 60], "reference": 20}],
+)
+def test_a_temperature_below_absolute_zero_is_refused(tmp_path, own):
+    found = mistakes(tmp_path, table({"fixed": ["start"]}, inputs={"temperature": own}))
+    assert "below absolute zero" in found["inputs.temperature.range"]

@@ -7,6 +7,7 @@ from tests.fea.boxes import box
 from tests.fea.test_temperature import table
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.component import build
+from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 
@@ -108,3 +109,34 @@ def test_another_field_is_another_fingerprint(tmp_path):
         write(tmp_path, corners(), np.arange(8.0) * rise)
         found.append(bar(tmp_path).component.bundle.fingerprint)
     assert found[0] != found[1]
+
+
+@pytest.mark.parametrize("kept", [[0, 1, 2], [0, 2], [0]], ids=["space", "plane", "line"])
+def test_points_of_a_plane_or_a_line_are_interpolated_in_it(tmp_path, kept):
+    rng = np.random.default_rng(1)
+    points, slope = np.zeros((60, 3)), np.array([1.0, 0.7, -0.4])
+    points[:, kept] = rng.uniform(-1, 1, (60, len(kept)))
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    points[:8, kept] = corners[:, kept]
+    nodes = rng.uniform(-0.9, 0.9, (40, 3))
+    rise = 100 * (2 + points[:, kept] @ slope[kept])
+    text = "\n".join(f"{x!r},{y!r},{z!r},{t!r}" for x, y, z, t in np.c_[points, rise].tolist())
+    (tmp_path / "t.csv").write_text("x,y,z,T\n" + text + "\n")
+    found = shape_on(nodes, tmp_path / "t.csv", 0.0) * rise.max()
+    np.testing.assert_allclose(found, 100 * (2 + nodes[:, kept] @ slope[kept]), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("T,x,y,z\n20,0,0,0\n30,1,0,0\n", "line of names"),
+        ("0,0,0,30\n1,0,0,40\n", "line of names"),
+        ("x,y,z,T\n0,0,0,30\n0,0,0,90\n", "twice, with two temperatures"),
+        ("x,y,z,T\n300,0,0,30\n0,500,0,50\n", "must be in m"),
+    ],
+)
+def test_a_field_that_is_not_the_parts_is_refused(tmp_path, text, words):
+    (tmp_path / "t.csv").write_text(text)
+    nodes = np.random.default_rng(1).uniform(0, 1, (20, 3))
+    with pytest.raises(BundleError, match=words):
+        shape_on(nodes, tmp_path / "t.csv", 0.0)

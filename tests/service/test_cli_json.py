@@ -34,6 +34,8 @@ FILLED = {
 IMPORTED = {"inserted": 1, "existing": 0, "errors": [], "dry_run": False}
 REPORTED = {"state": "done", "fraction": 1.0, "message": ""}
 
+SCENE = """<mujoco><worldbody><body name="base"><geom size="1"/><body name="tip"><geom size="1"/>
+</body></body></worldbody></mujoco>"""
 COMMANDS = {
     "query": (["plate"], [COVERED]),
     "solve": (["plate"], [COVERED]),
@@ -42,6 +44,7 @@ COMMANDS = {
     "report": (["plate"], [REPORTED, REPORTED, {"title": "plate"}]),
     "compliance": (["plate"], [{"matrix": []}]),
     "components": ([], [{"components": [COMPONENT]}]),
+    "joint": (["plate", "FOLDER/scene.xml"], [COMPONENT]),
     "jobs": ([], [{"jobs": []}]),
     "recording": (["plate"], [RECORDED]),
     "recording --start": (["plate"], [QUEUED_NONE]),
@@ -114,6 +117,7 @@ def test_every_command_is_run_with_json_by_a_test():
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "table.csv").write_text("fx,ux\n1,2\n")
+    (tmp_path / "scene.xml").write_text(SCENE)
     Keyring(tmp_path).add("bob", "read")
     return tmp_path
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import KDTree, QhullError
+from scipy.spatial import KDTree
 
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
@@ -25,7 +25,7 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     """Return the rise of the temperature at nodes as a part of the largest, shape (n,).
 
     A node at a point of the file has its rise, others that of linear interpolation between points,
-    or of the nearest point outside of them.
+    or of the nearest point outside of them. Points of one plane or line are interpolated in it.
 
     Parameters
     ----------
@@ -39,8 +39,10 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     Raises
     ------
     BundleError
-        If the file has not four finite numbers a line, or nothing is heated.
+        If the file has not four finite numbers a line below a line of names, gives a point two
+        temperatures or lies far from the part, or if nothing is heated.
     """
+    _require_names(field)
     try:
         table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
     except (ValueError, UnicodeDecodeError) as error:
@@ -51,20 +53,50 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     most = float(rise[np.abs(rise).argmax()])
     if most == 0.0:
         raise _wrong("is at the reference everywhere: nothing is heated")
+    _require_one_each(points, rise)
     return _interpolated(points, rise / most, nodes)
+
+
+def _require_names(field: Path) -> None:
+    with field.open(encoding="utf-8", errors="replace") as file:
+        names = [name.strip().strip('"').lower()[:1] for name in file.readline().split(",")]
+    if names[:3] != ["x", "y", "z"]:
+        raise _wrong("must begin with a line of names: x, y, z (m) and the temperature")
+
+
+def _require_one_each(points: Array, rise: Array) -> None:
+    order = np.lexsort(points.T)
+    same = (points[order][1:] == points[order][:-1]).all(axis=1)
+    if (rise[order][1:] != rise[order][:-1])[same].any():
+        x, y, z = points[order][1:][same][0].tolist()
+        raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures")
 
 
 def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
     distance, nearest = KDTree(points).query(nodes)
-    found = values[nearest]
-    between = distance > _SAME * np.ptp(nodes, axis=0).max()
-    if between.any():
-        try:
-            inside = LinearNDInterpolator(points, values)(nodes[between])
-        except QhullError:  # fewer than five points, or all in one plane
-            return found
+    found, size = values[nearest], np.ptp(nodes, axis=0).max()
+    if np.median(distance) > size:
+        raise _wrong(
+            f"its points are {np.median(distance):.3g} m from the part, which is {size:.3g} m "
+            "long: they must be in m, in the mesh's axes"
+        )
+    between = distance > _SAME * size
+    if between.any() and len(points) > 1:
+        inside = _linear(points, values, nodes[between])
         found[between] = np.where(np.isnan(inside), found[between], inside)
     return found
+
+
+def _linear(points: Array, values: Array, nodes: Array) -> Array:
+    """Interpolate linearly in the space, the plane or the line of the points; NaN outside."""
+    centre = points.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
+    axes = axes[sizes > _SAME * sizes[0]]
+    own, there = (points - centre) @ axes.T, (nodes - centre) @ axes.T
+    if len(axes) == 1:
+        order = np.argsort(own[:, 0])
+        return np.interp(there[:, 0], own[order, 0], values[order], np.nan, np.nan)
+    return np.asarray(LinearNDInterpolator(own, values)(there))
 
 
 def _wrong(message: str) -> BundleError:

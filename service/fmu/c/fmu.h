@@ -40,6 +40,7 @@ typedef struct {
     int inputs, outputs, method;
     fmu_references vr;
     char guid[WB_GUID]; /* of the table and the method: resources/model.txt */
+    double start[WB_MOST]; /* inputs without an effect: no load, the reference temperature */
     fmu_state state;
     wb_reply reply;
     double *derivative; /* outputs x inputs */

@@ -63,6 +63,7 @@ void fmu_reset(fmu_instance *m) {
     memset(&m->state, 0, sizeof m->state);
     memcpy(m->state.mark, "WBSTATE1", 8);
     memcpy(m->state.guid, m->guid, WB_GUID);
+    memcpy(m->state.wrench, m->start, sizeof m->state.wrench);
     m->state.mode = INSTANTIATED;
     m->answered = m->derived = 0;
 }
@@ -98,10 +99,13 @@ static int path_of(const char *uri, const char *file, char *path) {
     return 1;
 }
 
-/* Read the GUID and the method, a line each; 0 if they are not there. */
+/* Read the GUID, the method and the inputs' start values, a line each; 0 if the first two are not
+ * there. */
 static int read_model(fmu_instance *m, const char *path) {
     FILE *file = fopen(path, "rb");
     int found = file && fscanf(file, "%39s %d", m->guid, &m->method) == 2;
+    for (int k = 0; found && k < WB_MOST; k++)
+        if (fscanf(file, "%lf", m->start + k) != 1) break;
     if (file) fclose(file);
     return found;
 }

@@ -126,6 +126,8 @@ def envelope(
     limit = tolerance and {"translation": tolerance.translation, "rotation": tolerance.rotation}
     body = {
         "component": name,
+        "inputs": component.space.input_names,
+        "outputs": component.space.output_names,
         **_box(found),
         "outside": found.tally.outside,
         "at_min": found.lowest,
