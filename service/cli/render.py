@@ -20,7 +20,7 @@ from wrenchbook.service.cli.pace import Pace, error_bars
 from wrenchbook.service.client import Client, Displacement, Job, ProblemError
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.wrenches import wrench_of
-from wrenchbook.service.contract import DISPLACEMENT_NAMES
+from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
 
 POLL_S = 0.2
 INTERRUPTED = 130  # exit status of shells: 128 + SIGINT
