@@ -143,16 +143,16 @@ class Axes:
         if not self.known[3 + moment]:
             rest = xp.where(amount[:, None] != 0, np.nan, rest)
         outputs = self.rest[0] + amount[:, None] * slope
-        found = outputs, rest, zero + slope
+        found: Any = (outputs, rest, zero + slope)
         state = self.own.whole(zero[:, 0] > 0) + NO_ROWS
         for cut in self.cuts[moment]:
             part = cut.read(amount)
             better = (state >= OFF_HULL) & (part.state < state)
             if part.outputs is not None:
                 both = zip(part[:3], found, strict=True)
-                found = tuple(xp.where(better[:, None], new, old) for new, old in both)
+                found = [xp.where(better[:, None], new, old) for new, old in both]
             state = xp.where(better, part.state, state)
-        return Part(*found, state)
+        return Part(found[0], found[1], found[2], state)
 
 
 class _Cut:

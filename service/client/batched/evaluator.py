@@ -74,8 +74,8 @@ class Evaluator:
         moved = self._value(w)
         error, coverage, lost = self._judgement(self.own.stop(w), self.own.stop(moved))
         moved = self.xp.where(lost[:, None], np.nan, moved)
-        both = (one.reshape(*shape, one.shape[1]) for one in (moved, error))
-        return Answers(*both, coverage.reshape(shape))
+        moved, error = (one.reshape(*shape, one.shape[1]) for one in (moved, error))
+        return Answers(moved, error, coverage.reshape(shape))
 
     def displacement(self, wrenches: Any) -> Any:
         """Return the displacements alone, shape (k, m) or (m,), m and rad.
@@ -109,18 +109,23 @@ class Evaluator:
 
     def _values(self, w: Any) -> Any:
         w, xp = self._acting(w), self.xp
-        found = xp.zeros_like(w[:, :1]) + xp.zeros_like(self.space["limit"]) * 0.0 + np.nan
+        found = xp.full_like(w[:, :1] + self.space["limit"], np.nan)
         for group in self.groups:
             found = xp.where(group.outputs, group.value(w), found)
         if self.scene:
             off = (w < self.scene["ends"][0]) | (w > self.scene["ends"][1])
-            found = xp.where((off & (self.scene["varying"] == 0)).any(axis=1)[:, None], np.nan, found)
+            found = xp.where(
+                (off & (self.scene["varying"] == 0)).any(axis=1)[:, None], np.nan, found
+            )
         return found
+
+    def _off_scene(self, w: Any) -> Any:
+        """Return which inputs (k, n), SI, lie beyond those of the table's scene."""
+        return (w < self.scene["ends"][0]) | (w > self.scene["ends"][1])
 
     def _slopes(self, w: Any) -> Any:
         w, xp = self._acting(w), self.xp
-        shape = self.solver["mesh"]
-        found = w[:, None, :] * 0.0 + shape * 0.0 + np.nan
+        found = xp.full_like(w[:, None, :] + self.solver["mesh"], np.nan)
         for group in self.groups:
             found = xp.where(group.outputs[:, None], group.slopes(w), found)
         if self.scene:
@@ -136,8 +141,7 @@ class Evaluator:
             error = xp.where(group.outputs, own, error)
             coverage = xp.maximum(coverage, state)
         if self.scene:
-            off = (w < self.scene["ends"][0]) | (w > self.scene["ends"][1])
-            off = off.any(axis=1)
+            off = self._off_scene(w).any(axis=1)
             error = xp.where(off[:, None], np.nan, error)
             coverage = xp.where(off | xp.isnan(moved).all(axis=1), OUTSIDE, coverage)
         if not self.none:
@@ -182,7 +186,9 @@ class _Group:
 
     def __init__(self, whole: Evaluator, number: int, method: str | None, limit: Any) -> None:
         prefix, own = f"g{number}/", whole.own
-        arrays = {k.removeprefix(prefix): v for k, v in whole._arrays.items() if k.startswith(prefix)}
+        arrays = {
+            k.removeprefix(prefix): v for k, v in whole._arrays.items() if k.startswith(prefix)
+        }
         flags = arrays["flags"].tolist()
         self.own, self.xp, self.space = own, own.xp, whole.space
         self.reference, self.knows_interaction, self.rest_unknown = flags[1], flags[2], flags[3]
@@ -192,7 +198,7 @@ class _Group:
         self.outputs = own.put(arrays["outputs"].astype(bool))
         allowed = arrays["allowed"] if limit is None else np.array(limit)
         self.allowed = own.put(np.where(arrays["outputs"], allowed, np.inf))
-        fit = {k.removeprefix("fit/"): v for k, v in arrays.items() if k.startswith("fit/")}
+        fit = _below(arrays, "fit/")
         self.fit = {name: own.put(one) for name, one in fit.items() if name != "rows"}
         self.parts: dict[str, Kriging] = {}
         for name in ("kriging", "missed"):
@@ -208,7 +214,7 @@ class _Group:
     def value(self, w: Any) -> Any:
         """Return displacements (k, m), m and rad; meaningful for the group's outputs."""
         if not self.used:
-            return w[:, :1] * np.nan + self.allowed * 0
+            return self.xp.full_like(w[:, :1] + self.allowed, np.nan)
         if self.method == "kriging":
             return self.parts["kriging"].values(w)
         if self.method == "linear":
@@ -219,7 +225,7 @@ class _Group:
     def slopes(self, w: Any) -> Any:
         """Return derivatives (k, m, n), SI; meaningful for the group's outputs."""
         if not self.used:
-            return w[:, None, :] * np.nan + self.fit["matrix"]
+            return self.xp.full_like(w[:, None, :] + self.fit["matrix"], np.nan)
         if self.method == "kriging":
             return self.parts["kriging"].slopes(w)
         if self.method == "linear":
@@ -232,7 +238,7 @@ class _Group:
         beyond = ((w < self.space["ends"][0]) | (w > self.space["ends"][1])).any(axis=1)
         coverage = xp.where(beyond, OUTSIDE, COVERED)
         if not self.used:
-            return moved * np.nan, xp.where(beyond, OUTSIDE, OUTSIDE)
+            return moved * np.nan, coverage * 0 + OUTSIDE
         if self.method == "kriging" and self.reference & KRIGING:
             error = self.parts["kriging"].errors(w)
         elif self.method == "linear":
@@ -260,7 +266,7 @@ class _Group:
     def _referred(self, w: Any, moved: Any) -> tuple[Any, Any]:
         """Return |answer - best estimate| + its error, (k, m), m and rad, and the axes' state."""
         xp, by_axes = self.xp, self.method in ("griddata", "additive")
-        composed = self.axes.compose(w) if by_axes or self.reference & ADDITIVE else None
+        composed: Any = self.axes.compose(w) if by_axes or self.reference & ADDITIVE else None
         if self.reference & KRIGING:
             best, error = self.parts["kriging"].values(w), self.parts["kriging"].errors(w)
         else:

@@ -31,9 +31,13 @@ class Kriging:
         self.rates, self.priors = arrays["terms"][:, :inputs], arrays["terms"][:, inputs]
         self.x = own.put(arrays["x"])
         self.weights = own.put(arrays["weights"].T)
-        names = ("coefficients", "centre", "rate", "offset", "spread", "deviation")
-        for name in (*names, "lost", "tangent", "span", "rates"):
-            setattr(self, "anchor_rates" if name == "rates" else name, own.put(arrays[name]))
+        self.coefficients, self.centre, self.rate, self.offset, self.spread, self.deviation = (
+            own.put(arrays[name])
+            for name in ("coefficients", "centre", "rate", "offset", "spread", "deviation")
+        )
+        self.lost, self.tangent, self.span, self.anchor_rates = (
+            own.put(arrays[name]) for name in ("lost", "tangent", "span", "rates")
+        )
         self.floor, self.inputs, self.stride = float(arrays["floor"][0]), inputs, stride
         self.shares = [_share(own, arrays, k) for k in range(int(arrays["shares"][0]))]
 
@@ -97,9 +101,8 @@ class Kriging:
         apart, terms = self._correlations(at)
         loads = range(self.inputs)
         by_load = [self._sum(terms, 1, load) for load in loads]
-        bent = {
-            (a, b): self._sum(terms, 2, a, b) * apart[a] * apart[b] for a in loads for b in loads[a:]
-        }
+        pairs = [(a, b) for a in loads for b in loads[a:]]
+        bent = {(a, b): self._sum(terms, 2, a, b) * apart[a] * apart[b] for a, b in pairs}
         flat = []
         for a in loads:
             own = [-by_load[a] * apart[a]]

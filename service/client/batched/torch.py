@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +13,7 @@ from ..errors import InvalidArgument, MissingPackage
 from .evaluator import Answers, Evaluator
 
 try:
-    import torch
+    torch: Any = importlib.import_module("torch")  # not `import`: as in jax.py
 except ModuleNotFoundError as error:
     raise MissingPackage(
         "tables on tensors of PyTorch need the package 'torch', which is not installed: "
