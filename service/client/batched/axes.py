@@ -210,7 +210,6 @@ class _Axis:
         ours = slice(int(first[axis]), int(first[axis + 1]))
         basis = floats[6:15].reshape(3, 3).copy()
         basis[self.dimension :] = 0.0
-        self.flat_shares = [*range(self.dimension), 3]
         self.scale, self.origin, self.basis = (
             own.put(one) for one in (floats[:3], floats[3:6], basis)
         )
@@ -223,6 +222,8 @@ class _Axis:
         vertex[:, self.dimension : 3] = 0
         maps, anchors = simplex[:, 4:13].reshape(-1, 3, 3), simplex[:, 13:]
         self.vertex, self.maps, self.anchors = own.put(vertex), own.put(maps), own.put(anchors)
+        ways = [maps[:, corner] for corner in range(self.dimension)]  # of the coordinates of all
+        self.tests = [(own.put(way.T), own.put((way * anchors).sum(axis=1))) for way in ways]
         self.state = own.put(arrays["state"][ours].astype(np.int32))
         self.degenerate = own.put(arrays["state"][ours] == DEGENERATE)
         self.error = own.put(arrays["error"][axis])
@@ -311,12 +312,10 @@ class _Axis:
         if not self.dimension:
             whole = own.whole(flat[:, 0] != flat[:, 0])
             return whole, whole == 0, place
-        apart = flat[:, None, :] - self.anchors
-        first = xp.einsum("scj,ksj->ksc", self.maps, apart)
-        last = 1.0 - first.sum(axis=2)
-        least = last
-        for corner in range(self.dimension):
-            least = xp.minimum(least, first[:, :, corner])
+        first = [flat @ way - start for way, start in self.tests]
+        least = 1.0 - sum(first)
+        for share in first:
+            least = xp.minimum(least, share)
         least = xp.where(self.degenerate, -np.inf, least)
         best = xp.argmax(least, axis=1)
         inside = own.along(least, best[:, None], 1)[:, 0] >= -self.on_hull
