@@ -35,9 +35,11 @@ class Kriging:
             own.put(arrays[name])
             for name in ("coefficients", "centre", "rate", "offset", "spread", "deviation")
         )
-        self.lost, self.tangent, self.span, self.anchor_rates = (
-            own.put(arrays[name]) for name in ("lost", "tangent", "span", "rates")
+        self.tangent, self.span, self.anchor_rates = (
+            own.put(arrays[name]) for name in ("tangent", "span", "rates")
         )
+        # The table states what sums lose in float64; no error bar is below it.
+        self.lost = own.put(arrays["lost"] * (own.rounding / float(np.finfo(float).eps)))
         self.floor, self.inputs, self.stride = float(arrays["floor"][0]), inputs, stride
         self.shares = [_share(own, arrays, k) for k in range(int(arrays["shares"][0]))]
 

@@ -130,24 +130,28 @@ def test_derivatives_are_those_of_differences(on, method):
     asked = asked_of(found, 60, 6, 0.3)
     asked = asked[table._packed.batch(asked, None, method).coverage < 2][:8]
     assert len(asked) > 4
-    own, steps = on.evaluator(table, method, "float64"), 1e-6 * np.diag(found.load_range.scale)
+    own, steps = on.evaluator(table, method, "float64"), 1e-5 * np.diag(found.load_range.scale)
     ends = [(asked[:, None] + sign * steps).reshape(-1, 6) for sign in (1, -1)]
     high, low = (on.answers(own, one)[0].reshape(-1, 6, 6) for one in ends)
-    by_differences = (high - low).transpose(0, 2, 1) / 2e-6
+    by_differences = (high - low).transpose(0, 2, 1) / 2e-5
     slopes = on.jacobians(own, asked) * found.load_range.scale
-    assert (np.abs(slopes - by_differences) / size_of(found)[:, None]).max() < 1e-7
+    assert (np.abs(slopes - by_differences) / size_of(found)[:, None]).max() < 1e-5
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_float32_answers_to_a_thousandth_of_the_range(on, method):
-    table, asked = downloaded("solved"), asked_of(table_of("solved"), 200, 4, 0.9)
+def test_float32_loses_what_its_digits_and_the_sums_of_a_kriging_lose(on, method):
+    """Sums of a kriging lose `rounding_of` in float64: in float32 more by the ratio of the two."""
+    table, found = downloaded("solved"), table_of("solved")
+    asked = asked_of(found, 200, 4, 0.9)
     expected = table._packed.batch(asked, None, method)
     moved, error, coverage = on.answers(on.evaluator(table, method, "float32"), asked)
     assert moved.dtype == error.dtype == np.float32
-    lost = np.abs(moved - expected.outputs).max(axis=0) / size_of(table_of("solved"))
-    print(f"float32 {method}: {lost.max():.1e} of the range")
-    assert lost.max() < 1e-3
-    assert (coverage == expected.coverage).mean() > 0.97
+    lost = np.abs(moved - expected.outputs).max(axis=0)
+    print(f"float32, {method}: {(lost / size_of(found)).max():.1e} of the range")
+    sums = rounding_of(found) * 2.0**29 if method == "kriging" else 0.0
+    assert (lost <= 1e-5 * size_of(found) + sums).all()
+    assert (coverage >= expected.coverage).mean() > 0.98
+    assert (np.abs(moved - expected.outputs) <= error)[np.isfinite(error)].all()
 
 
 @pytest.mark.parametrize("space", test_space.SPACES.values(), ids=test_space.SPACES)
@@ -223,7 +227,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, package):
 def test_masses_that_drop_onto_a_plate_come_to_rest_where_its_table_says(capsys):
     on = OnJax()
     with on.jax.enable_x64(True):
-        masses, moved, slope = script("jax_masses").main(downloaded("solved"), 16, 1500)
+        masses, moved, slope = script("jax_masses").main(downloaded("solved"), 16, 3000)
     feet = np.random.default_rng(1)
     feet.uniform(5, 40, 16)
     x, y = feet.uniform(-0.02, 0.02, (16, 2)).T
