@@ -1,0 +1,202 @@
+"""The Gaussian process of a packed table on arrays: the law of surrogate/kernel/wb_kriging.c."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+PANEL = 16  # rows of a panel of a packed triangle: surrogate/packed/kriging_arrays.py
+TIE = 1e-10  # of squared distances: rows as near as this are equally near (wb_kriging.c)
+CHUNK = 1024  # wrenches at once: covariances and their slopes then stay in the processor's caches
+BLOCK = 64  # wrenches of one neighbourhood that one product takes, at most
+LEAST = 1e-30  # of squared distances: the square root has a finite derivative from there on
+
+
+class Kriging:
+    """Values, derivatives and interpolation errors of n inputs and m outputs.
+
+    Parameters
+    ----------
+    own : Backend
+        Of `jax` or `torch`.
+    arrays : mapping
+        Those of surrogate/packed/kriging_arrays.py.
+    """
+
+    def __init__(self, own: Any, arrays: Mapping[str, Any]) -> None:
+        self.own, self.xp = own, own.xp
+        inputs, stride = arrays["x"].shape
+        self.rates, self.priors = arrays["terms"][:, :inputs], arrays["terms"][:, inputs]
+        self.x = own.put(arrays["x"])
+        self.weights = own.put(arrays["weights"].T)
+        self.coefficients, self.centre, self.rate, self.offset, self.spread, self.deviation = (
+            own.put(arrays[name])
+            for name in ("coefficients", "centre", "rate", "offset", "spread", "deviation")
+        )
+        self.tangent, self.span, self.anchor_rates = (
+            own.put(arrays[name]) for name in ("tangent", "span", "rates")
+        )
+        # The table states what sums lose in float64; no error bar is below it.
+        self.lost = own.put(arrays["lost"] * (own.rounding / float(np.finfo(float).eps)))
+        self.floor, self.inputs, self.stride = float(arrays["floor"][0]), inputs, stride
+        self.shares = [_share(own, arrays, k) for k in range(int(arrays["shares"][0]))]
+
+    def values(self, w: Any) -> Any:
+        """Return the outputs (k, m), m and rad, at inputs (k, n), SI."""
+        return self.own.chunks(lambda part: (self._values(part),), CHUNK, w)[0]
+
+    def slopes(self, w: Any) -> Any:
+        """Return the derivatives (k, m, n), SI, at inputs (k, n), SI."""
+        return self.own.chunks(lambda part: (self._slopes(part),), CHUNK, w)[0]
+
+    def _values(self, w: Any) -> Any:
+        at = self._scaled(w)
+        flat, _ = self._covariances(at)
+        return self._normal(flat, at) * self.spread + self.offset
+
+    def _scaled(self, w: Any) -> Any:
+        return (w - self.centre) * self.rate
+
+    def _normal(self, flat: Any, at: Any) -> Any:
+        """Return outputs less `offset` over `spread`, (k, m), from covariances and scaled loads."""
+        return flat @ self.weights + self.coefficients[0] + at @ self.coefficients[1:]
+
+    def _correlations(self, at: Any) -> tuple[list[Any], list[tuple[Any, Any, Any]]]:
+        """Return distances (k, s) by each load and, by term, what Matern's correlation is made of.
+
+        With c = (1 + a + 2/5 a^2 + a^3/15) exp(-a) and a^2 = 7 q these are c, -2 dc/dq and
+        4 d²c/dq², (k, s) each, dimensionless.
+        """
+        xp, found = self.xp, []
+        apart = [at[:, load, None] - self.x[load] for load in range(self.inputs)]
+        for rates, prior in zip(self.rates.tolist(), self.priors.tolist(), strict=True):
+            squares = [rate * d * d for rate, d in zip(rates, apart, strict=True) if rate > 0]
+            q = sum(squares) if squares else xp.zeros_like(apart[0])
+            a = xp.sqrt(7.0 * xp.clip(q, LEAST, None))
+            decay = xp.exp(-a) * prior
+            first = 1.4 * (1 + a + a * a * (1 / 3)) * decay
+            third = a * a * a * (1 / 15)
+            found.append(((1 + a + 0.4 * a * a + third) * decay, first, 49 / 15 * (1 + a) * decay))
+        return apart, found
+
+    def _covariances(self, at: Any) -> tuple[Any, list[Any]]:
+        """Return the covariances of a value with rows' values and slopes, (k, (n + 1) s).
+
+        Also the distances by each load, (k, s) each; all are dimensionless.
+        """
+        apart, terms = self._correlations(at)
+        flat = [sum(term[0] for term in terms)]
+        for load, d in enumerate(apart):
+            flat.append(self._sum(terms, 1, load) * d)
+        return self.xp.concatenate(flat, axis=1), apart
+
+    def _sum(self, terms: list[Any], which: int, *loads: int) -> Any:
+        """Return the sum over the terms, each times its rates of some loads, (k, s)."""
+        rates = self.rates[:, list(loads)].prod(axis=1).tolist()
+        found = [rate * term[which] for rate, term in zip(rates, terms, strict=True) if rate > 0]
+        return sum(found) if found else self.xp.zeros_like(terms[0][0])
+
+    def _slopes(self, w: Any) -> Any:
+        at = self._scaled(w)
+        apart, terms = self._correlations(at)
+        loads = range(self.inputs)
+        by_load = [self._sum(terms, 1, load) for load in loads]
+        pairs = [(a, b) for a in loads for b in loads[a:]]
+        bent = {(a, b): self._sum(terms, 2, a, b) * apart[a] * apart[b] for a, b in pairs}
+        flat = []
+        for a in loads:
+            own = [-by_load[a] * apart[a]]
+            for b in loads:
+                second = bent[min(a, b), max(a, b)]
+                own.append(by_load[a] - second if a == b else -second)
+            flat.append(self.xp.concatenate(own, axis=1))
+        normal = self.xp.stack(flat, axis=1) @ self.weights + self.coefficients[1:]
+        slopes = self.xp.einsum("kaq,q,a->kqa", normal, self.spread, self.rate)
+        return slopes + self.tangent
+
+    def errors(self, w: Any) -> Any:
+        """Return 95 % interpolation errors (k, m), m and rad, at inputs (k, n); NaN if unknown."""
+        xp, at = self.xp, self._scaled(w)
+        flat, apart = self._covariances(at)
+        normal = self._normal(flat, at)
+        spanned = ((self.span[0] <= at) & (at <= self.span[1])).all(axis=1)
+        wide = xp.zeros_like(normal)
+        for share in self.shares:
+            distance = sum(self.anchor_rates[a] * d * d for a, d in enumerate(apart))
+            distance = distance + share["penalty"]
+            closest = xp.argmin(distance, axis=1)[:, None]
+            near = distance <= self.own.along(distance, closest, 1) + TIE
+            anchor = xp.argmax(self.own.whole(near), axis=1)
+            sigma = xp.sqrt(self._squared_deviation(share, anchor, flat, at))
+            own = xp.where(spanned[:, None], sigma[:, None] * self._factors(share, sigma), np.nan)
+            wide = xp.where(share["outputs"], own, wide)
+        size = (abs(normal) + 1.0) * self.spread + abs(self.offset)
+        least = xp.maximum(self.floor * size, self.lost + xp.zeros_like(size))
+        wide = wide * self.deviation
+        return xp.where(wide < least, least, wide)
+
+    def _factors(self, share: Mapping[str, Any], sigma: Any) -> Any:
+        """Return what deviations (k,) are multiplied by for 95 % errors, (k, m); NaN if unknown."""
+        xp, levels, factors = self.xp, share["sigma"], share["factors"]
+        last = levels.shape[0] - 1
+        if last < 0:
+            return sigma[:, None] * np.nan + self.offset * np.nan
+        if last < 1:
+            found = factors[0] + 0.0 * sigma[:, None]
+        else:
+            place = xp.clip((levels <= sigma[:, None]).sum(axis=1) - 1, 0, last - 1)
+            low, high = levels[place], levels[place + 1]
+            part = xp.clip((sigma - low) / (high - low), 0.0, 1.0)[:, None]
+            found = factors[place] + part * (factors[place + 1] - factors[place])
+        return xp.where((sigma <= share["reach"])[:, None], found, np.nan)
+
+    def _squared_deviation(self, share: Mapping[str, Any], anchor: Any, flat: Any, at: Any) -> Any:
+        """Return sigma squared over the process variance, (k,), by the neighbourhoods of rows (k,).
+
+        Wrenches are sorted into blocks of one neighbourhood each, since products of matrices are
+        faster than a triangle for each wrench.
+        """
+        own, xp = self.own, self.xp
+        count, hoods = flat.shape[0], share["triangles"].shape[0]
+        size = min(max(2 * count // hoods, 1), BLOCK)
+        blocks = (count + min(count, hoods) * (size - 1)) // size
+        hood = share["number"][anchor]
+        order = xp.argsort(hood)
+        held = own.whole(hood[:, None] == own.arange(hoods)).sum(axis=0)  # wrenches of each
+        padded = (held + size - 1) // size * size
+        first, start = xp.cumsum(held, axis=0) - held, xp.cumsum(padded, axis=0) - padded
+        ends = start + padded
+        slots = own.arange(blocks * size).reshape(blocks, size)
+        of_block = xp.clip((ends <= slots[:, :1]).sum(axis=1), 0, hoods - 1)
+        sorted_at = slots - (start - first)[of_block][:, None]
+        wrench = order[xp.clip(sorted_at, 0, count - 1)]
+        chosen = own.along(flat[wrench], share["places"][of_block][:, None, :], 2)
+        reduced = chosen @ share["triangles"][of_block]
+        settled = reduced @ share["unsettled"][of_block]
+        slot = (start - first)[hood] + xp.argsort(order)
+        spent = (reduced * reduced).sum(axis=2).reshape(-1)[slot]
+        terms = xp.concatenate((xp.ones_like(at[:, :1]), at), axis=1)
+        left = terms - settled.reshape(blocks * size, -1)[slot]
+        loose = ((left @ share["mean_covariance"]) * left).sum(axis=1)
+        return xp.maximum(float(self.priors.sum()) - spent, share["least"][anchor]) + loose
+
+
+def _share(own: Any, arrays: Mapping[str, Any], number: int) -> dict[str, Any]:
+    """Return the arrays of one factor, its triangles whole and transposed: (h, e, e)."""
+    share = {
+        name.partition("/")[2]: array
+        for name, array in arrays.items()
+        if name.startswith(f"share{number}/")
+    }
+    panels, size = share.pop("panels"), share["places"].shape[1]
+    triangles, at = np.zeros((len(panels), size, size)), 0
+    for top in range(0, size, PANEL):
+        end = top + PANEL
+        panel = panels[:, at : at + PANEL * end].reshape(-1, end, PANEL)
+        triangles[:, :end, top:end] = panel
+        at += PANEL * end
+    share["unsettled"] = share["unsettled"].transpose(0, 2, 1)
+    share["outputs"] = share["outputs"].astype(bool)
+    return {name: own.put(one) for name, one in (share | {"triangles": triangles}).items()}
