@@ -28,6 +28,7 @@ ALLOWED = {
     "service/http/routes/drawing.py": SPACE_OF_ONE,
     "service/fields/*": SPACE_OF_ONE,
     "service/client/mount/*": SPACE_OF_ONE,
+    "service/client/batched/axes.py": SPACE_OF_ONE,
     "service/client/plot.py": SPACE_OF_ONE,
     "service/paper/*": SPACE_OF_ONE,
     "service/cli/demo.py": SPACE_OF_ONE,
