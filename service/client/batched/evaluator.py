@@ -45,7 +45,7 @@ class Evaluator:
     def __init__(self, own: Any, table: Any, method: str | None, tolerance: Any) -> None:
         arrays = table.arrays()
         self.name, self.own, self.xp = table.name, own, own.xp
-        self._arrays = arrays
+        self._arrays, self.table_space = arrays, table.space
         names = ("scale", "small", "ends", "tolerance", "limit", "vector_limit", "locked")
         self.space = {name: own.put(arrays[f"space/{name}"]) for name in names}
         self.free = own.put(1.0 - arrays["space/locked"])
@@ -137,7 +137,7 @@ class Evaluator:
         xp, w = self.xp, self._acting(w)
         error, coverage = moved * np.nan, self.own.whole(moved[:, 0] != moved[:, 0]) * 0
         for group in self.groups:
-            own, state = group.judge(w, group.value(w))
+            own, state = group.judge(w, moved)
             error = xp.where(group.outputs, own, error)
             coverage = xp.maximum(coverage, state)
         if self.scene:
@@ -194,7 +194,7 @@ class _Group:
         self.reference, self.knows_interaction, self.rest_unknown = flags[1], flags[2], flags[3]
         self.exact, self.used = bool(flags[4]), bool(flags[5])
         self.method = method or METHODS[flags[0]]
-        _check(whole.name, self.method, arrays, flags, whole._arrays["space/sizes"].tolist())
+        _check(whole.name, self.method, arrays, whole.table_space)
         self.outputs = own.put(arrays["outputs"].astype(bool))
         allowed = arrays["allowed"] if limit is None else np.array(limit)
         self.allowed = own.put(np.where(arrays["outputs"], allowed, np.inf))
@@ -303,22 +303,22 @@ def _below(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:
     return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
 
 
-def _check(name: str, method: str, arrays: Any, flags: list[int], sizes: list[int]) -> None:
+def _check(name: str, method: str, arrays: Any, space: Any) -> None:
     """Raise `InvalidArgument` if a group of outputs has not the method."""
-    reference, exact, used, axes = flags[1], flags[4], flags[5], "axes/vertex" in arrays
+    flags, axes = arrays["flags"].tolist(), "axes/vertex" in arrays
+    reference, exact, used = flags[1], flags[4], flags[5]
     has = {
         "kriging": "kriging/x" in arrays and bool(reference),
         "linear": bool(exact or reference),
         "griddata": axes and bool(reference),
         "additive": axes and bool(reference),
     }
-    if used and has.get(method):
-        return
-    if method in BATCHED and not used:
+    if has.get(method) or (method in BATCHED and not used):
         return
     usable = ", ".join(one for one, known in has.items() if known) or "none: it has too few rows"
-    if method in ("griddata", "additive") and sizes[:2] != [6, 6]:
-        why = f"{method} exists for one wrench at one interface alone; {name} has {sizes[0]} inputs"
+    if method in ("griddata", "additive") and not space.is_default:
+        count = len(space.inputs)
+        why = f"{method} exists for one wrench at one interface alone; {name} has {count} inputs"
     elif method in BATCHED:
         why = f"the table of {name} has no {method}"
     else:
