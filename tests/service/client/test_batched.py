@@ -82,7 +82,7 @@ def assert_same(on: Any, kind: str, method: str | None, dtype: str = "float64") 
     """Compare all numbers with the kernel's; what a kriging's sums lose is in `rounding_of`."""
     table = downloaded(kind)
     asked = np.concatenate((asked_of(table_of(kind), 120), asked_of(table_of(kind), 40, 3, 3.0)))
-    expected = table._packed.batch(asked, None, method)
+    expected = table.packed.batch(asked, None, method)
     moved, error, coverage = on.answers(on.evaluator(table, method, dtype), asked)
     size = np.maximum(size_of(table_of(kind)), np.abs(np.nan_to_num(expected.outputs)))
     near = SAME * size + rounding_of(table_of(kind))
@@ -115,7 +115,7 @@ def test_flat_and_partial_tables_and_meshes_that_err_answer_compiled_as_the_kern
 def test_the_framework_differentiates_to_the_kernels_derivative(on, method):
     table, asked = downloaded("solved"), asked_of(table_of("solved"), 40, 5, 0.9)
     own = on.evaluator(table, method, "float64")
-    expected = table._packed.derivatives(asked, None, method)
+    expected = table.packed.derivatives(asked, None, method)
     unit = table_of("solved").load_range.scale / size_of(table_of("solved"))[:, None]
     assert (np.abs(on.jacobians(own, asked) - expected) * unit).max() < 1e-11
     np.testing.assert_allclose(
@@ -128,7 +128,7 @@ def test_derivatives_are_those_of_differences(on, method):
     """Off the hull griddata has the slope at the hull's nearest point, which then stays."""
     table, found = downloaded("solved"), table_of("solved")
     asked = asked_of(found, 60, 6, 0.3)
-    asked = asked[table._packed.batch(asked, None, method).coverage < 2][:8]
+    asked = asked[table.packed.batch(asked, None, method).coverage < 2][:8]
     assert len(asked) > 4
     own, steps = on.evaluator(table, method, "float64"), 1e-5 * np.diag(found.load_range.scale)
     ends = [(asked[:, None] + sign * steps).reshape(-1, 6) for sign in (1, -1)]
@@ -143,7 +143,7 @@ def test_float32_loses_what_its_digits_and_the_sums_of_a_kriging_lose(on, method
     """Sums of a kriging lose `rounding_of` in float64: in float32 more by the ratio of the two."""
     table, found = downloaded("solved"), table_of("solved")
     asked = asked_of(found, 200, 4, 0.9)
-    expected = table._packed.batch(asked, None, method)
+    expected = table.packed.batch(asked, None, method)
     moved, error, coverage = on.answers(on.evaluator(table, method, "float32"), asked)
     assert moved.dtype == error.dtype == np.float32
     lost = np.abs(moved - expected.outputs).max(axis=0)
