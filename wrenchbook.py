@@ -13,8 +13,9 @@ Table
     A downloaded or opened table, which answers in this process in microseconds.
 Mount, MujocoMount, Settled
     The joint between a rigid-body simulation and a component; in MuJoCo; where it is at rest.
-Joint, MujocoJoint, step_joints
-    A part that bends as a force element between two bodies that move; in MuJoCo, one or several.
+Joint, MujocoJoint, step_joints, LinearPart
+    A part that bends as a force element between two bodies that move; in MuJoCo, one or several;
+    as springs.
 conventions
     Wrenches and poses of ROS, Drake, MuJoCo and PyBullet.
 Scene, ComponentPlan
@@ -79,7 +80,7 @@ if TYPE_CHECKING:
         plot,
     )
     from .service.client.async_client import AsyncClient
-    from .service.client.joint import Joint, JointError, JointRangeError, JointWarning
+    from .service.client.joint import Joint, JointError, JointRangeError, JointWarning, LinearPart
     from .service.client.joint.mujoco_joint import MujocoJoint, step_joints
     from .service.client.mount import (
         CouplingDiverged,
@@ -114,6 +115,7 @@ _HOME = {
     "JointError": "service.client.joint",
     "JointRangeError": "service.client.joint",
     "JointWarning": "service.client.joint",
+    "LinearPart": "service.client.joint",
     "MissingPackage": "service.client",
     "Mount": "service.client.mount",
     "MountError": "service.client.mount",
@@ -157,6 +159,7 @@ __all__ = [
     "JointError",
     "JointRangeError",
     "JointWarning",
+    "LinearPart",
     "MissingPackage",
     "Mount",
     "MountError",

@@ -1,10 +1,11 @@
-"""``wrenchbook joint``: a MuJoCo scene with the joints of a part."""
+"""``wrenchbook joint`` and ``stiffness``: a part in a simulator's scene, and as a matrix."""
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -17,6 +18,23 @@ from wrenchbook.service.cli.connect import (
     connected,
     print_json,
 )
+from wrenchbook.service.cli.render import matrix_table
+from wrenchbook.service.cli.screen import Screen
+
+Three = tuple[float, float, float]
+_About = Annotated[
+    Three, typer.Option(help="force about which the part is linear, N", metavar="FX FY FZ")
+]
+_AboutMoment = Annotated[
+    Three, typer.Option(help="moment about which the part is linear, N·m", metavar="MX MY MZ")
+]
+_Linear = Annotated[
+    bool, typer.Option("--linear", help="bend by springs in the scene, without MujocoJoint")
+]
+_Damping = Annotated[
+    float, typer.Option(min=0.0, help="of --linear: share of critical damping of each mode")
+]
+ZERO: Three = (0.0, 0.0, 0.0)
 
 
 def joint(
@@ -31,30 +49,80 @@ def joint(
     massless: Annotated[
         bool, typer.Option("--massless", help="do not add the part's own mass to the tip")
     ] = False,
+    linear: _Linear = False,
+    damping: _Damping = 0.02,
+    force: _About = ZERO,
+    moment: _AboutMoment = ZERO,
     out: Annotated[Path | None, typer.Option(help="write to this file, not to stdout")] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
     """Write a MuJoCo scene in which a component can bend between two bodies, for MujocoJoint."""
-    from wrenchbook.service.client.joint.mujoco_model import scene_with_joint
+    from wrenchbook.service.client.joint import LinearPart
+    from wrenchbook.service.client.joint.mujoco_model import scene_with_joint, scene_with_springs
 
     with connected(server, data) as client:
         facts = client.component(name)
-    vibration = facts.get("vibration") or {}
-    mass = None if massless else vibration.get("condensed_mass")
-    locked = (facts.get("interface") or {}).get("locked", ())
-    text = scene_with_joint(scene, base, tip, locked=locked, site=site, mass=mass)
-    if mass is None and not massless:
-        sys.stderr.write(f"{name} has no known mass: give its materials a density\n")
-    elif mass is not None:
-        whole, own = vibration["mass"], sum(mass[k][k] for k in range(3)) / 3
-        sys.stderr.write(
-            f"{own:.4g} kg of the part's {whole:.4g} kg move with the tip; give the base the rest\n"
-        )
+        springs = LinearPart.of(client.download(name), [*force, *moment]) if linear else None
+    mass = None if massless else _mass_of(facts)
+    if springs is None:
+        locked = (facts.get("interface") or {}).get("locked", ())
+        text = scene_with_joint(scene, base, tip, locked=locked, site=site, mass=mass)
+    else:
+        text = scene_with_springs(scene, base, tip, springs, damping=damping, site=site, mass=mass)
+        sys.stderr.write(f"{springs.error}\n")
+    if not massless:
+        _tell_mass(name, facts)
     if out is not None:
         out.write_text(text, encoding="utf-8")
     if as_json:
         print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
     elif out is None:
         sys.stdout.write(text)
+
+
+def _mass_of(facts: dict[str, Any]) -> list[list[float]] | None:
+    """Return a component's condensed mass, shape (6, 6), kg to kg·m^2; None if it is not known."""
+    return (facts.get("vibration") or {}).get("condensed_mass")
+
+
+def _tell_mass(name: str, facts: dict[str, Any]) -> None:
+    """Print how much of the part's mass moves with the tip."""
+    mass = _mass_of(facts)
+    if mass is None:
+        sys.stderr.write(f"{name} has no known mass: give its materials a density\n")
+        return
+    whole, own = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
+    sys.stderr.write(
+        f"{own:.4g} kg of the part's {whole:.4g} kg move with the tip; give the base the rest\n"
+    )
+
+
+def stiffness(
+    name: Name,
+    force: _About = ZERO,
+    moment: _AboutMoment = ZERO,
+    out: Annotated[Path | None, typer.Option(help="write JSON to this file")] = None,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Show a component's 6x6 stiffness about a load, its mass, and the error of being linear."""
+    from wrenchbook.service.client.joint import LinearPart
+
+    with connected(server, data) as client:
+        facts = client.component(name)
+        part = LinearPart.of(client.download(name), [*force, *moment])
+    found = part.to_dict(_mass_of(facts))
+    if out is not None:
+        out.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    if as_json:
+        print_json(found)
+        return
+    for title, key, names in (
+        ("stiffness, N/m to N·m/rad", "stiffness", found["loads"]),
+        ("condensed mass, kg to kg·m^2", "mass", part.freedoms),
+    ):
+        Screen().print(matrix_table(title, names, part.freedoms, found[key]))
+    sys.stdout.write(f"{part.error}\n")

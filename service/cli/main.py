@@ -22,7 +22,7 @@ from wrenchbook.service.cli.connect import (
     print_json,
 )
 from wrenchbook.service.cli.jobs import jobs
-from wrenchbook.service.cli.joint import joint
+from wrenchbook.service.cli.joint import joint, stiffness
 from wrenchbook.service.cli.keys import keys
 from wrenchbook.service.cli.local import LOCAL_COMMANDS
 from wrenchbook.service.cli.ops import OPS_COMMANDS
@@ -76,8 +76,10 @@ def program(
 
 for named, table_command in TABLE_COMMANDS.items():
     app.command(named)(table_command)
-for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, *OPS_COMMANDS, jobs, joint):
+for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, *OPS_COMMANDS, jobs):
     app.command()(command)
+for command in (joint, stiffness):
+    app.command(cls=NumbersCommand)(command)
 app.add_typer(keys, name="keys")
 
 Three = tuple[float, float, float]

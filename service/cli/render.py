@@ -109,17 +109,23 @@ def compliance_tables(body: dict[str, Any]) -> list[Table]:
         (f"tangent at zero load ({body['tangent_origin']})", body["tangent"]),
         (f"mean over the load range ({body['origin']})", mean),
     )
-    tables = []
-    for title, lines in matrices:
-        table = Table(title=title, title_justify="left", caption="rows and columns in SI")
-        for heading in ("", *inputs):
-            table.add_column(heading, justify="right" if heading else "left")
-        for output, line in zip(body.get("rows", DISPLACEMENT_NAMES), lines, strict=True):
-            table.add_row(
-                output.split(" ")[0], *("-" if value is None else f"{value:.3e}" for value in line)
-            )
-        tables.append(table)
-    return tables
+    outputs = [name.split(" ")[0] for name in body.get("rows", DISPLACEMENT_NAMES)]
+    return [matrix_table(title, outputs, inputs, lines) for title, lines in matrices]
+
+
+def matrix_table(
+    title: str,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    lines: Sequence[Sequence[float | None]] | None,
+) -> Table:
+    """Lay out a matrix in SI; a dash stands for a number that is not known."""
+    table = Table(title=title, title_justify="left", caption="rows and columns in SI")
+    for heading in ("", *columns):
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, line in zip(rows, lines or [[None] * len(columns)] * len(rows), strict=True):
+        table.add_row(name, *("-" if value is None else f"{value:.3e}" for value in line))
+    return table
 
 
 def component_table(components: Sequence[dict[str, Any]]) -> Table:

@@ -425,7 +425,7 @@ class DownloadCalls(Transport):
         ServerUnreachable, ServerTimeout
             See `Client.call`.
         """
-        _binding()  # an error comes before the download
+        packed_tables()  # an error comes before the download
         fetched = yield from _fetch(name, *_call(name, scene), None)
         assert fetched is not None
         content, etag = fetched
@@ -496,7 +496,7 @@ def _row_groups(arrays: dict[str, Any]) -> Iterator[tuple[Vector, Vector]]:
         yield arrays[f"g{number}/row/wrench"], arrays[f"g{number}/row/moved"]
 
 
-def _binding() -> Any:
+def packed_tables() -> Any:
     """Return the class of packed tables, with its compiled code."""
     try:
         return _surrogate("kernel.binding").PackedTable
@@ -507,7 +507,7 @@ def _binding() -> Any:
 def _opened(constructor: str, source: Any) -> Any:
     """Return a packed table by one of the constructors of its class."""
     try:
-        return getattr(_binding(), constructor)(source)
+        return getattr(packed_tables(), constructor)(source)
     except (ValueError, RuntimeError) as error:
         raise TableError(str(error)) from error
 

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import typer
 
+from tests.service.client.joint_scenes import linear_table
 from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_cli import EXTREMES, QUEUED_NONE, RECORDED
 from tests.service.test_client_calls import COVERED
@@ -36,6 +37,7 @@ REPORTED = {"state": "done", "fraction": 1.0, "message": ""}
 
 SCENE = """<mujoco><worldbody><body name="base"><geom size="1"/><body name="tip"><geom size="1"/>
 </body></body></worldbody></mujoco>"""
+STIFF = linear_table().packed.content
 COMMANDS = {
     "query": (["plate"], [COVERED]),
     "solve": (["plate"], [COVERED]),
@@ -45,6 +47,7 @@ COMMANDS = {
     "compliance": (["plate"], [{"matrix": []}]),
     "components": ([], [{"components": [COMPONENT]}]),
     "joint": (["plate", "FOLDER/scene.xml"], [COMPONENT]),
+    "stiffness": (["plate"], [COMPONENT, STIFF]),
     "jobs": ([], [{"jobs": []}]),
     "recording": (["plate"], [RECORDED]),
     "recording --start": (["plate"], [QUEUED_NONE]),

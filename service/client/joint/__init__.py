@@ -2,5 +2,6 @@
 
 from .errors import JointError, JointRangeError, JointWarning
 from .joint import Joint
+from .linear import LinearPart
 
-__all__ = ["Joint", "JointError", "JointRangeError", "JointWarning"]
+__all__ = ["Joint", "JointError", "JointRangeError", "JointWarning", "LinearPart"]

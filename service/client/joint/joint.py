@@ -78,7 +78,7 @@ class Joint:
         if not (math.isfinite(damping) and damping >= 0.0):
             raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
         self._table, self.damping, self._method = table, float(damping), method
-        self._at, self.free = _moving(table, interface)
+        self._at, self.free = moving(table, interface)
         self._warned = False
         self.restart()
 
@@ -284,7 +284,7 @@ def vector_per_spin(rotation: Vector) -> Vector:
     )
 
 
-def _moving(table: Any, interface: str | None) -> tuple[slice, NDArray[np.intp]]:
+def moving(table: Any, interface: str | None) -> tuple[slice, NDArray[np.intp]]:
     """Return the place of the interface that moves, and its freedoms that are not locked."""
     space, locked = table.space, np.asarray(table.packed.arrays["space/locked"], dtype=bool)
     if space.scalars:

@@ -1,4 +1,4 @@
-"""A MuJoCo scene with the joints of a part: three slides and a ball, and the part's own mass."""
+"""A MuJoCo scene with the joints of a part, its own mass, and springs where it is linear."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..table import packed_tables
 from .errors import JointError
 from .joint import FREEDOMS
+from .linear import NAMES, LinearPart
 from .mujoco_joint import engine
 
 Vector = NDArray[np.float64]
 
-_NAMES = ("ux", "uy", "uz", "rx", "ry", "rz")
+ROUNDING = 1e-9  # of a freedom's largest coefficient: MuJoCo's XML has six digits
 _LEAST = 1e-9  # of the largest moment of inertia: MuJoCo takes no body without one
 
 
@@ -28,7 +30,7 @@ def scene_with_joint(
     site: str | None = None,
     mass: ArrayLike | None = None,
 ) -> str:
-    """Return the XML of a scene in which a part can bend between two bodies.
+    """Return the XML of a scene in which a part can bend between two bodies, for `MujocoJoint`.
 
     Parameters
     ----------
@@ -50,14 +52,66 @@ def scene_with_joint(
         If the scene cannot be read, has no such bodies or site, the tip is no child of the base or
         has joints.
     """
+    free = [name for name in NAMES if name not in locked]
+    if sum(name[0] == "r" for name in free) not in (0, 1, 3):
+        raise JointError("the part locks one rotation of three: no MuJoCo joint does")
+    return str(_with_freedoms(scene, base, tip, free, site, mass, ball=True).to_xml())
+
+
+def scene_with_springs(
+    scene: str | Path,
+    base: str,
+    tip: str,
+    springs: LinearPart,
+    *,
+    damping: float = 0.02,
+    site: str | None = None,
+    mass: ArrayLike | None = None,
+) -> str:
+    """Return the XML of a scene in which MuJoCo bends a part between two bodies, linearly.
+
+    A tendon is a mode of the part between the two bodies, with the mode's stiffness and damping.
+    The damping has also what makes a stiff mode stable at the scene's step, as the joint's law has
+    it: keep the step and the integrator, which is ``implicitfast`` if the scene names Euler.
+
+    Parameters
+    ----------
+    springs : LinearPart
+    damping : float
+        Share of critical damping of each mode, in the scene's first pose.
+    scene, base, tip, site, mass
+        Of `scene_with_joint`. The rotations are three hinges.
+
+    Raises
+    ------
+    JointError
+        See `scene_with_joint`.
+    """
+    spec = _with_freedoms(scene, base, tip, springs.freedoms, site, mass, ball=False)
+    _add_springs(spec, tip, springs, damping)
+    _compiled(lambda: spec, scene)
+    return str(spec.to_xml()).replace(">", f">\n  <!-- {springs.error} -->", 1)
+
+
+def _with_freedoms(
+    scene: str | Path,
+    base: str,
+    tip: str,
+    free: Sequence[str],
+    site: str | None,
+    mass: ArrayLike | None,
+    *,
+    ball: bool,
+) -> Any:
+    """Return a scene with the joints of a part's free displacements, and the part's mass."""
     spec = _compiled(lambda: engine.MjSpec.from_file(str(scene)), scene)
     body = _child(spec, base, tip)
     at, axes = _interface(spec, body, site)
-    _add_joints(body, tip, at, axes, locked)
+    _add_joints(body, tip, at, axes, free, ball)
     inner = body.add_body(name=f"{tip}_part", pos=at, quat=_quaternion(axes))
     if mass is not None:
         _add_mass(inner, np.asarray(mass, dtype=float))
-    return str(_compiled(lambda: spec, scene).to_xml())
+    return _compiled(lambda: spec, scene)
 
 
 def _compiled(read: Callable[[], Any], scene: str | Path) -> Any:
@@ -101,22 +155,19 @@ def _interface(spec: Any, body: Any, site: str | None) -> tuple[Vector, Vector]:
     return model.site_pos[number].copy(), axes.reshape(3, 3)
 
 
-def _add_joints(body: Any, tip: str, at: Vector, axes: Vector, locked: Sequence[str]) -> None:
-    """Add a slide a free translation, then the ball or the hinge of the free rotations."""
-    free = [place for place in range(FREEDOMS) if _NAMES[place] not in locked]
-    turns = [place for place in free if place >= 3]
-    if len(turns) not in (0, 1, 3):
-        raise JointError("the part locks one rotation of three or two: no MuJoCo joint does")
+def _add_joints(
+    body: Any, tip: str, at: Vector, axes: Vector, free: Sequence[str], ball: bool
+) -> None:
+    """Add a slide a free translation, then a ball or a hinge a free rotation."""
     kinds = engine.mjtJoint
     bare = {"stiffness": 0, "damping": 0, "frictionloss": 0, "armature": 0, "limited": 0}
-    for place in [one for one in free if one < 3]:
-        axis = axes[:, place].tolist()
-        _joint(body, f"{tip}_{_NAMES[place]}", kinds.mjJNT_SLIDE, at, axis, bare)
-    if len(turns) == 3:
+    one_ball = ball and all(name in free for name in NAMES[3:])
+    for place, name in enumerate(NAMES[: 3 if one_ball else FREEDOMS]):
+        if name in free:
+            kind = kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE
+            _joint(body, f"{tip}_{name}", kind, at, axes[:, place % 3].tolist(), bare)
+    if one_ball:
         _joint(body, f"{tip}_r", kinds.mjJNT_BALL, at, [0, 0, 1], bare)
-    for place in turns if len(turns) == 1 else ():
-        axis = axes[:, place - 3].tolist()
-        _joint(body, f"{tip}_{_NAMES[place]}", kinds.mjJNT_HINGE, at, axis, bare)
 
 
 def _joint(body: Any, name: str, kind: Any, at: Vector, axis: list[float], bare: Any) -> None:
@@ -124,6 +175,35 @@ def _joint(body: Any, name: str, kind: Any, at: Vector, axis: list[float], bare:
     for word, value in bare.items():
         field = getattr(joint, word)
         setattr(joint, word, value if np.ndim(field) == 0 else np.full(np.shape(field), value))
+
+
+def _add_springs(spec: Any, tip: str, springs: LinearPart, damping: float) -> None:
+    """Add a tendon a mode: its length is the mode's coordinate times the root of the mass, kg.
+
+    Of the modes p of the stiffness K against the effective mass M, with p M p = 1, a tendon has the
+    coefficients M p, the stiffness omega^2 and the damping p C p, with C of the joint's law.
+    """
+    if spec.option.integrator == engine.mjtIntegrator.mjINT_EULER:
+        spec.option.integrator = engine.mjtIntegrator.mjINT_IMPLICITFAST
+    model = spec.compile()
+    data, names = engine.MjData(model), [f"{tip}_{name}" for name in springs.freedoms]
+    engine.mj_forward(model, data)
+    dofs = [int(model.joint(name).dofadr[0]) for name in names]
+    solved = np.empty((len(dofs), model.nv))
+    engine.mj_solveM(model, data, solved, np.eye(model.nv)[dofs])
+    inverse_mass, stiffness = solved[:, dofs], np.array(springs.stiffness)
+    rate = packed_tables().joint_rate(stiffness, inverse_mass.copy(), model.opt.timestep, damping)
+    root = np.linalg.cholesky(inverse_mass)
+    squares, turned = np.linalg.eigh(root.T @ stiffness @ root)
+    modes, lengths = root @ turned, np.linalg.solve(root.T, turned)
+    lengths[np.abs(lengths) < ROUNDING * np.abs(lengths).max(axis=1, keepdims=True)] = 0.0
+    for k, square in enumerate(squares):
+        tendon = spec.add_tendon(name=f"{tip}_mode_{k + 1}", stiffness=[square, 0.0, 0.0])
+        tendon.damping = [modes[:, k] @ rate @ modes[:, k], 0.0, 0.0]
+        tendon.springlength = np.full(2, lengths[:, k] @ springs.unloaded)
+        for name, coefficient in zip(names, lengths[:, k], strict=True):
+            if coefficient != 0.0:
+                tendon.wrap_joint(name, coefficient)
 
 
 def _add_mass(body: Any, mass: Vector) -> None:

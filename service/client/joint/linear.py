@@ -1,0 +1,150 @@
+"""A part as six springs: its stiffness about one load, and the error of that over its range."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InvalidArgument
+from .joint import FREEDOMS, moving
+
+Vector = NDArray[np.float64]
+
+NAMES = ("ux", "uy", "uz", "rx", "ry", "rz")
+LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
+INSIDE = 448  # wrenches inside the range: with its 64 corners they are answered in 5 ms
+# Steps of an additive sequence that spreads points over a cube of six dimensions evenly: powers of
+# the root of g^7 = g + 1 (Roberts 2018, the generalised golden ratio).
+STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)
+
+
+@dataclass(frozen=True)
+class LinearPart:
+    """A part's stiffness about one wrench, for simulators that have springs but no table.
+
+    Attributes
+    ----------
+    component : str
+    table_version : int
+    freedoms : tuple of str
+        The n freedoms that the part does not lock, of ``ux`` to ``rz``.
+    stiffness : list of lists
+        Shape (n, n), N/m to N·m/rad, symmetric: what the wrench on the interface changes by the
+        displacement of the interface, in the undeformed interface frame.
+    wrench, displacement : list of float
+        Shape (n,): the load about which the part is linear, N and N·m, and its displacement, m and
+        rad.
+    largest_error, rms_error : list of float
+        Shape (n,), m and rad: the difference from the table, over its load range.
+    largest_displacement : list of float
+        Shape (n,), m and rad: the table's, for the same wrenches.
+    covered : float
+        The share of these wrenches that the table covers; the others compare with estimates.
+    """
+
+    component: str
+    table_version: int
+    freedoms: tuple[str, ...]
+    stiffness: list[list[float]]
+    wrench: list[float]
+    displacement: list[float]
+    largest_error: list[float]
+    rms_error: list[float]
+    largest_displacement: list[float]
+    covered: float
+
+    @classmethod
+    def of(cls, table: Any, wrench: ArrayLike | None = None) -> Self:
+        """Return a table's part, linear about a wrench, shape (6,), N and N·m; about none if None.
+
+        Raises
+        ------
+        InvalidArgument
+            If the part moves at several interfaces, at none, or has further inputs; if the wrench
+            is not 6 finite numbers; if the table's derivative there is not known or not that of
+            springs.
+        """
+        at, free = moving(table, None)
+        packed, inputs = table.packed, np.arange(table.packed.inputs)[at][free]
+        centre = np.zeros(packed.inputs)
+        given = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
+        if given.shape != (FREEDOMS,) or not np.isfinite(given).all():
+            raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
+        centre[at] = given
+        slope = packed.derivative(centre.tolist())[np.ix_(inputs, inputs)]
+        compliance = 0.5 * (slope + slope.T)
+        if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
+            raise InvalidArgument(
+                f"{table.name} has no stiffness at this load: its derivative is unknown or not "
+                "that of springs; fill the table, or give another load"
+            )
+        loads = _spread(packed.arrays["space/range"], inputs)
+        answers = packed.batch(np.vstack([centre, loads]))
+        moved, first = answers.outputs[1:, inputs], answers.outputs[0, inputs]
+        wrong = moved - first - (loads - centre)[:, inputs] @ compliance
+        return cls(
+            component=table.name,
+            table_version=table.version,
+            freedoms=tuple(NAMES[place] for place in free),
+            stiffness=np.linalg.inv(compliance).tolist(),
+            wrench=centre[inputs].tolist(),
+            displacement=first.tolist(),
+            largest_error=np.abs(wrong).max(axis=0).tolist(),
+            rms_error=np.sqrt((wrong**2).mean(axis=0)).tolist(),
+            largest_displacement=np.abs(moved).max(axis=0).tolist(),
+            covered=float((np.asarray(answers.coverage[1:]) == 0).mean()),
+        )
+
+    @property
+    def unloaded(self) -> Vector:
+        """Where the springs carry nothing, shape (n,), m and rad."""
+        given = np.linalg.solve(np.array(self.stiffness), np.array(self.wrench))
+        return np.asarray(np.array(self.displacement) - given, dtype=float)
+
+    @property
+    def error(self) -> str:
+        """The largest error of each displacement, in words."""
+        shares = [
+            f"{name} {round(100.0 * error / largest, 3):g} %"
+            for name, error, largest in zip(
+                self.freedoms, self.largest_error, self.largest_displacement, strict=True
+            )
+            if largest > 0.0
+        ]
+        words = ", ".join(shares) or "unknown"
+        return (
+            f"{self.component} as springs is wrong by up to {words} of the largest displacement in "
+            f"the load range; the table covers {self.covered:.0%} of the wrenches compared"
+        )
+
+    def to_dict(self, mass: ArrayLike | None = None) -> dict[str, Any]:
+        """Return the part as a dict of plain numbers, with units and the condensed mass.
+
+        Parameters
+        ----------
+        mass : array_like, optional
+            Shape (6, 6), kg to kg·m^2; null in the dict where it is not known.
+        """
+        places = [NAMES.index(name) for name in self.freedoms]
+        whole = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(places, places)]
+        return {
+            **asdict(self),
+            "loads": [LOADS[place] for place in places],
+            "mass": None if whole is None else whole.tolist(),
+            "units": "N, N·m, m, rad, kg",
+            "frame": "the undeformed interface frame, about the interface point",
+        }
+
+
+def _spread(ends: Vector, inputs: NDArray[np.intp]) -> Vector:
+    """Return the corners of a load range, shape (2, n), and wrenches within it, shape (m, n)."""
+    (low, high), count = ends, len(inputs)
+    corners = np.array(list(product((0.0, 1.0), repeat=count)))
+    inside = np.mod(0.5 + np.outer(np.arange(INSIDE), STEPS[:count]), 1.0)
+    loads = np.zeros((len(corners) + INSIDE, len(low)))
+    loads[:, inputs] = low[inputs] + np.vstack([corners, inside]) * (high - low)[inputs]
+    return loads
