@@ -41,6 +41,8 @@ _REFUSALS: Final[dict[int, str]] = {
 }
 _WITH_KEYS: Final = (401, 413, 429)
 _WITH_BODY: Final = (413, 415)
+_REFERENCE: Final = "#/components/schemas/{model}"
+_KINDS: Final[dict[str, Any]] = {"Problem": Problem}  # the types of bodies, by their names
 _OWN_ERRORS: Final = "/umbridge/"  # a protocol with errors of its own form
 
 
@@ -55,21 +57,10 @@ def refused(*statuses: int, **texts: str) -> Responses:
     return {one: {"description": text, "content": _PROBLEM} for one, text in found.items()}
 
 
-def schema_of(kind: Any) -> Schema:
-    """Return the JSON schema of a type, with nested types in place of references to them."""
-    schema = TypeAdapter(kind).json_schema()
-    definitions = schema.pop("$defs", {})
-
-    def inlined(node: Any) -> Any:
-        if isinstance(node, list):
-            return [inlined(item) for item in node]
-        if not isinstance(node, dict):
-            return node
-        if "$ref" in node:
-            return inlined(definitions[node["$ref"].rsplit("/", 1)[-1]])
-        return {key: inlined(value) for key, value in node.items()}
-
-    return inlined(schema)
+def _named(kind: Any) -> Schema:
+    """Return a reference to the schema of a type, which the document then has by its name."""
+    _KINDS[kind.__name__] = kind
+    return {"$ref": _REFERENCE.format(model=kind.__name__)}
 
 
 def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -> Schema:
@@ -84,10 +75,10 @@ def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -
     query : type, optional
         Of the query parameters that the call reads itself.
     """
-    content = {JSON: {"schema": schema_of(body)}, **(more or {})}
+    content = {JSON: {"schema": _named(body)}, **(more or {})}
     extra: Schema = {"requestBody": {"required": True, "content": content}}
     if query is not None:
-        fields = schema_of(query)["properties"].items()
+        fields = TypeAdapter(query).json_schema()["properties"].items()
         extra["parameters"] = [{"name": k, "in": "query", "schema": one} for k, one in fields]
     return extra
 
@@ -124,7 +115,9 @@ def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
         routes=app.routes,
     )
     parts = found["components"]
-    parts["schemas"]["Problem"] = schema_of(Problem)
+    kinds: list[Any] = [(name, "validation", TypeAdapter(kind)) for name, kind in _KINDS.items()]
+    _, named = TypeAdapter.json_schemas(kinds, ref_template=_REFERENCE)
+    parts["schemas"] |= named["$defs"]
     if keys:
         parts["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
         found["security"] = [{"key": []}]

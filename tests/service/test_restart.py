@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import psutil
 import pytest
@@ -36,8 +36,11 @@ def serving(folder, processes):
 
 
 def web_workers(server):
-    family = psutil.Process(server.pid).children(recursive=True)
-    return {one.pid for one in family if one.name() == "wb-webworker"}
+    found = set()
+    for one in psutil.Process(server.pid).children(recursive=True):
+        with suppress(psutil.NoSuchProcess):  # it ended meanwhile
+            found |= {one.pid} if one.name() == "wb-webworker" else set()
+    return found
 
 
 class Load:

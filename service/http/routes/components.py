@@ -97,7 +97,7 @@ def _is_about(component: Component, card: CatalogueCard, search: str) -> bool:
     response_description="the component",
     responses=refused(404, 422),
 )
-async def one_component(name: str, workspace: Opened) -> dict[str, Any]:
+async def get_component(name: str, workspace: Opened) -> dict[str, Any]:
     await workspace.newest(name, CATCH_UP_S)
     return await run_in_threadpool(component_body, workspace, workspace.library[name])
 

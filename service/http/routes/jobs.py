@@ -111,7 +111,7 @@ def list_jobs(
 
 
 @router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
-async def one_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
+async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
     job = await workspace.wait(job_id, wait_s)
     return await run_in_threadpool(_whole_body, workspace, job)
 
@@ -128,7 +128,7 @@ def _whole_body(workspace: Workspace, job: JobRecord) -> dict[str, Any]:
     summary="Cancel all jobs that wait, or that run",
     responses={200: {"model": dict[Literal["cancelled"], int], "description": "how many"}},
 )
-def cancel_many(
+def cancel_jobs(
     workspace: Opened,
     component: Annotated[str | None, Query(description="only those of this component")] = None,
     status: Literal["waiting", "running"] = "waiting",
@@ -138,14 +138,14 @@ def cancel_many(
 
 
 @router.delete("/{job_id}", summary="Cancel a job that has not ended", responses=refused(409))
-def cancel(job_id: JobId, workspace: Opened) -> dict[str, Any]:
+def cancel_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
     return job_body(workspace, workspace.ledger.cancel(job_id))
 
 
 @router.post(
     "/{job_id}/retry", summary="Queue a failed or cancelled job again", responses=refused(409)
 )
-def retry(job_id: JobId, workspace: Opened) -> dict[str, Any]:
+def retry_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
     return job_body(workspace, workspace.ledger.retry(job_id))
 
 
@@ -155,7 +155,7 @@ def retry(job_id: JobId, workspace: Opened) -> dict[str, Any]:
     response_class=Response,
     responses={200: {"description": "the attempt's folder", "content": {"application/zip": BYTES}}},
 )
-def attempt_files(job_id: JobId, workspace: Opened) -> Response:
+def get_job_files(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
     folder = workspace.attempt_folder(job)
     if not folder.is_dir():
@@ -184,7 +184,7 @@ def _no_files(job: JobRecord, folder: pathlib.Path) -> HttpProblemError:
     response_class=PlainTextResponse,
     response_description="its end",
 )
-def attempt_log(job_id: JobId, workspace: Opened) -> Response:
+def get_job_log(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
     path = workspace.attempt_folder(job) / LOG
     if path.is_symlink() or not path.is_file():  # a deck's command may have put a link there

@@ -48,7 +48,7 @@ MOST_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
     responses=answers(dict[str, Any], "copied", 201) | refused(409),
     openapi_extra=takes(CopyBody),
 )
-async def copy(name: str, request: Request) -> Response:
+async def copy_component(name: str, request: Request) -> Response:
     body = read_body(CopyBody, await read_limited(request.receive))
     return await run_in_threadpool(_copied, request, name, body)
 
@@ -60,7 +60,7 @@ async def copy(name: str, request: Request) -> Response:
     responses=answers(dict[str, Any], "copied, and the old one archived", 201) | refused(409),
     openapi_extra=takes(RenameBody),
 )
-async def rename(name: str, request: Request) -> Response:
+async def rename_component(name: str, request: Request) -> Response:
     body = read_body(RenameBody, await read_limited(request.receive))
     return await run_in_threadpool(_copied, request, name, CopyBody(name=body.name), True)
 
@@ -68,12 +68,12 @@ async def rename(name: str, request: Request) -> Response:
 @router.post(
     "/archive", summary="Put away: left out of the list, answers all the same", response_model=Card
 )
-def archive(name: str, request: Request) -> Response:
+def archive_component(name: str, request: Request) -> Response:
     return _put(request, name, archived=True)
 
 
 @router.post("/unarchive", summary="Back into the list", response_model=Card)
-def unarchive(name: str, request: Request) -> Response:
+def unarchive_component(name: str, request: Request) -> Response:
     return _put(request, name, archived=False)
 
 
@@ -93,7 +93,7 @@ async def write_notes(name: str, request: Request) -> Response:
 @router.get(
     "/imports", summary="Who loaded which rows from what, newest first", response_model=Imports
 )
-def imports(name: str, workspace: Opened) -> Response:
+def list_imports(name: str, workspace: Opened) -> Response:
     found = workspace.ledger.imports(workspace.library[name].name)
     versions = {one.id: last for _, last, one in workspace.ledger.import_spans(name)}
     findings = workspace.ledger.findings(name)
@@ -137,7 +137,7 @@ def restore_import(
     summary="Measured rows compared with the table of the solved ones",
     response_model=Disagreement,
 )
-def disagree(name: str, workspace: Opened) -> Response:
+def list_disagreements(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     how = component.load_range, component.tolerance, component.linear, table.locked

@@ -70,7 +70,7 @@ async def record(name: str, request: Request) -> Response:
 
 
 @router.get("/recording", summary="What is recorded", response_model=schemas.Recording)
-def recording(name: str, request: Request) -> Response:
+def get_recording(name: str, request: Request) -> Response:
     found = _store(request).recording(name)
     stands = {"component": name, "outside": found.tally.outside, **_standing(found.tally)}
     return json_reply({**stands, "reason": _thinning(found.tally), "wrenches": found.wrenches})
@@ -89,7 +89,7 @@ def clear_recording(name: str, request: Request) -> Response:
     responses=_QUEUED,
     openapi_extra=takes(StartBody),
 )
-async def start_of_recording(name: str, request: Request) -> Response:
+async def solve_recording(name: str, request: Request) -> Response:
     return await _started(name, request, StartBody, start_recording)
 
 
@@ -100,7 +100,7 @@ async def start_of_recording(name: str, request: Request) -> Response:
     response_model=schemas.Widened,
     openapi_extra=_BLOCK,
 )
-async def widen(name: str, request: Request) -> Response:
+async def widen_envelope(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
     took = await run_in_threadpool(_store(request).widen, name, wrenches, block)
     envelope = await run_in_threadpool(_store(request).envelope, name)
@@ -112,7 +112,7 @@ async def widen(name: str, request: Request) -> Response:
     summary="The extremes, and how far they can move the component",
     response_model=schemas.Envelope,
 )
-def envelope(
+def get_envelope(
     name: str,
     request: Request,
     translation: Positive = None,
@@ -154,7 +154,7 @@ def clear_envelope(name: str, request: Request) -> Response:
     responses=_QUEUED,
     openapi_extra=takes(EnvelopeStartBody),
 )
-async def start_of_envelope(name: str, request: Request) -> Response:
+async def solve_envelope(name: str, request: Request) -> Response:
     return await _started(name, request, EnvelopeStartBody, start_envelope)
 
 
@@ -165,7 +165,7 @@ async def start_of_envelope(name: str, request: Request) -> Response:
     responses=_QUEUED,
     openapi_extra=takes(StartBody),
 )
-async def resolve(name: str, request: Request) -> Response:
+async def resolve_table(name: str, request: Request) -> Response:
     def start(workspace: Workspace, _: RecordingStore, name: str, **order: Any) -> StartedSolves:
         return start_resolving(workspace, name, **order)
 

@@ -30,17 +30,17 @@ _EDITS = refused(s409="the row is withdrawn already, or is in the table already"
 
 
 @router.get("", summary="A row, and where it comes from")
-def one_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
+def get_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return row_body(workspace, workspace.library[name], row)
 
 
 @router.delete("", summary="Withdraw a row: it leaves the table and its exports", responses=_EDITS)
-def withdraw(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
+def withdraw_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return _edited(workspace, name, row, workspace.ledger.withdraw, "withdrawn")
 
 
 @router.post("/restore", summary="Bring a withdrawn row back into the table", responses=_EDITS)
-def restore(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
+def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return _edited(workspace, name, row, workspace.ledger.restore, "restored")
 
 

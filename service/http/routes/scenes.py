@@ -45,7 +45,7 @@ CATCH_UP_S = 25.0
     response_model=Plans,
     openapi_extra=takes(SceneBody),
 )
-async def plan(request: Request, workspace: Opened) -> Response:
+async def plan_scene(request: Request, workspace: Opened) -> Response:
     scene = read_body(SceneBody, await read_limited(request.receive))
     needs = {
         name: _need_of(workspace.library[name], wanted, f"components.{name}")

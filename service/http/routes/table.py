@@ -109,7 +109,7 @@ _TAKEN = frozenset(
     | {304: {"description": _CURRENT, "headers": _ETAG}}
     | refused(s409="this form cannot hold this table"),
 )
-async def export(
+async def get_table(
     name: str,
     workspace: Opened,
     format: Format = "json",  # noqa: A002 (the contract's word)
