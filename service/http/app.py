@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 from importlib.metadata import version
 
 from fastapi import FastAPI
-from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -128,22 +127,11 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         description=f"The wrench contract:\n\n{CONTRACT_TEXT}",
         lifespan=lifespan,
         redirect_slashes=False,
-        openapi_url=None,  # service/http/openapi.py serves it with an ETag
-        docs_url=None,  # service/http/routes/page.py has it without a host of others
-        redoc_url=None,
-        generate_unique_id_function=operation_name,
+        **openapi.OPTIONS,
     )
     app.state.counts = counts
     app.state.access = AccessControl(Keyring(settings.folder), security or SecuritySettings())
     return _with_routes(app, settings)
-
-
-def operation_name(route: APIRoute) -> str:
-    """Return the name of a call in the document, from which clients are generated: its function's.
-
-    UM-Bridge's begin with its name, since it has an `info` and a `gradient` of its own.
-    """
-    return f"umbridge_{route.name}" if "umbridge" in route.tags else route.name
 
 
 def _with_routes(app: Application, settings: Settings) -> Application:

@@ -9,6 +9,7 @@ from typing import Any, Final
 import orjson
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
 from pydantic import TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
@@ -44,6 +45,23 @@ _WITH_BODY: Final = (413, 415)
 _REFERENCE: Final = "#/components/schemas/{model}"
 _KINDS: Final[dict[str, Any]] = {"Problem": Problem}  # the types of bodies, by their names
 _OWN_ERRORS: Final = "/umbridge/"  # a protocol with errors of its own form
+
+
+def _operation_name(route: APIRoute) -> str:
+    """Return the name of a call in the document, from which clients are generated: its function's.
+
+    UM-Bridge's begin with its name, since it has an `info` and a `gradient` of its own.
+    """
+    return f"umbridge_{route.name}" if "umbridge" in route.tags else route.name
+
+
+# Of the application.
+OPTIONS: Final[dict[str, Any]] = {
+    "openapi_url": None,  # `install` serves it with an ETag
+    "docs_url": None,  # service/http/routes/page.py has it without a host of others
+    "redoc_url": None,
+    "generate_unique_id_function": _operation_name,
+}
 
 
 def answers(model: Any, description: str, status: int = 200, **more: Any) -> Responses:
