@@ -14,6 +14,7 @@ import typer
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.client import Client
+from wrenchbook.service.client.errors import InvalidArgument
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 COMPLETION_S = 2.0  # a shell waits for it at each tab
@@ -49,6 +50,13 @@ AsJson = Annotated[
     bool, typer.Option("--json", help="print JSON on stdout, and progress on stderr")
 ]
 
+FurtherInput = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--input", help="a further input in its own unit; repeatable", metavar="NAME=NUMBER"
+    ),
+]
+
 
 @contextmanager
 def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Client]:
@@ -67,3 +75,38 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
 def print_json(reply: Any) -> None:
     """Print a reply as JSON; paths are texts."""
     sys.stdout.write(json.dumps(reply, indent=2, default=str) + "\n")
+
+
+def further_inputs(given: list[str] | None) -> dict[str, float] | None:
+    """Return the further inputs of ``--input NAME=NUMBER``; None without."""
+    return {name: number(text) for name, text in by_name("--input", given)} if given else None
+
+
+def by_name(option: str, given: list[str] | None) -> list[tuple[str, str]]:
+    """Return the name and the rest of each value NAME=...
+
+    Raises
+    ------
+    InvalidArgument
+        If one has no name or no ``=``, or a name is given twice.
+    """
+    found = [_pair(text) for text in given or ()]
+    names = [name for name, _ in found]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise InvalidArgument(f"{option} {repeated[0]} is given twice")
+    return found
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, equals, rest = text.partition("=")
+    if not (name and equals):
+        raise InvalidArgument(f"{text!r}: write a name, = and numbers")
+    return name, rest
+
+
+def number(text: str) -> float:
+    """Return a number; InvalidArgument if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidArgument(f"{text!r} is not a number") from None

@@ -13,13 +13,17 @@ from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
     AsJson,
     Data,
+    FurtherInput,
     Name,
     Server,
     connected,
+    further_inputs,
     print_json,
 )
 from wrenchbook.service.cli.render import matrix_table
 from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.client import Client
+from wrenchbook.service.client.joint import LinearPart
 
 Three = tuple[float, float, float]
 _About = Annotated[
@@ -53,18 +57,18 @@ def joint(
     damping: _Damping = 0.02,
     force: _About = ZERO,
     moment: _AboutMoment = ZERO,
+    further: FurtherInput = None,
     out: Annotated[Path | None, typer.Option(help="write to this file, not to stdout")] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
     """Write a MuJoCo scene in which a component can bend between two bodies, for MujocoJoint."""
-    from wrenchbook.service.client.joint import LinearPart
     from wrenchbook.service.client.joint.mujoco_model import scene_with_joint, scene_with_springs
 
     with connected(server, data) as client:
         facts = client.component(name)
-        springs = LinearPart.of(client.download(name), [*force, *moment]) if linear else None
+        springs = _springs(client, name, (*force, *moment), further) if linear else None
     mass = None if massless else _mass_of(facts)
     if springs is None:
         locked = (facts.get("interface") or {}).get("locked", ())
@@ -80,6 +84,13 @@ def joint(
         print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
     elif out is None:
         sys.stdout.write(text)
+
+
+def _springs(
+    client: Client, name: str, wrench: tuple[float, ...], further: list[str] | None
+) -> LinearPart:
+    """Return a component as springs about a wrench, N and N·m, from its newest table."""
+    return LinearPart.of(client.download(name), wrench, further_inputs(further))
 
 
 def _mass_of(facts: dict[str, Any]) -> list[list[float]] | None:
@@ -103,17 +114,16 @@ def stiffness(
     name: Name,
     force: _About = ZERO,
     moment: _AboutMoment = ZERO,
+    further: FurtherInput = None,
     out: Annotated[Path | None, typer.Option(help="write JSON to this file")] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
     """Show a component's 6x6 stiffness about a load, its mass, and the error of being linear."""
-    from wrenchbook.service.client.joint import LinearPart
-
     with connected(server, data) as client:
         facts = client.component(name)
-        part = LinearPart.of(client.download(name), [*force, *moment])
+        part = _springs(client, name, (*force, *moment), further)
     found = part.to_dict(_mass_of(facts))
     if out is not None:
         out.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")

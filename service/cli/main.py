@@ -16,9 +16,13 @@ from wrenchbook.service.cli.connect import (
     AsJson,
     BeyondRange,
     Data,
+    FurtherInput,
     Name,
     Server,
+    by_name,
     connected,
+    further_inputs,
+    number,
     print_json,
 )
 from wrenchbook.service.cli.jobs import jobs
@@ -98,12 +102,6 @@ AtInterface = Annotated[
         "--load",
         help="load of an interface, of several: force, or force and moment; repeatable",
         metavar="NAME=FX,FY,FZ[,MX,MY,MZ]",
-    ),
-]
-FurtherInput = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--input", help="a further input in its own unit; repeatable", metavar="NAME=NUMBER"
     ),
 ]
 Budget = Annotated[int, typer.Option(min=1, help="largest number of solves")]
@@ -376,34 +374,16 @@ def _loads(
     """Return the loads of a call; a component with one interface and no load has the zero one."""
     if load is None and further is None and force is None:
         force = ZERO
-    for option, given in (("--load", load), ("--input", further)):
-        names = [name for name, _ in map(_pair, given or ())]
-        if repeated := sorted({name for name in names if names.count(name) > 1}):
-            raise InvalidArgument(f"{option} {repeated[0]} is given twice")
-    loads = {name: _of_six(name, text) for name, text in map(_pair, load)} if load else None
-    inputs = {name: _number(text) for name, text in map(_pair, further)} if further else None
+    loads = {name: _of_six(name, text) for name, text in by_name("--load", load)} if load else None
+    inputs = further_inputs(further)
     return {"force": force, "moment": moment, "loads": loads, "inputs": inputs}
 
 
-def _pair(text: str) -> tuple[str, str]:
-    name, equals, rest = text.partition("=")
-    if not (name and equals):
-        raise InvalidArgument(f"{text!r}: write a name, = and numbers")
-    return name, rest
-
-
 def _of_six(name: str, text: str) -> list[float]:
-    numbers = [_number(one) for one in text.split(",")]
+    numbers = [number(one) for one in text.split(",")]
     if len(numbers) not in (3, 6):
         raise InvalidArgument(f"--load {name} needs 3 or 6 numbers with commas between them")
     return numbers + [0.0] * (6 - len(numbers))
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InvalidArgument(f"{text!r} is not a number") from None
 
 
 def _print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None:

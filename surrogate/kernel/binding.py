@@ -243,7 +243,7 @@ class PackedTable:
         Parameters
         ----------
         start
-            Where Newton's method starts, shape (n,), N and N·m; no load without.
+            Where Newton's method starts, shape (n,), SI; no load without. Further inputs stay.
         near
             The stiffness of a displacement nearby, shape (n, m), which saves time.
 

@@ -120,9 +120,9 @@ static void sizes_of(solver *s, const double *slopes) {
 
 /* The inverse of du/dw (n, m) by this method; zero for locked inputs. */
 static int invert(solver *s, const double *w, double *stiffness) {
-    int n = s->t->inputs, count = s->count;
+    int n = s->t->inputs, m = s->t->outputs, count = s->count;
     double slopes[WB_MOST * WB_MOST], unit[WB_MOST * WB_MOST];
-    memset(stiffness, 0, (size_t)(n * n) * sizeof(double));
+    memset(stiffness, 0, (size_t)(n * m) * sizeof(double));
     memset(unit, 0, (size_t)(count * count) * sizeof(double));
     if (!slopes_at(s, w, slopes)) return WB_SINGULAR;
     sizes_of(s, slopes);
@@ -132,7 +132,7 @@ static int invert(solver *s, const double *w, double *stiffness) {
     for (int i = 0; i < count; i++)
         for (int j = 0; j < count; j++) {
             int load = s->free[i], q = s->free[j];
-            stiffness[n * load + q] = unit[count * i + j] * s->t->scale[load] / s->size[j];
+            stiffness[m * load + q] = unit[count * i + j] * s->t->scale[load] / s->size[j];
         }
     return WB_OK;
 }
@@ -144,7 +144,7 @@ static double step_by(const solver *s, const double *stiffness, const double *mi
         int load = s->free[i];
         step[i] = 0;
         for (int j = 0; j < s->count; j++)
-            step[i] += stiffness[s->t->inputs * load + s->free[j]] * missed[j];
+            step[i] += stiffness[s->t->outputs * load + s->free[j]] * missed[j];
         step[i] /= s->t->scale[load];
         most = fmax(most, fabs(step[i]));
     }
@@ -198,11 +198,11 @@ static int iterate(solver *s, const double *target, double *w, double *stiffness
 int wb_inverse(const wb_table *t, const wb_options *options, const double *outputs, double *inputs,
                double *stiffness, void *scratch) {
     solver s;
-    if (t->inputs != t->outputs) return WB_NOT_SQUARE;
+    if (t->inputs < t->outputs) return WB_NOT_SQUARE; /* loads come first, in the outputs' order */
     s.t = t, s.o = options ? options : &OWN, s.work = wb_work_of(t, scratch), s.count = 0;
     int wrong = wb_check(t, s.o, inputs);
     if (wrong) return wrong;
-    for (int k = 0; k < t->inputs; k++) {
+    for (int k = 0; k < t->outputs; k++) {
         if (t->locked[k]) inputs[k] = 0.0;
         else s.free[s.count++] = k;
         if (!t->locked[k] && !isfinite(outputs[k])) return WB_NOT_FINITE;

@@ -32,7 +32,7 @@ enum {
     WB_NOT_FINITE = 1,   /* an input or an output asked for is not a finite number */
     WB_NO_METHOD = 2,    /* the table does not have this method */
     WB_NO_MEMORY = 3,
-    WB_NOT_SQUARE = 4,   /* wb_inverse: as many outputs as inputs are needed */
+    WB_NOT_SQUARE = 4,   /* wb_inverse: a load an output is needed */
     WB_SINGULAR = 5,     /* wb_inverse: du/dw has no inverse, or is not known */
     WB_NO_CONVERGENCE = 6 /* wb_inverse: `inputs` is the best that was found */
 };
@@ -150,9 +150,9 @@ WB_API int wb_derivative(const wb_table *table, const wb_options *options, const
 WB_API int wb_derivative_many(const wb_table *table, const wb_options *options, size_t n,
                               const double *inputs, double *du_dw, int threads);
 /* Find the wrench whose displacement is `outputs` by Newton's method from `inputs`, by the
- * method's interpolant alone. `stiffness`: the inverse of du/dw there, (n, m); before the call that
- * of a displacement nearby, which saves slopes, or zeros. Rows and columns of locked inputs are
- * zero. */
+ * method's interpolant alone. Further inputs stay as they are. `stiffness`: the inverse of du/dw
+ * there, (n, m); before the call that of a displacement nearby, which saves slopes, or zeros. Rows
+ * and columns of locked inputs are zero, and rows of further inputs. */
 WB_API int wb_inverse(const wb_table *table, const wb_options *options, const double *outputs,
                       double *inputs, double *stiffness, void *scratch);
 /* The change of a joint's wrench with the relative velocity, C (n, n), n at most 6:

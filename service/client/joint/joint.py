@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,9 @@ class Joint:
         if it is not given.
     method : str, optional
         How the table answers; its own choice otherwise.
+    inputs : mapping, optional
+        Further inputs of the table by name, all of them, such as ``{"temperature": 80.0}``; units
+        of the component.
 
     Attributes
     ----------
@@ -59,12 +63,14 @@ class Joint:
         Shape (6,), m and rad, at the beginning of that step.
     free : numpy.ndarray of int
         The freedoms that the part does not lock; others have no wrench.
+    inputs : dict of float
+        The further inputs; assign a mapping to change them.
 
     Raises
     ------
     InvalidArgument
-        If the table's part moves at several interfaces, at none, or has further inputs; if the
-        damping is negative.
+        If the table's part moves at several interfaces or at none; if a further input is unknown,
+        missing or beyond its range; if the damping is negative.
     """
 
     def __init__(
@@ -74,13 +80,26 @@ class Joint:
         *,
         interface: str | None = None,
         method: str | None = None,
+        inputs: Mapping[str, float] | None = None,
     ) -> None:
         if not (math.isfinite(damping) and damping >= 0.0):
             raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
         self._table, self.damping, self._method = table, float(damping), method
         self._at, self.free = moving(table, interface)
+        self.inputs = inputs or {}
         self._warned = False
         self.restart()
+
+    @property
+    def inputs(self) -> dict[str, float]:
+        """The table's further inputs by name, in the component's units."""
+        return dict(
+            zip([one.name for one in self._table.space.scalars], self._further, strict=True)
+        )
+
+    @inputs.setter
+    def inputs(self, given: Mapping[str, float]) -> None:
+        self._further = further_inputs(self._table, given)
 
     def restart(self) -> None:
         """Forget the state of the last step."""
@@ -183,9 +202,10 @@ class Joint:
         target[at] = moved
         turn = math.sqrt(float(moved[3:] @ moved[3:])) / LARGEST_TURN
         try:
-            start = (
-                None if self._near is None else self._loads + self._near @ (target - self._moved)
-            )
+            start = self._whole(np.zeros(FREEDOMS))
+            if self._near is not None:
+                wrench = self._loads + self._near @ (target - self._moved)
+                start[: packed.outputs] = wrench[: packed.outputs]
             loads, slopes = packed.inverse(target, start, self._method, self._near)
         except ValueError:  # no such wrench: far beyond the range
             return self._beyond(self._whole(self.wrench), target, turn)
@@ -200,13 +220,13 @@ class Joint:
         packed, at = self._table.packed, self._at
         free, stiffness = np.ix_(self.free, self.free), np.zeros((FREEDOMS, FREEDOMS))
         low, high = packed.arrays["space/range"]
-        edge = np.clip(loads / max(turn, 1.0), low, high)
+        edge = np.clip(self._shorter(loads, turn), low, high)
         for _ in range(MOST_STEPS):
             answer = np.array(packed.answer(edge.tolist(), None, self._method).outputs, dtype=float)
             slope: Vector = packed.derivative(edge.tolist(), None, self._method)[at, at]
             stiffness[free] = np.linalg.inv(slope[free])
             loads = edge + self._whole(stiffness @ (target - answer)[at])
-            before, edge = edge, np.clip(loads / max(turn, 1.0), low, high)
+            before, edge = edge, np.clip(self._shorter(loads, turn), low, high)
             if (np.abs(edge - before) <= CLOSE * packed.arrays["space/scale"]).all():
                 break
         self._near = None
@@ -218,9 +238,14 @@ class Joint:
         (low, high), scale = arrays["space/range"], arrays["space/scale"]
         return 1.0 + float((np.maximum(loads - high, low - loads) / scale).max())
 
+    def _shorter(self, loads: Vector, turn: float) -> Vector:
+        """Return inputs, shape (n,), SI, whose loads turn the part by 20 degrees at most."""
+        return self._whole(loads[self._at] / max(turn, 1.0))
+
     def _whole(self, wrench: Vector) -> Vector:
-        """Return the table's inputs with a wrench at the tip, shape (n,), N and N·m."""
-        loads = np.zeros(self._table.packed.inputs)
+        """Return the table's inputs with a wrench at the tip, shape (n,), SI."""
+        packed = self._table.packed
+        loads = np.concatenate([np.zeros(packed.inputs - len(self._further)), self._further])
         loads[self._at] = wrench
         return loads
 
@@ -284,12 +309,31 @@ def vector_per_spin(rotation: Vector) -> Vector:
     )
 
 
+def further_inputs(table: Any, given: Mapping[str, float]) -> tuple[float, ...]:
+    """Return a table's inputs that are no loads, by their names, in its order.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is unknown, missing or beyond its range.
+    """
+    space, count = table.space, len(table.space.scalars)
+    try:
+        values = space.vector({}, given)[len(space.inputs) - count :]
+    except ValueError as error:
+        raise InvalidArgument(f"{table.name}: {error}") from None
+    ends = table.packed.arrays["space/range"][:, len(space.inputs) - count :].T
+    for one, value, (low, high) in zip(space.scalars, values, ends, strict=True):
+        if not low <= value <= high:
+            raise InvalidArgument(
+                f"{table.name}: {one.name} is from {low:g} to {high:g} {one.unit}, not {value:g}"
+            )
+    return tuple(map(float, values))
+
+
 def moving(table: Any, interface: str | None) -> tuple[slice, NDArray[np.intp]]:
     """Return the place of the interface that moves, and its freedoms that are not locked."""
     space, locked = table.space, np.asarray(table.packed.arrays["space/locked"], dtype=bool)
-    if space.scalars:
-        names = ", ".join(one.name for one in space.scalars)
-        raise InvalidArgument(f"{table.name} has the further inputs {names}; a joint takes none")
     free = {
         name: np.flatnonzero(~locked[FREEDOMS * k : FREEDOMS * (k + 1)])
         for k, name in enumerate(space.interfaces)

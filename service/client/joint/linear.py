@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Self
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InvalidArgument
-from .joint import FREEDOMS, moving
+from .joint import FREEDOMS, further_inputs, moving
 
 Vector = NDArray[np.float64]
 
@@ -58,40 +59,43 @@ class LinearPart:
     covered: float
 
     @classmethod
-    def of(cls, table: Any, wrench: ArrayLike | None = None) -> Self:
+    def of(
+        cls,
+        table: Any,
+        wrench: ArrayLike | None = None,
+        inputs: Mapping[str, float] | None = None,
+    ) -> Self:
         """Return a table's part, linear about a wrench, shape (6,), N and N·m; about none if None.
+
+        `inputs` are those of the table that are no loads, by name, as `Joint` takes them.
 
         Raises
         ------
         InvalidArgument
-            If the part moves at several interfaces, at none, or has further inputs; if the wrench
-            is not 6 finite numbers; if the table's derivative there is not known or not that of
-            springs.
+            If the part moves at several interfaces or at none; if the wrench is not 6 finite
+            numbers; if a further input is unknown, missing or beyond its range; if the table's
+            derivative there is not known or not that of springs.
         """
         at, free = moving(table, None)
-        packed, inputs = table.packed, np.arange(table.packed.inputs)[at][free]
-        centre = np.zeros(packed.inputs)
-        given = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
-        if given.shape != (FREEDOMS,) or not np.isfinite(given).all():
-            raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
-        centre[at] = given
-        slope = packed.derivative(centre.tolist())[np.ix_(inputs, inputs)]
+        packed, places = table.packed, np.arange(table.packed.inputs)[at][free]
+        centre = _centre(table, at, wrench, inputs)
+        slope = packed.derivative(centre.tolist())[np.ix_(places, places)]
         compliance = 0.5 * (slope + slope.T)
         if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
             raise InvalidArgument(
                 f"{table.name} has no stiffness at this load: its derivative is unknown or not "
                 "that of springs; fill the table, or give another load"
             )
-        loads = _spread(packed.arrays["space/range"], inputs)
+        loads = _spread(packed.arrays["space/range"], centre, places)
         answers = packed.batch(np.vstack([centre, loads]))
-        moved, first = answers.outputs[1:, inputs], answers.outputs[0, inputs]
-        wrong = moved - first - (loads - centre)[:, inputs] @ compliance
+        moved, first = answers.outputs[1:, places], answers.outputs[0, places]
+        wrong = moved - first - (loads - centre)[:, places] @ compliance
         return cls(
             component=table.name,
             table_version=table.version,
             freedoms=tuple(NAMES[place] for place in free),
             stiffness=np.linalg.inv(compliance).tolist(),
-            wrench=centre[inputs].tolist(),
+            wrench=centre[places].tolist(),
             displacement=first.tolist(),
             largest_error=np.abs(wrong).max(axis=0).tolist(),
             rms_error=np.sqrt((wrong**2).mean(axis=0)).tolist(),
@@ -140,11 +144,27 @@ class LinearPart:
         }
 
 
-def _spread(ends: Vector, inputs: NDArray[np.intp]) -> Vector:
-    """Return the corners of a load range, shape (2, n), and wrenches within it, shape (m, n)."""
-    (low, high), count = ends, len(inputs)
+def _centre(
+    table: Any, at: slice, wrench: ArrayLike | None, further: Mapping[str, float] | None
+) -> Vector:
+    """Return the table's inputs, shape (n,), SI, of a wrench at its place and further inputs."""
+    given = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
+    if given.shape != (FREEDOMS,) or not np.isfinite(given).all():
+        raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
+    rest = further_inputs(table, further or {})
+    centre = np.concatenate([np.zeros(table.packed.inputs - len(rest)), rest])
+    centre[at] = given
+    return centre
+
+
+def _spread(ends: Vector, centre: Vector, places: NDArray[np.intp]) -> Vector:
+    """Return the corners of a load range, shape (2, n), and wrenches within it, shape (m, n).
+
+    Inputs at other places are those of `centre`, shape (n,).
+    """
+    (low, high), count = ends, len(places)
     corners = np.array(list(product((0.0, 1.0), repeat=count)))
     inside = np.mod(0.5 + np.outer(np.arange(INSIDE), STEPS[:count]), 1.0)
-    loads = np.zeros((len(corners) + INSIDE, len(low)))
-    loads[:, inputs] = low[inputs] + np.vstack([corners, inside]) * (high - low)[inputs]
+    loads = np.tile(centre, (len(corners) + INSIDE, 1))
+    loads[:, places] = low[places] + np.vstack([corners, inside]) * (high - low)[places]
     return loads
