@@ -58,7 +58,7 @@ def main(server: str, seconds: float) -> tuple[float, float]:
     data.joint("hinge").qpos[0] = 0.5
     forces, began = [], time.perf_counter()
     while data.time < seconds:
-        data.ctrl[0] = 0.05 * np.sin(2 * np.pi * 2 * data.time)
+        data.ctrl[0] = 0.025 * (1 - np.cos(2 * np.pi * 2 * data.time))
         joint.step()
         forces.append(joint.wrench[2])
     took = time.perf_counter() - began

@@ -107,3 +107,12 @@ def test_a_script_moves_a_shipped_part_as_far_as_it_bends(
     pytest.importorskip("mujoco", reason="has no wheel here")
     assert smallest < script(name).main(solving, 0.5) < largest
     assert "largest translation: " in capsys.readouterr().out
+
+
+def test_the_joints_script_runs_as_it_stands(solving: str, capsys) -> None:
+    pytest.importorskip("mujoco", reason="has no wheel here")
+    low, high = script("mujoco_joint").main(solving, 0.5)
+    # 3 kg and the bar's own share, 41 N, hang on it from the first step on: twice that at most,
+    # and as much as the carriage shakes them.
+    assert -2.6 * 41.0 < low < -41.0 < high < 0.6 * 41.0
+    assert "coverage: covered" in capsys.readouterr().out
