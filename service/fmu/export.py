@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import platform
 import re
-import shutil
-import subprocess
 import tempfile
 import zipfile
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
+from wrenchbook.surrogate.kernel import build
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.kernel.build import COMPILERS
-from wrenchbook.surrogate.kernel.build import FLAGS as KERNEL_FLAGS
-from wrenchbook.surrogate.kernel.build import sources as kernel_sources
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Space
 
 _NO_PART = "wb_joint.c"  # of the kernel: no FMU has a joint
@@ -31,7 +25,7 @@ _NO_PART = "wb_joint.c"  # of the kernel: no FMU has a joint
 
 def _kernel_sources() -> list[Path]:
     """Return the kernel's sources and headers that an FMU has, by name."""
-    return sorted(path for path in kernel_sources() if path.name != _NO_PART)
+    return sorted(path for path in build.sources() if path.name != _NO_PART)
 
 
 SOURCES = (
@@ -192,8 +186,7 @@ def _add_structure(root: ElementTree.Element, space: Space) -> None:
 
 
 # Those of the kernel, whose numbers an FMU has to the last bit.
-FLAGS = (*(flag for flag in KERNEL_FLAGS if flag != "-DWB_SHARED"), "-fPIC", "-shared")
-COMPILE_S = 120.0  # it takes about four seconds
+FLAGS = tuple(flag for flag in build.FLAGS if flag != "-DWB_SHARED")
 PLATFORMS = {
     ("Linux", "x86_64"): ("linux64", ".so"),
     ("Darwin", "x86_64"): ("darwin64", ".dylib"),
@@ -220,10 +213,6 @@ class NotExportableError(ValueError):
     """A table that no FMU can hold; the message has the reason and the remedy."""
 
 
-class CompilerError(RuntimeError):
-    """A compiler that did not compile the FMU; carries its output."""
-
-
 @dataclass(frozen=True)
 class Fmu:
     """An FMU.
@@ -243,14 +232,6 @@ class Fmu:
     method: str
 
 
-def find_compiler() -> str | None:
-    """Return the C compiler: `CC` of the environment, else the first of `COMPILERS`."""
-    named = os.environ.get("CC", "").split()
-    return (
-        shutil.which(named[0]) if named else next(filter(None, map(shutil.which, COMPILERS)), None)
-    )
-
-
 def make_fmu(component: str, table: PackedTable, method: str | None = None) -> Fmu:
     """Return the FMU of a component's table.
 
@@ -267,7 +248,7 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
         If there is no such method, or the table does not answer by it.
     NotExportableError
         If the table has no rows within its load range.
-    CompilerError
+    KernelBuildError
         If the compiler fails.
     """
     if method is not None and method not in METHODS:
@@ -288,12 +269,18 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
         **_sources(identifier_of(component)),
     }
     place = PLATFORMS.get((platform.system(), platform.machine()))
-    compiler = find_compiler()
-    if place is not None and compiler is not None:
+    if place is not None and _has_compiler():
         name = f"binaries/{place[0]}/{identifier_of(component)}{place[1]}"
-        parts[name] = _compiled(compiler, place[1])
-    built = place[0] if place is not None and compiler is not None else ""
-    return Fmu(_zipped(parts), built, used)
+        parts[name] = _compiled(place[1])
+        return Fmu(_zipped(parts), place[0], used)
+    return Fmu(_zipped(parts), "", used)
+
+
+def _has_compiler() -> bool:
+    try:
+        return bool(build.compiler_command())
+    except build.KernelBuildError:
+        return False
 
 
 def _check_rows(table: PackedTable) -> None:
@@ -322,36 +309,27 @@ def _made_by() -> str:
         return "wrenchbook"
 
 
-def _sources(identifier: str) -> dict[str, bytes]:
-    folder = files(__package__ or "wrenchbook.service.fmu") / "c"
+def _source_paths() -> list[Path]:
+    """Return the files that an FMU is compiled from: C sources and headers."""
+    folder = Path(__file__).parent / "c"
     own = [name for name in SOURCES if name.startswith("fmu_")]
-    found = {f"sources/{name}": (folder / name).read_bytes() for name in (*own, *_HEADERS)}
-    found |= {f"sources/{path.name}": path.read_bytes() for path in _kernel_sources()}
-    options = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")) and flag != "-fPIC")
+    return [*(folder / name for name in (*own, *_HEADERS)), *_kernel_sources()]
+
+
+def _sources(identifier: str) -> dict[str, bytes]:
+    options = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")))
     cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=options)
+    found = {f"sources/{path.name}": path.read_bytes() for path in _source_paths()}
     return found | {"sources/CMakeLists.txt": cmake.encode()}
 
 
 @cache  # what differs between FMUs is their table: the library is the same
-def _compiled(compiler: str, ending: str) -> bytes:
+def _compiled(ending: str) -> bytes:
     """Return the compiled library."""
+    paths = [path for path in _source_paths() if path.suffix == ".c"]
     with tempfile.TemporaryDirectory(prefix="wrenchbook-fmu-") as name:
-        folder = Path(name)
-        for path, content in _sources("fmu").items():
-            (folder / Path(path).name).write_bytes(content)
-        library = folder / f"fmu{ending}"
-        command = [compiler, *FLAGS, "-o", str(library), *SOURCES, "-lm", "-lpthread"]
-        try:
-            ran = subprocess.run(
-                command, cwd=folder, capture_output=True, text=True, timeout=COMPILE_S, check=False
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise CompilerError(f"{compiler} could not compile the FMU: {error}") from error
-        if ran.returncode or not library.is_file():
-            raise CompilerError(
-                f"{compiler} could not compile the FMU; name another compiler with CC=...\n"
-                f"{ran.stderr.strip()[-2000:]}"
-            )
+        library = Path(name) / f"fmu{ending}"
+        build.compile_library(library, paths, (*FLAGS, f"-I{build.FOLDER}"))
         return library.read_bytes()
 
 
