@@ -102,6 +102,14 @@ _Written = Annotated[
 _Method = Annotated[
     str | None, typer.Option(help="with .fmu: its interpolation; by default the table's")
 ]
+_Platforms = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LIST",
+        help="with .fmu: all, or names of linux64,aarch64-linux,win64,darwin64, compiled by "
+        "ziglang; by default this machine",
+    ),
+]
 _Version = Annotated[
     int | None, typer.Option(help="an earlier version of the table; by default the newest")
 ]
@@ -156,6 +164,7 @@ def export_table(
     name: Name,
     file: _Written,
     method: _Method = None,
+    platforms: _Platforms = None,
     force: _Unit = None,
     moment: _Unit = None,
     translation: _Unit = None,
@@ -167,8 +176,11 @@ def export_table(
 ) -> None:
     """Write a table to a file; its ending chooses the format. A .fmu runs in simulation tools."""
     printed, fmu = str(file) == "-", file.suffix.lower() == ".fmu"
-    if method is not None and not fmu:
-        raise typer.BadParameter("--method is for .fmu files: other formats hold rows only")
+    if not fmu and (method is not None or platforms is not None):
+        raise typer.BadParameter(
+            "--method and --platforms are for .fmu files: other formats hold rows only"
+        )
+    targets = _targets(platforms)
     if printed and as_json:
         raise typer.BadParameter("--json describes a written file: name one instead of -")
     format_ = "csv" if printed else "packed" if fmu else table_format(file)
@@ -183,21 +195,33 @@ def export_table(
     content = content.encode() if isinstance(content, str) else content
     message = f"{file} written."
     if fmu:
-        content, message = _fmu(file, name, content, method)
+        content, message = _fmu(file, name, content, method, targets)
     write_whole_bytes(file, content)
     report = {"file": file, "bytes": len(content), "message": message}
     print_json(report) if as_json else out.print(message)
 
 
-def _fmu(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes, str]:
+def _targets(platforms: str | None) -> tuple[str, ...]:
+    """Return the platforms named, checked before a server is called or started."""
+    if platforms is None:
+        return ()
+    from wrenchbook.service.fmu.export import platforms_of
+
+    return platforms_of(platforms)
+
+
+def _fmu(
+    file: Path, name: str, table: bytes, method: str | None, platforms: tuple[str, ...]
+) -> tuple[bytes, str]:
     """Return the FMU of a packed table and a message; the server compiles nothing."""
     # Imported here: no other command needs the compiler.
     from wrenchbook.service.fmu.export import make_fmu
     from wrenchbook.surrogate.kernel.binding import PackedTable
 
-    made = make_fmu(name, PackedTable.from_bytes(table), method)
-    if made.platform:
-        return made.content, f"{file} written: FMI 2.0, {made.platform}, method {made.method}."
+    made = make_fmu(name, PackedTable.from_bytes(table), method, platforms)
+    if made.platforms:
+        built = ", ".join(made.platforms)
+        return made.content, f"{file} written: FMI 2.0, {built}, method {made.method}."
     return made.content, (
         f"{file} written: FMI 2.0, method {made.method}, sources only, since this machine has no C "
         "compiler for a platform of FMI 2.0. Tools that compile sources can use it; or install "

@@ -6,8 +6,10 @@ import hashlib
 import io
 import platform
 import re
+import struct
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -187,11 +189,22 @@ def _add_structure(root: ElementTree.Element, space: Space) -> None:
 
 # Those of the kernel, whose numbers an FMU has to the last bit.
 FLAGS = tuple(flag for flag in build.FLAGS if flag != "-DWB_SHARED")
+# Folders of binaries: the ending, and the keys of `build.PLATFORMS` whose code each file holds.
+# FMI 2.0 has one name for both processors of macOS, and none for arm64 Linux: that is FMI 3.0's.
 PLATFORMS = {
-    ("Linux", "x86_64"): ("linux64", ".so"),
-    ("Darwin", "x86_64"): ("darwin64", ".dylib"),
-    ("Darwin", "arm64"): ("darwin64", ".dylib"),
+    "linux64": (".so", ("manylinux_2_28_x86_64",)),
+    "aarch64-linux": (".so", ("manylinux_2_28_aarch64",)),
+    "win64": (".dll", ("win_amd64",)),
+    "darwin64": (".dylib", ("macosx_11_0_x86_64", "macosx_11_0_arm64")),
 }
+_MACHINES = {
+    ("Linux", "x86_64"): "linux64",
+    ("Linux", "aarch64"): "aarch64-linux",
+    ("Darwin", "x86_64"): "darwin64",
+    ("Darwin", "arm64"): "darwin64",
+}
+_FAT_MAGIC = 0xCAFEBABE  # of a universal Mach-O; its header is big-endian (mach-o/fat.h)
+_FAT_ALIGNMENT = 14  # slices begin at multiples of 2^14 bytes, the page of arm64 macOS
 _HEADERS = ("fmu.h", "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 _DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip holds: the same table gives the same file
 _CMAKE = """\
@@ -209,6 +222,10 @@ endif()
 """
 
 
+class UnknownPlatformError(ValueError):
+    """A platform that FMUs have no binary for; the message lists those there are."""
+
+
 class NotExportableError(ValueError):
     """A table that no FMU can hold; the message has the reason and the remedy."""
 
@@ -221,26 +238,51 @@ class Fmu:
     ----------
     content : bytes
         The zip file.
-    platform : str
-        What its binary runs on, such as ``linux64``; empty if it holds sources only.
+    platforms : tuple of str
+        What its binaries run on, of `PLATFORMS`; empty if it holds sources only.
     method : str
         How it answers.
     """
 
     content: bytes
-    platform: str
+    platforms: tuple[str, ...]
     method: str
 
 
-def make_fmu(component: str, table: PackedTable, method: str | None = None) -> Fmu:
-    """Return the FMU of a component's table.
+def platforms_of(text: str) -> tuple[str, ...]:
+    """Return the platforms that a list names: ``all``, or names of `PLATFORMS` with commas.
 
-    Without a compiler, or on a platform that FMI 2.0 does not name, it holds sources only.
+    Raises
+    ------
+    UnknownPlatformError
+        If there is no such platform.
+    KernelBuildError
+        If ziglang, which compiles for them, is not installed.
+    """
+    names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+    names = tuple(PLATFORMS) if names == ("all",) else names
+    unknown = [name for name in names if name not in PLATFORMS]
+    if unknown:
+        raise UnknownPlatformError(
+            f"{', '.join(map(repr, unknown))}: no such platform; there are all, "
+            f"{', '.join(PLATFORMS)}"
+        )
+    build.compiler_command(next(iter(build.PLATFORMS.values())))  # any: one compiler makes all
+    return names
+
+
+def make_fmu(
+    component: str, table: PackedTable, method: str | None = None, platforms: Sequence[str] = ()
+) -> Fmu:
+    """Return the FMU of a component's table.
 
     Parameters
     ----------
     method : str, optional
         One of `METHODS`; the table's default otherwise.
+    platforms : sequence of str, names of `PLATFORMS`
+        What ziglang compiles for; if empty, the machine's compiler compiles for this machine.
+        Without a compiler, or on a machine without a name, the FMU then holds sources only.
 
     Raises
     ------
@@ -249,7 +291,7 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
     NotExportableError
         If the table has no rows within its load range.
     KernelBuildError
-        If the compiler fails.
+        If the compiler fails, or platforms are named and there is no ziglang.
     """
     if method is not None and method not in METHODS:
         raise UnknownMethodError(method)
@@ -268,19 +310,40 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
         "resources/model.txt": f"{guid}\n{number}\n{zeros}\n".encode(),
         **_sources(identifier_of(component)),
     }
-    place = PLATFORMS.get((platform.system(), platform.machine()))
-    if place is not None and _has_compiler():
-        name = f"binaries/{place[0]}/{identifier_of(component)}{place[1]}"
-        parts[name] = _compiled(place[1])
-        return Fmu(_zipped(parts), place[0], used)
-    return Fmu(_zipped(parts), "", used)
+    binaries = _named_binaries(platforms) if platforms else _own_binary()
+    for place, content in binaries.items():
+        parts[f"binaries/{place}/{identifier_of(component)}{PLATFORMS[place][0]}"] = content
+    return Fmu(_zipped(parts), tuple(binaries), used)
 
 
-def _has_compiler() -> bool:
+def _own_binary() -> dict[str, bytes]:
+    """Return this machine's binary by its platform; none without a compiler or a name."""
+    place = _MACHINES.get((platform.system(), platform.machine()))
     try:
-        return bool(build.compiler_command())
+        build.compiler_command()
     except build.KernelBuildError:
-        return False
+        return {}
+    return {} if place is None else {place: _compiled(PLATFORMS[place][0])}
+
+
+def _named_binaries(platforms: Sequence[str]) -> dict[str, bytes]:
+    found = {}
+    for place in platforms:
+        ending, parts = PLATFORMS[place]
+        slices = [_compiled(ending, build.PLATFORMS[part]) for part in parts]
+        found[place] = slices[0] if len(slices) == 1 else universal(slices)
+    return found
+
+
+def universal(slices: Sequence[bytes]) -> bytes:
+    """Return a universal Mach-O of the libraries of several processors."""
+    header = struct.pack(">2I", _FAT_MAGIC, len(slices))
+    content, size = b"", 1 << _FAT_ALIGNMENT  # the header has the first page
+    for part in slices:
+        processor = struct.unpack_from("<2I", part, 4)  # type and subtype
+        header += struct.pack(">5I", *processor, size + len(content), len(part), _FAT_ALIGNMENT)
+        content += part + bytes(-len(part) % size)
+    return header.ljust(size, b"\0") + content
 
 
 def _check_rows(table: PackedTable) -> None:
@@ -324,12 +387,12 @@ def _sources(identifier: str) -> dict[str, bytes]:
 
 
 @cache  # what differs between FMUs is their table: the library is the same
-def _compiled(ending: str) -> bytes:
-    """Return the compiled library."""
+def _compiled(ending: str, target: str | None = None) -> bytes:
+    """Return the compiled library of a target of ziglang, or of this machine."""
     paths = [path for path in _source_paths() if path.suffix == ".c"]
     with tempfile.TemporaryDirectory(prefix="wrenchbook-fmu-") as name:
         library = Path(name) / f"fmu{ending}"
-        build.compile_library(library, paths, (*FLAGS, f"-I{build.FOLDER}"))
+        build.compile_library(library, paths, (*FLAGS, f"-I{build.FOLDER}"), target)
         return library.read_bytes()
 
 

@@ -37,6 +37,10 @@ NO_COMPILER = (
     "gcc, or `pip install ziglang`), then run `python -m wrenchbook.surrogate.kernel.build` in the "
     "checkout"
 )
+NO_ZIGLANG = (
+    "a library for a named platform is compiled by ziglang, which is not installed: "
+    "`pip install ziglang`, then run the command again"
+)
 
 
 class KernelBuildError(RuntimeError):
@@ -102,7 +106,7 @@ def compiler_command(target: str | None = None) -> list[str]:
         if found is not None:
             return [found]
     if importlib.util.find_spec("ziglang") is None:
-        raise KernelBuildError(NO_COMPILER)
+        raise KernelBuildError(NO_COMPILER if target is None else NO_ZIGLANG)
     zig = [sys.executable, "-m", "ziglang", "cc"]
     return zig if target is None else [*zig, "-target", target]
 
@@ -134,10 +138,6 @@ def compile_library(
         If there is no compiler, it fails, or the library's folder cannot be written.
     """
     command = compiler_command(target)
-    system = target or sys.platform
-    more = [] if "win" in system and "darwin" not in system else ["-fPIC", "-lm", "-lpthread"]
-    if "macos" not in system and "darwin" not in system:
-        more.append("-s")  # symbols and lines of the source are most of ziglang's library
     try:
         folder = tempfile.mkdtemp(prefix=".library-", dir=library.parent)
     except OSError as error:
@@ -146,7 +146,8 @@ def compile_library(
             f"is the installed wrenchbook, reinstall it ({error})"
         ) from error
     made = Path(folder) / library.name
-    whole = [*command, *flags, "-shared", "-o", str(made), *map(str, files), *more]
+    whole = [*command, *flags, "-shared", "-o", str(made), *map(str, files)]
+    whole += _link_options(library.name, target)
     try:
         ran = subprocess.run(whole, capture_output=True, text=True, timeout=COMPILE_S, check=False)
         if ran.returncode or not made.is_file():
@@ -159,6 +160,18 @@ def compile_library(
         raise KernelBuildError(f"{command[0]} could not compile {library.name}: {error}") from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _link_options(name: str, target: str | None) -> list[str]:
+    """Return the linker's options for a library of this name."""
+    system = target or sys.platform
+    apple = "macos" in system or "darwin" in system
+    more = ["-fPIC", "-lm", "-lpthread"] if apple or "win" not in system else []
+    if apple:  # else the library holds the path that it is compiled at
+        more.append(f"-Wl,-install_name,@rpath/{name}")
+    if target is not None or not apple:  # Apple's own linker strips no library
+        more.append("-s")  # symbols, lines and paths of the source are most of ziglang's library
+    return more
 
 
 if __name__ == "__main__":

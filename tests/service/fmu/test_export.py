@@ -97,7 +97,7 @@ def test_without_a_compiler_the_fmu_holds_sources_that_compile_elsewhere(
         patch.delenv("CC", raising=False)
         patch.setattr(export.build.importlib.util, "find_spec", lambda name: None)
         made = make_fmu("plate-2", packed(table))
-    assert made.platform == ""
+    assert made.platforms == ()
     found = Opened(made, tmp_path)
     assert not (found.folder / "binaries").exists()
     sources = found.folder / "sources"
@@ -179,7 +179,7 @@ def test_the_command_downloads_the_table_and_writes_the_fmu(tmp_path, capsys):
         run(["export", "1rig", str(path), "--server", client.url, "--method", "griddata"])
         assert "griddata" in capsys.readouterr().out
         there = client.displacements("1rig", wrenches * 0.5, on_thin="estimate", method="griddata")
-    with Opened(Fmu(path.read_bytes(), "", ""), tmp_path, "again").running() as instance:
+    with Opened(Fmu(path.read_bytes(), (), ""), tmp_path, "again").running() as instance:
         instance.setReal(LOADS, wrenches[0] * 0.5)
         told = instance.getReal(OUTPUTS)
     np.testing.assert_allclose(told, there.displacements[0], rtol=0, atol=1e-12)
