@@ -96,7 +96,8 @@ _Note = Annotated[str | None, typer.Option(help="a note to store with the import
 _Written = Annotated[
     Path,
     typer.Argument(
-        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .mat, .wbt or .fmu file; - prints CSV"
+        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .mat, .wbt, .fmu or .zip file; - prints "
+        "CSV"
     ),
 ]
 _Method = Annotated[
@@ -174,16 +175,19 @@ def export_table(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Write a table to a file; its ending chooses the format. A .fmu runs in simulation tools."""
-    printed, fmu = str(file) == "-", file.suffix.lower() == ".fmu"
-    if not fmu and (method is not None or platforms is not None):
+    """Write a table to a file; its ending chooses the format. A .fmu runs in simulation tools.
+
+    A .zip holds the C library that answers from the table: sources, example and CMakeLists.txt.
+    """
+    printed, ending = str(file) == "-", file.suffix.lower()
+    if ending != ".fmu" and (method is not None or platforms is not None):
         raise typer.BadParameter(
-            "--method and --platforms are for .fmu files: other formats hold rows only"
+            "--method and --platforms are for .fmu files: other formats hold the table"
         )
     targets = _targets(platforms)
     if printed and as_json:
         raise typer.BadParameter("--json describes a written file: name one instead of -")
-    format_ = "csv" if printed else "packed" if fmu else table_format(file)
+    format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
     names = ("force", "moment", "translation", "rotation")
     pairs = zip(names, (force, moment, translation, rotation), strict=True)
     units = {quantity: unit for quantity, unit in pairs if unit is not None}
@@ -194,7 +198,9 @@ def export_table(
         return
     content = content.encode() if isinstance(content, str) else content
     message = f"{file} written."
-    if fmu:
+    if ending == ".zip":
+        content = _c_library(name, content)
+    if ending == ".fmu":
         content, message = _fmu(file, name, content, method, targets)
     write_whole_bytes(file, content)
     report = {"file": file, "bytes": len(content), "message": message}
@@ -227,6 +233,14 @@ def _fmu(
         "compiler for a platform of FMI 2.0. Tools that compile sources can use it; or install "
         "gcc, or name a compiler with CC=..., and export again."
     )
+
+
+def _c_library(name: str, table: bytes) -> bytes:
+    """Return a zip of a packed table and the C library that answers from it."""
+    from wrenchbook.service.fmu.library import make_library
+    from wrenchbook.surrogate.kernel.binding import PackedTable
+
+    return make_library(name, PackedTable.from_bytes(table))
 
 
 def withdraw(

@@ -189,6 +189,7 @@ def _add_structure(root: ElementTree.Element, space: Space) -> None:
 
 # Those of the kernel, whose numbers an FMU has to the last bit.
 FLAGS = tuple(flag for flag in build.FLAGS if flag != "-DWB_SHARED")
+OPTIONS = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")))  # for a CMakeLists.txt
 # Folders of binaries: the ending, and the keys of `build.PLATFORMS` whose code each file holds.
 # FMI 2.0 has one name for both processors of macOS, and none for arm64 Linux: that is FMI 3.0's.
 PLATFORMS = {
@@ -313,7 +314,7 @@ def make_fmu(
     binaries = _named_binaries(platforms) if platforms else _own_binary()
     for place, content in binaries.items():
         parts[f"binaries/{place}/{identifier_of(component)}{PLATFORMS[place][0]}"] = content
-    return Fmu(_zipped(parts), tuple(binaries), used)
+    return Fmu(zipped(parts), tuple(binaries), used)
 
 
 def _own_binary() -> dict[str, bytes]:
@@ -380,8 +381,7 @@ def _source_paths() -> list[Path]:
 
 
 def _sources(identifier: str) -> dict[str, bytes]:
-    options = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")))
-    cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=options)
+    cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=OPTIONS)
     found = {f"sources/{path.name}": path.read_bytes() for path in _source_paths()}
     return found | {"sources/CMakeLists.txt": cmake.encode()}
 
@@ -396,7 +396,8 @@ def _compiled(ending: str, target: str | None = None) -> bytes:
         return library.read_bytes()
 
 
-def _zipped(parts: dict[str, bytes]) -> bytes:
+def zipped(parts: dict[str, bytes]) -> bytes:
+    """Return a zip of files by name; the same files give the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in parts.items():

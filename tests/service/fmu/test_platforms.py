@@ -142,7 +142,7 @@ def test_without_ziglang_platforms_are_refused_before_the_server_is_called(monke
     assert "pip install ziglang" in str(run.exception)
 
 
-def test_platforms_are_refused_for_files_that_hold_rows_only(tmp_path):
+def test_platforms_are_refused_for_other_files(tmp_path):
     run = CliRunner().invoke(app, ["export", "bar", str(tmp_path / "t.csv"), "--platforms", "all"])
     assert run.exit_code == 2
     assert "--platforms are for .fmu files" in " ".join(run.output.split())
