@@ -36,7 +36,7 @@ class CustomBuildHook(BuildHookInterface):
             target = build.PLATFORMS[platform]
             library = Path(self.directory) / platform / build.library_path(_system(target)).name
             library.parent.mkdir(parents=True, exist_ok=True)
-            build.compile_library(library, target)
+            build.compile_kernel(library, target)
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{platform}"
         if version != "editable":  # an editable install reads the checkout

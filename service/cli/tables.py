@@ -96,11 +96,20 @@ _Note = Annotated[str | None, typer.Option(help="a note to store with the import
 _Written = Annotated[
     Path,
     typer.Argument(
-        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .mat, .wbt or .fmu file; - prints CSV"
+        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .mat, .wbt, .fmu or .zip file; - prints "
+        "CSV"
     ),
 ]
 _Method = Annotated[
     str | None, typer.Option(help="with .fmu: its interpolation; by default the table's")
+]
+_Platforms = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LIST",
+        help="with .fmu: all, or names of linux64,aarch64-linux,win64,darwin64, compiled by "
+        "ziglang; by default this machine",
+    ),
 ]
 _Version = Annotated[
     int | None, typer.Option(help="an earlier version of the table; by default the newest")
@@ -156,6 +165,7 @@ def export_table(
     name: Name,
     file: _Written,
     method: _Method = None,
+    platforms: _Platforms = None,
     force: _Unit = None,
     moment: _Unit = None,
     translation: _Unit = None,
@@ -165,13 +175,19 @@ def export_table(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Write a table to a file; its ending chooses the format. A .fmu runs in simulation tools."""
-    printed, fmu = str(file) == "-", file.suffix.lower() == ".fmu"
-    if method is not None and not fmu:
-        raise typer.BadParameter("--method is for .fmu files: other formats hold rows only")
+    """Write a table to a file; its ending chooses the format. A .fmu runs in simulation tools.
+
+    A .zip holds the C library that answers from the table: sources, example and CMakeLists.txt.
+    """
+    printed, ending = str(file) == "-", file.suffix.lower()
+    if ending != ".fmu" and (method is not None or platforms is not None):
+        raise typer.BadParameter(
+            "--method and --platforms are for .fmu files: other formats hold the table"
+        )
+    targets = _targets(platforms)
     if printed and as_json:
         raise typer.BadParameter("--json describes a written file: name one instead of -")
-    format_ = "csv" if printed else "packed" if fmu else table_format(file)
+    format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
     names = ("force", "moment", "translation", "rotation")
     pairs = zip(names, (force, moment, translation, rotation), strict=True)
     units = {quantity: unit for quantity, unit in pairs if unit is not None}
@@ -182,27 +198,49 @@ def export_table(
         return
     content = content.encode() if isinstance(content, str) else content
     message = f"{file} written."
-    if fmu:
-        content, message = _fmu(file, name, content, method)
+    if ending == ".zip":
+        content = _c_library(name, content)
+    if ending == ".fmu":
+        content, message = _fmu(file, name, content, method, targets)
     write_whole_bytes(file, content)
     report = {"file": file, "bytes": len(content), "message": message}
     print_json(report) if as_json else out.print(message)
 
 
-def _fmu(file: Path, name: str, table: bytes, method: str | None) -> tuple[bytes, str]:
+def _targets(platforms: str | None) -> tuple[str, ...]:
+    """Return the platforms named, checked before a server is called or started."""
+    if platforms is None:
+        return ()
+    from wrenchbook.service.fmu.export import platforms_of
+
+    return platforms_of(platforms)
+
+
+def _fmu(
+    file: Path, name: str, table: bytes, method: str | None, platforms: tuple[str, ...]
+) -> tuple[bytes, str]:
     """Return the FMU of a packed table and a message; the server compiles nothing."""
     # Imported here: no other command needs the compiler.
     from wrenchbook.service.fmu.export import make_fmu
     from wrenchbook.surrogate.kernel.binding import PackedTable
 
-    made = make_fmu(name, PackedTable.from_bytes(table), method)
-    if made.platform:
-        return made.content, f"{file} written: FMI 2.0, {made.platform}, method {made.method}."
+    made = make_fmu(name, PackedTable.from_bytes(table), method, platforms)
+    if made.platforms:
+        built = ", ".join(made.platforms)
+        return made.content, f"{file} written: FMI 2.0, {built}, method {made.method}."
     return made.content, (
         f"{file} written: FMI 2.0, method {made.method}, sources only, since this machine has no C "
         "compiler for a platform of FMI 2.0. Tools that compile sources can use it; or install "
         "gcc, or name a compiler with CC=..., and export again."
     )
+
+
+def _c_library(name: str, table: bytes) -> bytes:
+    """Return a zip of a packed table and the C library that answers from it."""
+    from wrenchbook.service.fmu.library import make_library
+    from wrenchbook.surrogate.kernel.binding import PackedTable
+
+    return make_library(name, PackedTable.from_bytes(table))
 
 
 def withdraw(

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import platform
 import re
-import shutil
-import subprocess
+import struct
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
+from wrenchbook.surrogate.kernel import build
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.kernel.build import COMPILERS
-from wrenchbook.surrogate.kernel.build import FLAGS as KERNEL_FLAGS
-from wrenchbook.surrogate.kernel.build import sources as kernel_sources
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Space
 
 _NO_PART = "wb_joint.c"  # of the kernel: no FMU has a joint
@@ -31,7 +27,7 @@ _NO_PART = "wb_joint.c"  # of the kernel: no FMU has a joint
 
 def _kernel_sources() -> list[Path]:
     """Return the kernel's sources and headers that an FMU has, by name."""
-    return sorted(path for path in kernel_sources() if path.name != _NO_PART)
+    return sorted(path for path in build.sources() if path.name != _NO_PART)
 
 
 SOURCES = (
@@ -192,13 +188,24 @@ def _add_structure(root: ElementTree.Element, space: Space) -> None:
 
 
 # Those of the kernel, whose numbers an FMU has to the last bit.
-FLAGS = (*(flag for flag in KERNEL_FLAGS if flag != "-DWB_SHARED"), "-fPIC", "-shared")
-COMPILE_S = 120.0  # it takes about four seconds
+FLAGS = tuple(flag for flag in build.FLAGS if flag != "-DWB_SHARED")
+OPTIONS = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")))  # for a CMakeLists.txt
+# Folders of binaries: the ending, and the keys of `build.PLATFORMS` whose code each file holds.
+# FMI 2.0 has one name for both processors of macOS, and none for arm64 Linux: that is FMI 3.0's.
 PLATFORMS = {
-    ("Linux", "x86_64"): ("linux64", ".so"),
-    ("Darwin", "x86_64"): ("darwin64", ".dylib"),
-    ("Darwin", "arm64"): ("darwin64", ".dylib"),
+    "linux64": (".so", ("manylinux_2_28_x86_64",)),
+    "aarch64-linux": (".so", ("manylinux_2_28_aarch64",)),
+    "win64": (".dll", ("win_amd64",)),
+    "darwin64": (".dylib", ("macosx_11_0_x86_64", "macosx_11_0_arm64")),
 }
+_MACHINES = {
+    ("Linux", "x86_64"): "linux64",
+    ("Linux", "aarch64"): "aarch64-linux",
+    ("Darwin", "x86_64"): "darwin64",
+    ("Darwin", "arm64"): "darwin64",
+}
+_FAT_MAGIC = 0xCAFEBABE  # of a universal Mach-O; its header is big-endian (mach-o/fat.h)
+_FAT_ALIGNMENT = 14  # slices begin at multiples of 2^14 bytes, the page of arm64 macOS
 _HEADERS = ("fmu.h", "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 _DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip holds: the same table gives the same file
 _CMAKE = """\
@@ -216,12 +223,12 @@ endif()
 """
 
 
+class UnknownPlatformError(ValueError):
+    """A platform that FMUs have no binary for; the message lists those there are."""
+
+
 class NotExportableError(ValueError):
     """A table that no FMU can hold; the message has the reason and the remedy."""
-
-
-class CompilerError(RuntimeError):
-    """A compiler that did not compile the FMU; carries its output."""
 
 
 @dataclass(frozen=True)
@@ -232,34 +239,51 @@ class Fmu:
     ----------
     content : bytes
         The zip file.
-    platform : str
-        What its binary runs on, such as ``linux64``; empty if it holds sources only.
+    platforms : tuple of str
+        What its binaries run on, of `PLATFORMS`; empty if it holds sources only.
     method : str
         How it answers.
     """
 
     content: bytes
-    platform: str
+    platforms: tuple[str, ...]
     method: str
 
 
-def find_compiler() -> str | None:
-    """Return the C compiler: `CC` of the environment, else the first of `COMPILERS`."""
-    named = os.environ.get("CC", "").split()
-    return (
-        shutil.which(named[0]) if named else next(filter(None, map(shutil.which, COMPILERS)), None)
-    )
+def platforms_of(text: str) -> tuple[str, ...]:
+    """Return the platforms that a list names: ``all``, or names of `PLATFORMS` with commas.
+
+    Raises
+    ------
+    UnknownPlatformError
+        If there is no such platform.
+    KernelBuildError
+        If ziglang, which compiles for them, is not installed.
+    """
+    names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+    names = tuple(PLATFORMS) if names == ("all",) else names
+    unknown = [name for name in names if name not in PLATFORMS]
+    if unknown:
+        raise UnknownPlatformError(
+            f"{', '.join(map(repr, unknown))}: no such platform; there are all, "
+            f"{', '.join(PLATFORMS)}"
+        )
+    build.compiler_command(next(iter(build.PLATFORMS.values())))  # any: one compiler makes all
+    return names
 
 
-def make_fmu(component: str, table: PackedTable, method: str | None = None) -> Fmu:
+def make_fmu(
+    component: str, table: PackedTable, method: str | None = None, platforms: Sequence[str] = ()
+) -> Fmu:
     """Return the FMU of a component's table.
-
-    Without a compiler, or on a platform that FMI 2.0 does not name, it holds sources only.
 
     Parameters
     ----------
     method : str, optional
         One of `METHODS`; the table's default otherwise.
+    platforms : sequence of str, names of `PLATFORMS`
+        What ziglang compiles for; if empty, the machine's compiler compiles for this machine.
+        Without a compiler, or on a machine without a name, the FMU then holds sources only.
 
     Raises
     ------
@@ -267,8 +291,8 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
         If there is no such method, or the table does not answer by it.
     NotExportableError
         If the table has no rows within its load range.
-    CompilerError
-        If the compiler fails.
+    KernelBuildError
+        If the compiler fails, or platforms are named and there is no ziglang.
     """
     if method is not None and method not in METHODS:
         raise UnknownMethodError(method)
@@ -287,13 +311,40 @@ def make_fmu(component: str, table: PackedTable, method: str | None = None) -> F
         "resources/model.txt": f"{guid}\n{number}\n{zeros}\n".encode(),
         **_sources(identifier_of(component)),
     }
-    place = PLATFORMS.get((platform.system(), platform.machine()))
-    compiler = find_compiler()
-    if place is not None and compiler is not None:
-        name = f"binaries/{place[0]}/{identifier_of(component)}{place[1]}"
-        parts[name] = _compiled(compiler, place[1])
-    built = place[0] if place is not None and compiler is not None else ""
-    return Fmu(_zipped(parts), built, used)
+    binaries = _named_binaries(platforms) if platforms else _own_binary()
+    for place, content in binaries.items():
+        parts[f"binaries/{place}/{identifier_of(component)}{PLATFORMS[place][0]}"] = content
+    return Fmu(zipped(parts), tuple(binaries), used)
+
+
+def _own_binary() -> dict[str, bytes]:
+    """Return this machine's binary by its platform; none without a compiler or a name."""
+    place = _MACHINES.get((platform.system(), platform.machine()))
+    try:
+        build.compiler_command()
+    except build.KernelBuildError:
+        return {}
+    return {} if place is None else {place: _compiled(PLATFORMS[place][0])}
+
+
+def _named_binaries(platforms: Sequence[str]) -> dict[str, bytes]:
+    found = {}
+    for place in platforms:
+        ending, parts = PLATFORMS[place]
+        slices = [_compiled(ending, build.PLATFORMS[part]) for part in parts]
+        found[place] = slices[0] if len(slices) == 1 else universal(slices)
+    return found
+
+
+def universal(slices: Sequence[bytes]) -> bytes:
+    """Return a universal Mach-O of the libraries of several processors."""
+    header = struct.pack(">2I", _FAT_MAGIC, len(slices))
+    content, size = b"", 1 << _FAT_ALIGNMENT  # the header has the first page
+    for part in slices:
+        processor = struct.unpack_from("<2I", part, 4)  # type and subtype
+        header += struct.pack(">5I", *processor, size + len(content), len(part), _FAT_ALIGNMENT)
+        content += part + bytes(-len(part) % size)
+    return header.ljust(size, b"\0") + content
 
 
 def _check_rows(table: PackedTable) -> None:
@@ -322,40 +373,31 @@ def _made_by() -> str:
         return "wrenchbook"
 
 
-def _sources(identifier: str) -> dict[str, bytes]:
-    folder = files(__package__ or "wrenchbook.service.fmu") / "c"
+def _source_paths() -> list[Path]:
+    """Return the files that an FMU is compiled from: C sources and headers."""
+    folder = Path(__file__).parent / "c"
     own = [name for name in SOURCES if name.startswith("fmu_")]
-    found = {f"sources/{name}": (folder / name).read_bytes() for name in (*own, *_HEADERS)}
-    found |= {f"sources/{path.name}": path.read_bytes() for path in _kernel_sources()}
-    options = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")) and flag != "-fPIC")
-    cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=options)
+    return [*(folder / name for name in (*own, *_HEADERS)), *_kernel_sources()]
+
+
+def _sources(identifier: str) -> dict[str, bytes]:
+    cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=OPTIONS)
+    found = {f"sources/{path.name}": path.read_bytes() for path in _source_paths()}
     return found | {"sources/CMakeLists.txt": cmake.encode()}
 
 
 @cache  # what differs between FMUs is their table: the library is the same
-def _compiled(compiler: str, ending: str) -> bytes:
-    """Return the compiled library."""
+def _compiled(ending: str, target: str | None = None) -> bytes:
+    """Return the compiled library of a target of ziglang, or of this machine."""
+    paths = [path for path in _source_paths() if path.suffix == ".c"]
     with tempfile.TemporaryDirectory(prefix="wrenchbook-fmu-") as name:
-        folder = Path(name)
-        for path, content in _sources("fmu").items():
-            (folder / Path(path).name).write_bytes(content)
-        library = folder / f"fmu{ending}"
-        command = [compiler, *FLAGS, "-o", str(library), *SOURCES, "-lm", "-lpthread"]
-        try:
-            ran = subprocess.run(
-                command, cwd=folder, capture_output=True, text=True, timeout=COMPILE_S, check=False
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise CompilerError(f"{compiler} could not compile the FMU: {error}") from error
-        if ran.returncode or not library.is_file():
-            raise CompilerError(
-                f"{compiler} could not compile the FMU; name another compiler with CC=...\n"
-                f"{ran.stderr.strip()[-2000:]}"
-            )
+        library = Path(name) / f"fmu{ending}"
+        build.compile_library(library, paths, (*FLAGS, f"-I{build.FOLDER}"), target)
         return library.read_bytes()
 
 
-def _zipped(parts: dict[str, bytes]) -> bytes:
+def zipped(parts: dict[str, bytes]) -> bytes:
+    """Return a zip of files by name; the same files give the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in parts.items():

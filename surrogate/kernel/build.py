@@ -1,4 +1,4 @@
-"""Compile the kernel: by the machine's C compiler, else by the `ziglang` wheel.
+"""Compile the kernel, and FMUs: by the machine's C compiler, else by the `ziglang` wheel.
 
 Only the standard library is needed, since the wheel's build hook runs this file by itself.
 """
@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
@@ -36,10 +37,14 @@ NO_COMPILER = (
     "gcc, or `pip install ziglang`), then run `python -m wrenchbook.surrogate.kernel.build` in the "
     "checkout"
 )
+NO_ZIGLANG = (
+    "a library for a named platform is compiled by ziglang, which is not installed: "
+    "`pip install ziglang`, then run the command again"
+)
 
 
 class KernelBuildError(RuntimeError):
-    """A kernel that could not be compiled; the text says why and what to do."""
+    """A library that could not be compiled; the text says why and what to do."""
 
 
 def library_path(system: str = sys.platform) -> Path:
@@ -76,7 +81,7 @@ def ready_library() -> Path:
     """
     library = library_path()
     if not is_current(library):
-        compile_library(library)
+        compile_kernel(library)
     return library
 
 
@@ -101,49 +106,74 @@ def compiler_command(target: str | None = None) -> list[str]:
         if found is not None:
             return [found]
     if importlib.util.find_spec("ziglang") is None:
-        raise KernelBuildError(NO_COMPILER)
+        raise KernelBuildError(NO_COMPILER if target is None else NO_ZIGLANG)
     zig = [sys.executable, "-m", "ziglang", "cc"]
     return zig if target is None else [*zig, "-target", target]
 
 
-def compile_library(library: Path, target: str | None = None) -> None:
-    """Compile the kernel to a file that is complete or not there.
+def compile_kernel(library: Path, target: str | None = None) -> None:
+    """Compile the kernel to a file that is complete or not there; errors as `compile_library`."""
+    files = [path for path in sources() if path.suffix == ".c"]
+    name = f'-DWB_SOURCES="wb:{sources_hash()}"'
+    compile_library(library, files, (*FLAGS, name), target)
+
+
+def compile_library(
+    library: Path, files: Iterable[Path], flags: Iterable[str], target: str | None = None
+) -> None:
+    """Compile C sources to a shared library, a file that is complete or not there.
+
+    Parameters
+    ----------
+    library
+        What is written.
+    files, flags
+        The C files, and the compiler's options.
+    target
+        What ziglang is to compile for, as `PLATFORMS` has it; None for this machine.
 
     Raises
     ------
     KernelBuildError
-        If there is no compiler, or it fails.
+        If there is no compiler, it fails, or the library's folder cannot be written.
     """
     command = compiler_command(target)
-    system = target or sys.platform
-    more = [] if "win" in system and "darwin" not in system else ["-fPIC", "-lm", "-lpthread"]
-    if "macos" not in system and "darwin" not in system:
-        more.append("-s")  # symbols and lines of the source are most of ziglang's library
-    files = [str(path) for path in sources() if path.suffix == ".c"]
     try:
-        folder = tempfile.mkdtemp(prefix=".kernel-", dir=library.parent)
+        folder = tempfile.mkdtemp(prefix=".library-", dir=library.parent)
     except OSError as error:
         raise KernelBuildError(
-            f"wrenchbook's kernel {library.name} does not fit this installation and "
-            f"{library.parent} cannot be written: reinstall wrenchbook ({error})"
+            f"{library.name} cannot be compiled, since {library.parent} cannot be written; if that "
+            f"is the installed wrenchbook, reinstall it ({error})"
         ) from error
     made = Path(folder) / library.name
-    name = f'-DWB_SOURCES="wb:{sources_hash()}"'
-    whole = [*command, *FLAGS, name, "-shared", "-o", str(made), *files, *more]
+    whole = [*command, *flags, "-shared", "-o", str(made), *map(str, files)]
+    whole += _link_options(library.name, target)
     try:
         ran = subprocess.run(whole, capture_output=True, text=True, timeout=COMPILE_S, check=False)
         if ran.returncode or not made.is_file():
             raise KernelBuildError(
-                f"{command[0]} could not compile wrenchbook's kernel; name another compiler with "
+                f"{command[0]} could not compile {library.name}; name another compiler with "
                 f"CC=...\n{ran.stderr.strip()[-2000:]}"
             )
         made.replace(library)
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise KernelBuildError(f"{command[0]} could not compile the kernel: {error}") from error
+        raise KernelBuildError(f"{command[0]} could not compile {library.name}: {error}") from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def _link_options(name: str, target: str | None) -> list[str]:
+    """Return the linker's options for a library of this name."""
+    system = target or sys.platform
+    apple = "macos" in system or "darwin" in system
+    more = ["-fPIC", "-lm", "-lpthread"] if apple or "win" not in system else []
+    if apple:  # else the library holds the path that it is compiled at
+        more.append(f"-Wl,-install_name,@rpath/{name}")
+    if target is not None or not apple:  # Apple's own linker strips no library
+        more.append("-s")  # symbols, lines and paths of the source are most of ziglang's library
+    return more
+
+
 if __name__ == "__main__":
-    compile_library(library_path())
+    compile_kernel(library_path())
     print(library_path())

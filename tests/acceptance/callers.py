@@ -174,10 +174,10 @@ def told_by_kernel(table: PackedTable, asked: Question) -> dict[str, Said]:
 class Program:
     """The C program ask.c, linked with the library; FMUs are compiled with the sources."""
 
-    def __init__(self, compiler: str, folder: Path) -> None:
+    def __init__(self, compiler: list[str], folder: Path) -> None:
         self.path = folder / "ask"
         own, library = Path(__file__).with_name("ask.c"), kernel_build.ready_library()
-        command = [compiler, "-std=c11", "-Wall", "-Werror", f"-I{kernel_build.FOLDER}"]
+        command = [*compiler, "-std=c11", "-Wall", "-Werror", f"-I{kernel_build.FOLDER}"]
         command += ["-o", str(self.path), str(own), str(library), f"-Wl,-rpath,{library.parent}"]
         subprocess.run(command, check=True)
 

@@ -33,7 +33,7 @@ from tests.surrogate.kernel.kinds import SIGMA, SIGMA_AT_ROWS, asked_of, assert_
 from tests.surrogate.law import build
 from tests.surrogate.softening import SOFT, column
 from wrenchbook.service.client import Client, Scene, Table
-from wrenchbook.service.fmu.export import NotExportableError, find_compiler, make_fmu
+from wrenchbook.service.fmu.export import NotExportableError, make_fmu
 from wrenchbook.service.ops.backup import back_up
 from wrenchbook.service.ops.restore import restore
 from wrenchbook.surrogate.answer import METHODS
@@ -200,8 +200,7 @@ def assert_numpy(
 @pytest.fixture(scope="module")
 def program(tmp_path_factory) -> Program:
     """The C program that answers from any table."""
-    need_compiler()
-    return Program(find_compiler() or "", tmp_path_factory.mktemp("program"))
+    return Program(need_compiler(), tmp_path_factory.mktemp("program"))
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.fmu.made import opened, solved, wrenches_of
-from wrenchbook.service.fmu.export import find_compiler
+from tests.service.fmu.made import need_compiler, opened, solved, wrenches_of
 
 DRIVER = Path(__file__).parents[1] / "service" / "fmu" / "rate.c"
 TARGET = 100_000  # a second
@@ -20,7 +19,7 @@ def test_an_fmu_makes_a_hundred_thousand_evaluations_a_second(tmp_path, name, me
     program, wrenches = tmp_path / "rate", tmp_path / "wrenches.bin"
     wrenches_of(table, 10_000).astype("<f8").tofile(wrenches)
     headers = f"-I{fmu.folder / 'sources'}"
-    command = [find_compiler(), "-O2", headers, "-o", str(program), str(DRIVER), "-ldl"]
+    command = [*need_compiler(), "-O2", headers, "-o", str(program), str(DRIVER), "-ldl"]
     subprocess.run(command, check=True, timeout=60)
     resources = (fmu.folder / "resources").as_uri()
     words = [str(program), str(fmu.library), resources, fmu.guid, str(wrenches), "1"]

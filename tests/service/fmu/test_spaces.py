@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import zipfile
+from io import BytesIO
+
 import numpy as np
 import pytest
 
-from tests.service.fmu.made import opened, packed
+from tests.service.fmu.made import need_compiler, opened, packed
 from tests.surrogate.test_space import range_of, solved
+from wrenchbook.service.fmu.library import make_library
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import Input, space_of
@@ -65,3 +70,21 @@ def test_each_tolerance_judges_the_outputs_of_its_kind_at_every_interface(fmu, t
             instance.setReal(list(INPUTS), wrench)
             expected = own.batch(wrench[None], limits).coverage
             assert instance.getInteger([COVERAGE]) == expected.tolist()
+
+
+def test_the_exported_librarys_example_answers_all_inputs(table, tmp_path):
+    known = packed(table)
+    with zipfile.ZipFile(BytesIO(make_library("ends", known))) as archive:
+        archive.extractall(tmp_path)
+    lines = [line.strip() for line in (tmp_path / "README.txt").read_text().splitlines()]
+    build_line, run_line = (
+        next(line for line in lines if line.startswith(word)) for word in ("cc ", "./example ")
+    )
+    line = " ".join([*need_compiler(), build_line.removeprefix("cc ")])
+    subprocess.run(line, shell=True, cwd=tmp_path, check=True, timeout=200)
+    ran = subprocess.run(
+        run_line, shell=True, cwd=tmp_path, check=True, timeout=60, capture_output=True, text=True
+    )
+    reply = known.answer([*[1.0] * (N - 1), SPACE.inputs[-1].zero])
+    answered = [float(line.split()[0]) for line in ran.stdout.splitlines()[1:]]
+    assert tuple(answered) == reply.outputs

@@ -190,8 +190,7 @@ def test_the_readmes_program_has_the_bits_of_python(program_text, tmp_path, lang
         lines = [line.split() for line in ran.stdout.decode().splitlines()]
         reply = packed.answer(wrench)
         assert lines[0] == [reply.coverage, reply.method]
-        outputs = tuple(float.fromhex(line[0]) for line in lines[1:])
-        errors = tuple(float.fromhex(line[1]) for line in lines[1:])
+        outputs, errors = zip(*(map(float, line) for line in lines[1:]), strict=True)
         assert outputs == reply.outputs
         unknown = reply.error is None and np.isnan(errors).all()
         assert unknown or errors == reply.error

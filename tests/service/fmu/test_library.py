@@ -1,0 +1,198 @@
+"""The exported C library, and the examples in C++ and C# that use it."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.service.fmu.made import need_compiler, packed, solved, wrenches_of
+from tests.service.stub_server import Answer, running_stub
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.fmu import library
+from wrenchbook.service.fmu.library import make_library
+from wrenchbook.surrogate.kernel import build as kernel_build
+from wrenchbook.surrogate.packed.writer import pack
+
+ROOT = Path(__file__).parents[3]
+SCENES = ROOT / "data" / "scenes"
+HEADER = (kernel_build.FOLDER / "wrenchbook.h").read_text()
+
+
+@pytest.fixture(scope="module")
+def table():
+    return solved("plate_thin", 18, 20)
+
+
+@pytest.fixture(scope="module")
+def folder(table, tmp_path_factory):
+    """The exported library, unpacked."""
+    found = tmp_path_factory.mktemp("library")
+    with zipfile.ZipFile(BytesIO(make_library("plate_thin", packed(table)))) as archive:
+        archive.extractall(found)
+    return found
+
+
+def run(program, *words):
+    ran = subprocess.run(
+        [str(program), *map(str, words)], capture_output=True, text=True, timeout=60, check=False
+    )
+    return ran.returncode, ran.stdout.splitlines(), ran.stderr
+
+
+def compiled(command, **more):
+    ran = subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, timeout=200, check=False, **more
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+
+
+def assert_answers_are_those_of_python(program, folder, table, mark=None):
+    """A program's displacements and error bars are the kernel's to the bit."""
+    known = packed(table)
+    for wrench in wrenches_of(table, 8, span=1.2).tolist():
+        code, lines, error = run(program, folder / "plate_thin.wbt", *map(repr, wrench))
+        assert code == 0, error
+        reply = known.answer(wrench)
+        assert lines[0].split()[0] == reply.coverage
+        pairs = [tuple(map(float, line.split(mark))) for line in lines[1:]]
+        assert tuple(pair[0] for pair in pairs) == reply.outputs
+        assert tuple(pair[1] for pair in pairs) == reply.error
+
+
+@pytest.mark.slow
+def test_the_library_compiles_by_the_readmes_line_and_has_the_bits_of_python(folder, table):
+    lines = [line.strip() for line in (folder / "README.txt").read_text().splitlines()]
+    compile_line = next(line for line in lines if line.startswith("cc "))
+    line = " ".join([*need_compiler(), compile_line.removeprefix("cc ")])
+    subprocess.run(line, shell=True, cwd=folder, check=True, timeout=200)
+    run_line = next(line for line in lines if line.startswith("./example "))
+    subprocess.run(run_line, shell=True, cwd=folder, check=True, timeout=60)
+    assert_answers_are_those_of_python(folder / "example", folder, table)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shared", ["OFF", "ON"])
+def test_cmake_builds_and_installs_the_library_with_the_bits_of_python(
+    folder, table, tmp_path, shared
+):
+    beside = Path(sys.executable).parent  # the wheel's
+    cmake = shutil.which("cmake", path=f"{beside}{os.pathsep}{os.environ['PATH']}")
+    if cmake is None or not any(map(shutil.which, ("make", "ninja"))):
+        pytest.skip("no cmake, or neither make nor ninja")
+    place = tmp_path / "build"
+    compiled([cmake, "-S", folder, "-B", place, f"-DBUILD_SHARED_LIBS={shared}"])
+    compiled([cmake, "--build", place])
+    assert_answers_are_those_of_python(place / "example", folder, table)
+    compiled([cmake, "--install", place, "--prefix", tmp_path / "out"])
+    found = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert found == {"wrenchbook.h", f"libwrenchbook.{'so' if shared == 'ON' else 'a'}"}
+
+
+@pytest.mark.slow
+def test_the_example_in_cpp_has_the_bits_of_python(folder, table, tmp_path):
+    compiler = shutil.which("g++")
+    if compiler is None:
+        pytest.skip("no g++")
+    objects = tmp_path / "objects"
+    objects.mkdir()
+    sources = [str(path) for path in (folder / "src").glob("*.c")]
+    flags = [flag for flag in kernel_build.FLAGS if flag != "-DWB_SHARED"]
+    compiled([*need_compiler(), *flags, f"-I{folder / 'include'}", "-c", *sources], cwd=objects)
+    program = tmp_path / "lookup"
+    warn = ["-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", f"-I{folder / 'include'}"]
+    source = SCENES / "lookup.cpp"
+    compiled([compiler, *warn, "-o", program, source, *objects.glob("*.o"), "-lm", "-lpthread"])
+    assert_answers_are_those_of_python(program, folder, table, "+-")
+    assert run(program, folder / "plate_thin.wbt", 1, 2)[::2] == (1, "the table has 6 loads\n")
+    code, _, error = run(program, folder / "README.txt", *"123456")
+    assert (code, "not a packed table" in error) == (1, True)
+
+
+def test_the_zip_holds_the_table_the_sources_and_the_header_of_the_kernel(folder, table):
+    assert (folder / "plate_thin.wbt").read_bytes() == b"".join(pack(table))
+    for path in kernel_build.sources():
+        place = "include" if path.name == "wrenchbook.h" else "src"
+        assert (folder / place / path.name).read_bytes() == path.read_bytes()
+    assert {path.name for path in folder.iterdir()} >= {"CMakeLists.txt", "example.c", "README.txt"}
+    texts = [(folder / name).read_text() for name in ("CMakeLists.txt", "README.txt")]
+    assert not re.search("@[A-Z]+@", "".join(texts))
+
+
+def test_the_same_table_gives_the_same_zip(table):
+    assert make_library("plate", packed(table)) == make_library("plate", packed(table))
+
+
+def test_the_page_on_c_shows_the_example_of_the_zip():
+    page = (ROOT / "data/docs/how-to/c.md").read_text()
+    assert page.split("```c\n")[1].split("```")[0] == (library._FILES / "example.c").read_text()
+
+
+def test_the_command_writes_the_library_and_describes_it_as_json(table, tmp_path):
+    path = tmp_path / "plate.zip"
+    with running_stub() as stub:
+        stub.answers(Answer(b"".join(pack(table)), kind="application/octet-stream"))
+        words = ["export", "plate", str(path), "--json", "--server", stub.url]
+        found = CliRunner().invoke(app, words)
+    assert found.exit_code == 0, found.output
+    assert f'"bytes": {path.stat().st_size}' in found.stdout
+    assert path.read_bytes() == make_library("plate", packed(table))
+
+
+C_SHARP = {"int32_t": "int", "int": "int", "int64_t": "long", "uint64_t": "ulong"}
+C_SHARP |= {"double": "double", "const double *": "double*"}
+
+
+def fields_of_header(name):
+    """Type, name and whether an array, of each field of a struct of wrenchbook.h."""
+    body = re.search(rf"typedef struct \{{([^}}]*)\}} {name};", HEADER)[1]
+    body = re.sub(r"/\*.*?\*/", "", body, flags=re.S)
+    found = []
+    for kind, words in re.findall(r"((?:const )?\w+ \*?)\s*([^;]+);", body):
+        for word in words.split(","):
+            short = re.sub(r"\[.*", "", word).strip()
+            found.append((C_SHARP.get(kind.strip(), kind.strip()), short, "[" in word))
+    return found
+
+
+def fields_of_csharp(name):
+    """The same of a struct of Lookup.cs."""
+    text = (SCENES / "Lookup.cs").read_text()
+    body = re.search(rf"internal struct {name}\s*\{{([^}}]*)\}}", text)[1]
+    found = []
+    for fixed, kind, words in re.findall(r"public (fixed )?(\S+) ([^;]+);", body):
+        names = (re.sub(r"\[.*", "", word).strip() for word in words.split(","))
+        found += [(kind, short, bool(fixed)) for short in names]
+    return found
+
+
+@pytest.mark.parametrize("name", ["options", "reason", "reply"])
+def test_the_structs_of_the_example_in_csharp_are_those_of_the_header(name):
+    there = fields_of_header(f"wb_{name}")
+    there = [("byte", *one[1:]) if one[0] == "wb_reason" else one for one in there]
+    assert fields_of_csharp(name.capitalize()) == there
+    assert len(there) > 1
+
+
+def test_the_entry_points_of_the_example_in_csharp_are_those_of_the_header():
+    text = (SCENES / "Lookup.cs").read_text()
+    declared = dict(re.findall(r"WB_API [^;(]*?(\w+)\(([^;]*?)\);", HEADER))
+    used = dict(re.findall(r"extern \w+ (\w+)\(\s*([^)]*)\);", text))
+    assert len(used) == 6
+    for name, parameters in used.items():
+        there = [re.sub(r".*\W", "", one.strip()) for one in declared[name].split(",")]
+        assert [one.split()[-1] for one in parameters.split(",")] == there
+    assert set(re.findall(r"Native\.(wb_\w+)", text)) == set(used)
+
+
+def test_the_sizes_in_the_example_in_csharp_are_those_of_the_header():
+    text = (SCENES / "Lookup.cs").read_text()
+    most, reasons = re.search(r"WB_MOST = (\d+), WB_MOST_REASONS = (\d+)", HEADER).groups()
+    assert f"Most = {most}, MostReasons = {reasons};" in text
+    assert "reason[MostReasons * 32]" in text  # 4 x int32 and 2 x double

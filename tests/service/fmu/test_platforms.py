@@ -1,0 +1,159 @@
+"""An FMU with binaries of all platforms, compiled on one machine by ziglang."""
+
+import importlib.util
+import os
+import platform
+import re
+import struct
+import zipfile
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from typer.testing import CliRunner
+
+from tests.service.fmu import binaries
+from tests.service.fmu.made import BARS, LOADS, OUTPUTS, Opened, packed, solved, wrenches_of
+from tests.service.stub_server import Answer, running_stub
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.fmu import export
+from wrenchbook.service.fmu.export import PLATFORMS, make_fmu, platforms_of, universal
+from wrenchbook.surrogate.kernel.build import KernelBuildError
+from wrenchbook.surrogate.packed.writer import pack
+
+X86_64, ARM64 = 0x01000007, 0x0100000C  # processors of Mach-O
+LINKERS = {"__dso_handle", "_mh_dylib_header"}  # symbols that the linker of ziglang defines
+HEADER = Path(export.__file__).parent / "c" / "fmi2Functions.h"
+# Of FMI 2.0, for co-simulation and model exchange.
+FUNCTIONS = set(re.findall(r"^#define (fmi2\w+)\s+fmi2FullName", HEADER.read_text(), re.M))
+
+
+@pytest.fixture(scope="module")
+def table():
+    return solved("plate_thin", 18, 20)
+
+
+@pytest.fixture(scope="module")
+def fmu(table, tmp_path_factory):
+    """The FMU of all platforms, written by the command."""
+    if importlib.util.find_spec("ziglang") is None:
+        assert os.environ.get("CI") != "true", "ziglang is not installed"
+        pytest.skip("no ziglang")
+    folder = tmp_path_factory.mktemp("all")
+    path = folder / "plate_thin.fmu"
+    with running_stub() as stub:
+        stub.answers(Answer(b"".join(pack(table)), kind="application/octet-stream"))
+        words = ["export", "plate_thin", str(path), "--platforms", "all", "--server", stub.url]
+        run = CliRunner().invoke(app, words)
+    assert run.exit_code == 0, run.output
+    assert ", ".join(PLATFORMS) in " ".join(run.output.split())
+    return Opened(export.Fmu(path.read_bytes(), (), ""), folder, "plate_thin")
+
+
+def binary(fmu, place, ending):
+    return (fmu.folder / "binaries" / place / f"plate_thin{ending}").read_bytes()
+
+
+@pytest.mark.slow
+def test_fmpy_finds_nothing_to_object_to_in_an_fmu_of_all_platforms(fmu):
+    assert validate_fmu(str(fmu.path)) == []
+    assert {path.name for path in (fmu.folder / "binaries").iterdir()} == set(PLATFORMS)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    (platform.system(), platform.machine()) != ("Linux", "x86_64"), reason="runs linux64"
+)
+def test_the_linux_binary_of_ziglang_has_the_bits_of_the_kernel(fmu, table):
+    asked = wrenches_of(table, 50, span=1.2)
+    batch = packed(table).batch(asked)
+    with fmu.running() as instance:
+        for place, wrench in enumerate(asked):
+            instance.setReal(LOADS, wrench)
+            np.testing.assert_array_equal(instance.getReal(OUTPUTS), batch.outputs[place])
+            np.testing.assert_array_equal(instance.getReal(BARS), batch.errors[place])
+
+
+@pytest.mark.slow
+def test_the_arm_linux_binary_is_one_of_that_processor(fmu):
+    content = binary(fmu, "aarch64-linux", ".so")
+    assert content[:4] == b"\x7fELF"
+    assert struct.unpack_from("<H", content, 18)[0] == 183  # EM_AARCH64
+    assert all(name.encode() in content for name in FUNCTIONS)
+
+
+@pytest.mark.slow
+def test_the_windows_binary_exports_the_functions_of_fmi_and_no_others(fmu):
+    content = binary(fmu, "win64", ".dll")
+    assert binaries.pe_machine(content) == 0x8664
+    assert binaries.pe_exports(content) == FUNCTIONS
+
+
+@pytest.mark.slow
+def test_the_macos_binary_has_a_signed_slice_for_each_processor_with_the_functions_of_fmi(fmu):
+    slices = binaries.macho_slices(binary(fmu, "darwin64", ".dylib"))
+    assert [one.processor for one in slices] == [X86_64, ARM64]
+    for one in slices:
+        assert one.offset % 2**14 == 0
+        assert one.exponent == 14
+        assert struct.unpack_from("<I", one.content, 4)[0] == one.processor
+        assert binaries.macho_exports(one.content) - LINKERS == FUNCTIONS
+        assert binaries.macho_name(one.content) == "@rpath/fmu.dylib"
+    # macOS on arm64 loads no code without a signature.
+    kinds = [kind for kind, _ in binaries.macho_commands(slices[1].content)]
+    assert binaries.CODE_SIGNATURE in kinds
+
+
+@pytest.mark.slow
+def test_no_binary_holds_a_path_of_the_machine_that_compiled_it(fmu):
+    for place, (ending, _) in PLATFORMS.items():
+        content = binary(fmu, place, ending)
+        assert str(HEADER.parents[3]).encode() not in content
+        assert str(Path.home() / ".cache").encode() not in content
+
+
+def test_a_universal_file_holds_its_slices_as_they_were():
+    parts = [struct.pack("<3I", 0xFEEDFACF, kind, 3) + bytes(20000) for kind in (X86_64, ARM64)]
+    slices = binaries.macho_slices(universal(parts))
+    assert [one.content for one in slices] == parts
+    assert [one.offset for one in slices] == [2**14, 3 * 2**14]
+
+
+def test_an_unknown_platform_is_refused_with_those_there_are():
+    with pytest.raises(export.UnknownPlatformError, match=r"'amiga'.* all, linux64, aarch64-linux"):
+        platforms_of("linux64,amiga")
+
+
+def test_a_list_of_platforms_keeps_its_order_without_repetition(monkeypatch):
+    monkeypatch.setattr(export.build, "compiler_command", lambda target: ["zig"])
+    assert platforms_of("win64, linux64,win64") == ("win64", "linux64")
+    assert platforms_of("all") == tuple(PLATFORMS)
+
+
+def test_without_ziglang_platforms_are_refused_before_the_server_is_called(monkeypatch, tmp_path):
+    monkeypatch.setattr(export.build.importlib.util, "find_spec", lambda name: None)
+    with running_stub() as stub:
+        words = ["export", "bar", str(tmp_path / "bar.fmu"), "--platforms", "all"]
+        run = CliRunner().invoke(app, [*words, "--server", stub.url])
+        assert stub.seen == []
+    assert isinstance(run.exception, KernelBuildError)
+    assert "pip install ziglang" in str(run.exception)
+
+
+def test_platforms_are_refused_for_other_files(tmp_path):
+    run = CliRunner().invoke(app, ["export", "bar", str(tmp_path / "t.csv"), "--platforms", "all"])
+    assert run.exit_code == 2
+    assert "--platforms are for .fmu files" in " ".join(run.output.split())
+
+
+def test_an_fmu_of_this_machine_needs_no_ziglang(table, monkeypatch):
+    monkeypatch.setattr(export, "_compiled", lambda ending, target=None: repr(target).encode())
+    monkeypatch.setattr(export.build, "compiler_command", lambda target=None: ["cc"])
+    monkeypatch.setattr(export.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(export.platform, "machine", lambda: "x86_64")
+    made = make_fmu("plate", packed(table))
+    assert made.platforms == ("linux64",)
+    with zipfile.ZipFile(BytesIO(made.content)) as archive:
+        assert archive.read("binaries/linux64/plate.so") == b"None"
