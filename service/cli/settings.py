@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
-from pydantic import Field, ValidationError, create_model
+from pydantic import Field, TypeAdapter, ValidationError, create_model
 from pydantic.fields import FieldInfo
 from pydantic_settings import (
     BaseSettings,
@@ -97,7 +97,7 @@ def settings_of(
     fields = _fields(command)
     given = {name for name in fields if _was_given(ctx, name)}
     environment = _environment(fields)
-    here: Path = ctx.params["data"]
+    here = Path(ctx.params["data"])
     data = here if "data" in given else environment.get("data") or here
     file = config or Path(data) / FILE
     from_file = _read(file, fields, named=config is not None)
@@ -108,7 +108,10 @@ def settings_of(
     found = {}
     for name in fields:
         explicit = name in given
-        value = ctx.params[name] if explicit else getattr(values, name)
+        if explicit:  # as typer parsed it: a path is still its text
+            value = TypeAdapter(fields[name][0]).validate_python(ctx.params[name])
+        else:
+            value = getattr(values, name)
         found[name] = Setting(value, "command line" if explicit else origins[name])
     return found
 
