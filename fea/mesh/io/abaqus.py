@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, MeshFileError, Raw
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 
 Array = np.ndarray
-T = TypeVar("T")
 
 _SOLIDS = {"4": "tet4", "6": "wedge6", "8": "hex8", "10": "tet10", "15": "wedge15", "20": "hex20"}
 _SOLID = re.compile(r"C3D(\d+)[A-Z]*")
@@ -56,7 +54,7 @@ _MOST_MEMBERS = 20_000_000
 
 
 @dataclass
-class _Deck:
+class Deck:
     """What has been read so far; sets are keyed by their name in capitals, as solvers do."""
 
     nodes: dict[int, list[float]] = field(default_factory=dict)
@@ -81,27 +79,39 @@ def read_inp(path: Path) -> RawMesh:
     MeshFileError
         If a line cannot be understood, or nodes and elements come by a keyword that is not read.
     """
-    deck = _Deck()
+    return raw_mesh(parsed(path))
+
+
+def parsed(path: Path, *takers: Callable[[Deck, Keyword], None]) -> Deck:
+    """Return what a deck defines of a mesh; `takers` get each keyword after it.
+
+    Raises
+    ------
+    MeshFileError
+        As `read_inp` does.
+    """
+    deck = Deck()
     text = path.read_text(encoding="utf-8", errors="replace")
     for one in read_keywords(text):
         try:
-            _take(deck, one)
+            for take in (_take, *takers):
+                take(deck, one)
         except MeshFileError as error:
             raise one.wrong(error) from None
         except (ValueError, KeyError, IndexError, OverflowError) as error:
             raise one.wrong(f"cannot be read ({error})") from None
-    return _raw_mesh(deck)
+    return deck
 
 
-def _take(deck: _Deck, one: Keyword) -> None:
+def _take(deck: Deck, one: Keyword) -> None:
     if one.word in _REFUSED:
         raise MeshFileError(f"is not read; {_REFUSED[one.word]}")
-    taker = _TAKERS.get(one.word)
+    taker = TAKERS.get(one.word)
     if taker is not None:
         taker(deck, one)
 
 
-def _take_nodes(deck: _Deck, one: Keyword) -> None:
+def _take_nodes(deck: Deck, one: Keyword) -> None:
     if one.options.get("SYSTEM", "R").upper() != "R":
         raise MeshFileError("is in a system of its own; give global Cartesian coordinates")
     deck.node_lines.append((len(deck.nodes), one.line))
@@ -116,7 +126,7 @@ def _take_nodes(deck: _Deck, one: Keyword) -> None:
         _add(deck, deck.node_sets, one.frame, one.options["NSET"], labels)
 
 
-def _two_places(deck: _Deck, name: str, label: int, point: list[float]) -> str:
+def _two_places(deck: Deck, name: str, label: int, point: list[float]) -> str:
     """Say where the two nodes of one number are."""
     place = list(deck.nodes).index(label)
     line = next(line for first, line in reversed(deck.node_lines) if first <= place)
@@ -127,8 +137,8 @@ def _two_places(deck: _Deck, name: str, label: int, point: list[float]) -> str:
     )
 
 
-def _take_elements(deck: _Deck, one: Keyword) -> None:
-    kind = _kind(one.options["TYPE"].upper())
+def _take_elements(deck: Deck, one: Keyword) -> None:
+    kind = kind_of(one.options["TYPE"].upper())
     if kind is None:  # masses, springs, gaps: nothing of the mesh
         return
     columns = 1 + {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}[kind]
@@ -151,7 +161,8 @@ def _take_elements(deck: _Deck, one: Keyword) -> None:
         _add(deck, deck.element_sets, one.frame, one.options["ELSET"], labels)
 
 
-def _kind(name: str) -> str | None:
+def kind_of(name: str) -> str | None:
+    """Return what an element type is in a mesh; None for masses, springs and the like."""
     solid = _SOLID.fullmatch(name)
     if solid:
         return _known_solid(name, solid[1])
@@ -167,21 +178,21 @@ def _known_solid(name: str, nodes: str) -> str:
     return _SOLIDS[nodes]
 
 
-def _take_node_set(deck: _Deck, one: Keyword) -> None:
+def _take_node_set(deck: Deck, one: Keyword) -> None:
     entries = _members(deck, deck.node_sets, one)
     if "ELSET" in one.options:
-        for element in _named(deck, deck.element_sets, one.options["ELSET"], one.frame):
+        for element in named(deck, deck.element_sets, one.options["ELSET"], one.frame):
             block, row = deck.where[element]
             entries += deck.cells[block][row]
     _add(deck, deck.node_sets, one.frame, one.options["NSET"], entries)
 
 
-def _take_element_set(deck: _Deck, one: Keyword) -> None:
+def _take_element_set(deck: Deck, one: Keyword) -> None:
     entries = _members(deck, deck.element_sets, one)
     _add(deck, deck.element_sets, one.frame, one.options["ELSET"], entries)
 
 
-def _members(deck: _Deck, sets: dict[str, list[int]], one: Keyword) -> list[int]:
+def _members(deck: Deck, sets: dict[str, list[int]], one: Keyword) -> list[int]:
     """Return the numbers a set names: one by one, as start-end-step, or by other sets."""
     found: list[int] = []
     frame = one.frame
@@ -195,7 +206,7 @@ def _members(deck: _Deck, sets: dict[str, list[int]], one: Keyword) -> list[int]
             found += _few(range(first + offset, last + 1 + offset, step))
         else:
             for each in fields:
-                found += _named(deck, sets, each, frame)
+                found += named(deck, sets, each, frame)
                 _few(found)
     return found
 
@@ -207,44 +218,54 @@ def _few(entries: Sequence[int]) -> Sequence[int]:
     return entries
 
 
-def _named(deck: _Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> list[int]:
+def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> list[int]:
     """Return what a field names: a number, a set, or either of an instance as INSTANCE.NAME."""
     instance, _, last = name.rpartition(".")
-    if instance.upper() in deck.frames:
-        frame, name = deck.frames[instance.upper()], last
-    if name.lstrip("+-").isdigit():
-        return [frame.label(name)]
-    for key in (frame.key(name), name.upper()):
+    frame = deck.frames.get(instance.upper(), frame)
+    if last.lstrip("+-").isdigit() and (not instance or instance.upper() in deck.frames):
+        return [frame.label(last)]
+    return sets[set_key(deck, sets, name, frame)]
+
+
+def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> str:
+    """Return the key of a set that a field names, in the frame, else in the assembly.
+
+    Raises
+    ------
+    MeshFileError
+        If there is none.
+    """
+    instance, _, last = name.rpartition(".")
+    own = deck.frames.get(instance.upper())
+    for key in (own.key(last) if own else "", frame.key(name), name.upper()):
         if key in sets:
-            return sets[key]
+            return key
     raise MeshFileError(f'names a set "{name}" that is not defined above it')
 
 
-def _take_surface(deck: _Deck, one: Keyword) -> None:
+def _take_surface(deck: Deck, one: Keyword) -> None:
     by_node = one.options.get("TYPE", "ELEMENT").upper() == "NODE"
     own = one.options["NAME"]
     for name, *rest in one.rows:
         if by_node:
-            _add(
-                deck, deck.node_sets, one.frame, own, _named(deck, deck.node_sets, name, one.frame)
-            )
+            _add(deck, deck.node_sets, one.frame, own, named(deck, deck.node_sets, name, one.frame))
             continue
         face = rest[0].upper() if rest else ""
         if not re.fullmatch(r"S\d", face):
             raise MeshFileError(f'has the face "{face}"; faces of solids are S1 to S6')
-        entries = [(e, face) for e in _named(deck, deck.element_sets, name, one.frame)]
+        entries = [(e, face) for e in named(deck, deck.element_sets, name, one.frame)]
         deck.entries += len(entries)
         _few(range(deck.entries))
         deck.surfaces.setdefault(_key(deck, one.frame, own), []).extend(entries)
 
 
-def _take_instance(deck: _Deck, one: Keyword) -> None:
+def _take_instance(deck: Deck, one: Keyword) -> None:
     if one.frame.name.upper() in deck.frames:
         raise MeshFileError(f'defines "{one.frame.name}" again; name each instance differently')
     deck.frames[one.frame.name.upper()] = one.frame
 
 
-_TAKERS: dict[str, Callable[[_Deck, Keyword], None]] = {
+TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
     "NODE": _take_nodes,
     "ELEMENT": _take_elements,
     "NSET": _take_node_set,
@@ -254,7 +275,7 @@ _TAKERS: dict[str, Callable[[_Deck, Keyword], None]] = {
 }
 
 
-def _key(deck: _Deck, frame: Frame, name: str) -> str:
+def _key(deck: Deck, frame: Frame, name: str) -> str:
     """Return a set's key; its name keeps the spelling of its first mention."""
     key = frame.key(name)
     deck.names.setdefault(key, f"{frame.name}.{name}" if frame.name else name)
@@ -262,7 +283,7 @@ def _key(deck: _Deck, frame: Frame, name: str) -> str:
 
 
 def _add(
-    deck: _Deck, sets: dict[str, list[int]], frame: Frame, name: str, entries: list[int]
+    deck: Deck, sets: dict[str, list[int]], frame: Frame, name: str, entries: list[int]
 ) -> None:
     deck.entries += len(entries)
     if deck.entries > _MOST_MEMBERS:
@@ -270,20 +291,20 @@ def _add(
     sets.setdefault(_key(deck, frame, name), []).extend(entries)
 
 
-def _named_sets(deck: _Deck, sets: dict[str, list[T]]) -> list[tuple[str, list[T]]]:
-    """Return sets by name: without the instance where no other set has that name."""
+def set_names(deck: Deck, sets: Iterable[str]) -> dict[str, str]:
+    """Return each set's name by its key: without the instance where no other has that name."""
     short = {key: key for key in sets}
     for start in (f"{instance}." for instance in deck.frames):
-        short |= {key: key.removeprefix(start) for key in sets if key.startswith(start)}
+        short |= {key: key.removeprefix(start) for key in short if key.startswith(start)}
     times = Counter(short.values())
-    whole = (deck.names[key] for key in sets)
-    return [
-        (name[-len(own) :] if times[own] == 1 else name, entries)
-        for name, own, entries in zip(whole, short.values(), sets.values(), strict=True)
-    ]
+    return {
+        key: deck.names[key][-len(own) :] if times[own] == 1 else deck.names[key]
+        for key, own in short.items()
+    }
 
 
-def _raw_mesh(deck: _Deck) -> RawMesh:
+def raw_mesh(deck: Deck) -> RawMesh:
+    """Return the mesh of a deck with its groups by name."""
     ids = np.array(list(deck.nodes), dtype=np.int64)
     points = np.array(list(deck.nodes.values()), dtype=float).reshape(-1, 3)
     row = {node: i for i, node in enumerate(ids.tolist())}
@@ -298,12 +319,15 @@ def _raw_mesh(deck: _Deck) -> RawMesh:
         raise MeshFileError(
             f"has an element on node {label % STRIDE}, which is not defined"
         ) from None
+    regions, groups, faces = (
+        set_names(deck, sets) for sets in (deck.element_sets, deck.node_sets, deck.surfaces)
+    )
     return RawMesh(
         points,
         blocks,
-        {name: _by_block(deck, ids) for name, ids in _named_sets(deck, deck.element_sets)},
-        {name: _rows(row, ids) for name, ids in _named_sets(deck, deck.node_sets)},
-        {name: _faces(deck, row, own) for name, own in _named_sets(deck, deck.surfaces)},
+        {regions[key]: _by_block(deck, ids) for key, ids in deck.element_sets.items()},
+        {groups[key]: _rows(row, ids) for key, ids in deck.node_sets.items()},
+        {faces[key]: _faces(deck, row, own) for key, own in deck.surfaces.items()},
     )
 
 
@@ -311,7 +335,7 @@ def _rows(row: dict[int, int], ids: list[int]) -> Array:
     return np.array([row[node] for node in ids if node in row], dtype=np.int64)
 
 
-def _by_block(deck: _Deck, ids: list[int]) -> list[Array]:
+def _by_block(deck: Deck, ids: list[int]) -> list[Array]:
     """Return for each block the rows of the elements `ids`; solvers skip those not there."""
     chosen: list[list[int]] = [[] for _ in deck.kinds]
     for element in ids:
@@ -321,7 +345,7 @@ def _by_block(deck: _Deck, ids: list[int]) -> list[Array]:
     return [np.array(rows, dtype=np.int64) for rows in chosen]
 
 
-def _faces(deck: _Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> list[Block]:
+def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> list[Block]:
     found: dict[str, list[list[int]]] = {}
     for element, face in faces:
         if element not in deck.where:

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from wrenchbook.fea.mesh.io.raw import MeshFileError
 
@@ -150,11 +149,13 @@ def _frame(one: Keyword, number: int) -> Frame:
         rows = [[float(x or 0.0) for x in row] for row in one.rows]
         if not rows:
             return Frame(name, number)
-        shift, turn = np.array((rows[0] + [0.0] * 3)[:3]), Rotation.identity()
+        shift, rotation = np.array((rows[0] + [0.0] * 3)[:3]), np.eye(3)
         if len(rows) > 1:
-            a, b, angle = np.array(rows[1][:3]), np.array(rows[1][3:6]), rows[1][6]
-            turn = Rotation.from_rotvec(np.radians(angle) * (b - a) / np.linalg.norm(b - a))
-            shift = turn.apply(shift - a) + a
+            a, b, angle = np.array(rows[1][:3]), np.array(rows[1][3:6]), np.radians(rows[1][6])
+            x, y, z = (b - a) / np.linalg.norm(b - a)
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            rotation += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross  # Rodrigues
+            shift = rotation @ (shift - a) + a
     except (ValueError, IndexError) as error:
         raise one.wrong(f"cannot be read ({error})") from None
-    return Frame(name, number, tuple(turn.as_matrix().ravel().tolist()), tuple(shift.tolist()))
+    return Frame(name, number, tuple(rotation.ravel().tolist()), tuple(shift.tolist()))
