@@ -29,7 +29,7 @@ from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, m
 from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
-from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings
+from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings, stack_problems
 from wrenchbook.fea.mesh.cad import list_shape
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
@@ -150,6 +150,7 @@ def _try_out(
     if solver is None:
         raise BundleError(problems)
     summary["trial"], problems = trial(solver, summary["estimate"])
+    problems = problems or stack_problems(component)  # a mechanism is named as such
     if problems:
         raise BundleError(problems)
     _warn(summary, deflection_warnings(component, summary["trial"]["deflection"]))
