@@ -32,7 +32,11 @@ def listing(deck: DeckContent) -> dict[str, Any]:
         what else they are than in the deck, often nothing.
     """
     elements = {name: {"count": n, "instead": _instead(name)} for name, n in deck.elements.items()}
-    return {"read": deck.taken, "ignored": deck.ignored, "elements": elements}
+    read, ignored = (
+        {word: sorted(set(lines)) for word, lines in found.items()}  # of all instances of a part
+        for found in (deck.taken, deck.ignored)
+    )
+    return {"read": read, "ignored": ignored, "elements": elements}
 
 
 def _instead(name: str) -> str:

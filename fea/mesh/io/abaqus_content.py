@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -99,8 +100,8 @@ class _Reader:
             self.lack(one, _MISSING[one.word])
         if one.word not in _QUIET:
             known = one.word in TAKERS or (taker is not None and one.word not in _PROPOSED)
-            lines = (self.content.taken if known else self.content.ignored).setdefault(one.word, [])
-            lines += [one.line] * (one.line not in lines)
+            lines = self.content.taken if known else self.content.ignored
+            lines.setdefault(one.word, []).append(one.line)
 
     def lack(self, one: Keyword, message: str) -> None:
         """Note what counts and is not taken over."""
@@ -248,28 +249,51 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
 
 def _finish(reader: _Reader, deck: Deck) -> None:
     """Give groups their final names, and motions and forces of reference nodes to couplings."""
-    content, points = reader.content, _reference_points(reader, deck)
-    held: dict[tuple[str, str], tuple[str, set[int]]] = {}
+    points = _reference_points(reader, deck)
+    by_set: dict[str, tuple[str, set[int]]] = {}
+    by_node: dict[int, tuple[str, set[int]]] = {}
     for where, key, labels, freedoms in reader.motions:
         for own, first in (points[label] for label in labels if label in points):
             own.held |= {first + i for i in freedoms if first + i < len(own.loads)}
-        directions = "".join("xyz"[i] for i in sorted(freedoms) if i < len("xyz"))
-        rest = {label for label in labels if label not in points}
-        if rest and directions:
-            group = key or f"NODES_HELD_IN_{directions.upper()}"
-            held.setdefault((group, directions), (where, set()))[1].update(rest)
+        rest = [label for label in labels if label not in points]
+        if key and rest:
+            by_set.setdefault(key, (where, set()))[1].update(freedoms)
+        for label in rest if not key else ():
+            by_node.setdefault(label, (where, set()))[1].update(freedoms)
+    together: dict[str, list[int]] = defaultdict(list)
+    for label, (_, freedoms) in by_node.items():
+        together[_directions(freedoms)].append(label)
+    held = [(where, key, _directions(freedoms)) for key, (where, freedoms) in by_set.items()]
+    for ways, labels in together.items():
+        key = _set_of(deck, labels, f"nodes_held_in_{ways}")
+        held.append((by_node[labels[0]][0], key, ways))
+    _share_forces(reader, deck, points)
+    _name_groups(reader, deck, [one for one in held if one[2]])
+
+
+def _directions(freedoms: set[int]) -> str:
+    return "".join(way for i, way in enumerate("xyz") if i in freedoms)
+
+
+def _set_of(deck: Deck, labels: list[int], name: str) -> str:
+    """Return the key of the set of these nodes, a new one if the deck has none."""
+    for key, own in deck.node_sets.items():
+        if set(own) == set(labels):
+            return key
+    deck.names[name.upper()], deck.node_sets[name.upper()] = name, labels
+    return name.upper()
+
+
+def _share_forces(reader: _Reader, deck: Deck, points: dict[int, tuple[CoupledGroup, int]]) -> None:
+    """Add the forces to the loads of couplings, or of the sets of nodes they act on."""
+    single = [label for key, labels, *_ in reader.forces for label in labels if not key]
+    single = [label for label in dict.fromkeys(single) if label not in points]
+    rest = _set_of(deck, single, "nodes_with_forces") if single else ""
     for key, labels, freedom, value in reader.forces:
         for label in labels:
             own, first = points.get(label, (None, 0))
-            group = key or "NODES_WITH_FORCES"
-            loads = own.loads if own else content.loads.setdefault(group, [0.0] * 6)
+            loads = own.loads if own else reader.content.loads.setdefault(key or rest, [0.0] * 6)
             loads[(freedom + first) % len(loads)] += value
-            if own is None and not key:
-                held.setdefault((group, ""), ("", set()))[1].add(label)
-    for (group, _), (_, labels) in held.items():
-        if group not in deck.node_sets:
-            deck.names[group], deck.node_sets[group] = group.lower(), sorted(labels)
-    _name_groups(reader, deck, held)
 
 
 def _reference_points(reader: _Reader, deck: Deck) -> dict[int, tuple[CoupledGroup, int]]:
@@ -288,15 +312,11 @@ def _reference_points(reader: _Reader, deck: Deck) -> dict[int, tuple[CoupledGro
     return points
 
 
-def _name_groups(
-    reader: _Reader, deck: Deck, held: dict[tuple[str, str], tuple[str, set[int]]]
-) -> None:
+def _name_groups(reader: _Reader, deck: Deck, held: list[tuple[str, str, str]]) -> None:
     content = reader.content
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     content.sections += [SolidSection(w, regions[key], name) for w, key, name in reader.sections]
-    content.supports += [
-        HeldGroup(w, groups[k], ways) for (k, ways), (w, _) in held.items() if ways
-    ]
+    content.supports += [HeldGroup(where, groups[key], ways) for where, key, ways in held]
     content.loads = {groups[key]: loads for key, loads in content.loads.items()}
     faces = set_names(deck, deck.surfaces)
     for one in list(content.couplings):

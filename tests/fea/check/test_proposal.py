@@ -1,0 +1,172 @@
+"""Decks of five CAE tools become components that answer, and say what they leave open."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.fea.cae import make
+from tests.fea.written_deck import deck_lines
+from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.check.proposal import main, propose
+from wrenchbook.fea.solve import Solver
+
+LOAD = np.array([50.0, 0, 0, 0, 0, 0.8])
+
+
+def table(coupling="rigid", section="z1", integration="reduced", **more):
+    """Return the part of the decks as a bundle's table, on a mesh file of its own."""
+    return {
+        "name": "block",
+        "title": "Block",
+        "mesh": {"file": "block.inp", "unit": "mm"},
+        "material": [{"region": "all", "youngs_modulus": 70e9, "poisson_ratio": 0.33}],
+        "supports": {"fixed": ["z0"]},
+        "interface": {"section": section, "coupling": coupling, **more},
+        "analysis": {"nonlinear": False, "integration": integration},
+        "range": {"force": [50, 50, 50], "moment": [1, 1, 1]},
+    }
+
+
+def reference(folder, mesh, **options):
+    folder.mkdir()
+    metres = replace(mesh, points=mesh.points / 1000)
+    (folder / "block.inp").write_text("\n".join(deck_lines(metres, 1e-3)) + "\n")
+    return Solver(bundle_of(table(**options), folder)).linear.compliance
+
+
+CASES = {
+    "abaqus_part.inp": (make.HEX, {"point": [0.01, 0.01, 0.08]}),
+    "orphan_mesh.inp": (make.TET, {"point": [0.01, 0.01, 0.08], "coupling": "distributed"}),
+    "calculix.inp": (make.HEX, {"point": [0.01, 0.01, 0.08], "integration": "full"}),
+    "patran.bdf": (make.HEX, {"point": [0.01, 0.01, 0.08]}),
+    "archive.cdb": (make.HEX, {"coupling": "distributed"}),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_deck_goes_from_file_to_the_answer_of_a_component_written_by_hand(tmp_path, name):
+    mesh, options = CASES[name]
+    found = propose(make.HERE / name, tmp_path / "new")
+    assert found["check"]["ok"], found["check"]["problems"]
+    answer = Solver(read_bundle(tmp_path / "new")).linear.compliance @ LOAD
+    expected = reference(tmp_path / "hand", mesh, **options) @ LOAD
+    np.testing.assert_allclose(answer, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_shipped_deck_is_what_its_generator_writes(name):
+    assert (make.HERE / name).read_text() == make.DECKS[name]()
+
+
+def test_loads_of_the_deck_are_the_range_and_its_points_loads(tmp_path):
+    propose(make.HERE / "abaqus_part.inp", tmp_path / "new")
+    range_ = read_bundle(tmp_path / "new").range
+    np.testing.assert_allclose(range_.high, [50, 50, 50, 0.8, 0.8, 0.8])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("*Elastic\n70000., 0.33\n", "", "youngs_modulus and poisson_ratio"),
+        ("Set-Foot, ENCASTRE\n", "", "the deck holds nothing"),
+        ("m_Set-1, 6, 800.\n", "", "the deck lacks force or moment; 50 N and 5 N·m stand"),
+    ],
+)
+def test_what_a_deck_lacks_is_named_and_stands_in_the_component(tmp_path, old, new, words):
+    text = make.abaqus()
+    assert old in text
+    (tmp_path / "a.inp").write_text(text.replace(old, new))
+    found = propose(tmp_path / "a.inp", tmp_path / "new", "mm")
+    assert any(words in one for one in found["decide"])
+    assert words in (tmp_path / "new" / "component.toml").read_text()
+
+
+def test_a_proposal_without_supports_is_not_ready_and_its_check_lists_the_groups(tmp_path):
+    text = make.abaqus().replace("Set-Foot, ENCASTRE\n", "")
+    (tmp_path / "a.inp").write_text(text)
+    (problem,) = propose(tmp_path / "a.inp", tmp_path / "new", "mm")["check"]["problems"]
+    assert problem["where"] == "supports.fixed[0]"
+    assert "Set-Foot" in problem["message"]
+
+
+def test_what_is_not_taken_over_is_named_with_its_line(tmp_path):
+    text = make.abaqus().replace("*Step,", "*Equation\n2\n1,1,1.,2,1,-1.\n*Step,")
+    (tmp_path / "a.inp").write_text(text)
+    (left,) = propose(tmp_path / "a.inp", tmp_path / "new", "mm")["left"]
+    assert left.startswith(f"line {text[: text.index('*Equation')].count(chr(10)) + 1}: *EQUATION")
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "left"),
+    [
+        ("patran.bdf", "CELAS2  7       5.0     1       1", "CELAS2 (1)"),
+        ("patran.bdf", "CONM2   8       1       0       5.0", "CONM2 (1)"),
+        ("archive.cdb", "CE,R5.0,DEFI,       1,       1,       0", "CE (1)"),
+    ],
+)
+def test_cards_of_other_solvers_that_count_are_named(tmp_path, name, line, left):
+    text = (make.HERE / name).read_text()
+    end = "ENDDATA" if name.endswith("bdf") else "/GO"
+    (tmp_path / name).write_text(text.replace(end, f"{line}\n{end}"))
+    assert propose(tmp_path / name, tmp_path / "new", "mm")["left"] == [left]
+
+
+def test_lengths_in_inches_go_with_pounds(tmp_path):
+    text = make.abaqus().replace("70000., 0.33", "1e7, 0.33")
+    (tmp_path / "a.inp").write_text(text)
+    propose(tmp_path / "a.inp", tmp_path / "new", "in")
+    bundle = read_bundle(tmp_path / "new")
+    assert bundle.materials[0].youngs_modulus == pytest.approx(68.947573e9, rel=1e-8)
+    assert bundle.range.high[3] == pytest.approx(800 * 4.4482216 * 0.0254, rel=1e-4)
+
+
+def test_two_free_couplings_are_two_interfaces(tmp_path):
+    text = make.abaqus().replace("Set-Foot, ENCASTRE\n", "1, ENCASTRE\n")
+    coupling = (
+        "*Nset, nset=Ref-2\n2\n*Surface, type=NODE, name=Foot\nSet-Foot\n"
+        "*Coupling, constraint name=C-2, ref node=Ref-2, surface=Foot\n*Distributing\n"
+    )
+    text = text.replace("*End Assembly", f"{coupling}*End Assembly")
+    text = text.replace(" 80.\n*Nset", " 80.\n2, 15., 10., 0.\n*Nset").replace("1, ENCASTRE\n", "")
+    (tmp_path / "a.inp").write_text(text)
+    propose(tmp_path / "a.inp", tmp_path / "new", "mm")
+    written = (tmp_path / "new" / "component.toml").read_text()
+    assert written.count("[[interface]]") == 2
+    assert 'section = "Foot"' in written
+    assert 'section = "Surf-1"' in written
+
+
+def test_a_held_reference_point_makes_its_section_a_support(tmp_path):
+    coupling = (
+        "*Surface, type=NODE, name=Foot\nSet-Foot\n"
+        "*Coupling, constraint name=C-2, ref node=2, surface=Foot\n*Kinematic\n"
+    )
+    text = make.abaqus().replace("*End Assembly", f"{coupling}*End Assembly")
+    text = text.replace(" 80.\n*Nset", " 80.\n2, 15., 10., 0.\n*Nset")
+    (tmp_path / "a.inp").write_text(text.replace("Set-Foot, ENCASTRE", "2, ENCASTRE"))
+    assert propose(tmp_path / "a.inp", tmp_path / "new", "mm")["check"]["ok"]
+    supports = read_bundle(tmp_path / "new").supports
+    assert supports is not None
+    assert supports.fixed == ("Foot",)
+
+
+def test_a_folder_with_a_component_is_not_overwritten(tmp_path):
+    (tmp_path / "component.toml").write_text("mine")
+    with pytest.raises(BundleError, match="name a new folder"):
+        propose(make.HERE / "calculix.inp", tmp_path)
+    assert (tmp_path / "component.toml").read_text() == "mine"
+
+
+def test_a_node_in_a_coordinate_system_of_its_own_is_refused_with_its_line(tmp_path):
+    (tmp_path / "a.bdf").write_text("BEGIN BULK\nGRID,1,7,0.,0.,0.\nENDDATA\n")
+    with pytest.raises(BundleError, match="line 2: GRID"):
+        propose(tmp_path / "a.bdf", tmp_path / "new")
+
+
+def test_the_command_ends_with_one_where_something_is_left_to_decide(tmp_path, capsys):
+    text = make.abaqus().replace("Set-Foot, ENCASTRE\n", "")
+    (tmp_path / "a.inp").write_text(text)
+    assert main(["--json", str(tmp_path / "a.inp"), str(tmp_path / "new")]) == 1
+    assert json.loads(capsys.readouterr().out)["decide"]
