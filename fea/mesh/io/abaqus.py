@@ -146,6 +146,8 @@ def _take_elements(deck: Deck, one: Keyword) -> None:
     if len(numbers) % columns:
         raise MeshFileError(f"has {len(numbers)} numbers; {kind} elements have {columns} each")
     table = [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
+    if not table:
+        return
     for i, row in enumerate(table):
         if row[0] in deck.where:
             line = [*deck.element_lines, one.line][deck.where[row[0]][0]]

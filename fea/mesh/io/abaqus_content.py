@@ -56,7 +56,7 @@ _MISSING = {
     "TEMPERATURE": "is not taken over; write [inputs.temperature]",
 }
 
-_QUIET = {"HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
+_QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
 
 _PROPOSED = {"CLOAD", "STEP"}
 """What proposes a load range and an analysis for a new component, and is not compared with one."""
@@ -135,7 +135,7 @@ def _take_elements(reader: _Reader, deck: Deck, one: Keyword) -> None:
     kind = one.options["TYPE"].upper()
     if kind_of(kind) is None:
         reader.lack(one, f"of type {kind} is not solved: only solid cells are")
-    else:
+    elif one.line in deck.element_lines[-1:]:
         counts = reader.content.elements
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
 
@@ -169,8 +169,8 @@ def _take_boundary(reader: _Reader, deck: Deck, one: Keyword) -> None:
             held = {int(each) for each in _WORDS[word]}
         else:
             first, last, value = (*rest, "", "", "")[:3]
-            held = set(range(int(first) - 1, int(last or first)))
-            if float(value or 0.0):
+            held = set(range(int(first) - 1, min(int(last or first), 6)))
+            if held and float(value or 0.0):
                 reader.lack(one, "moves nodes by what is not 0; they are fixed where they are")
         key, labels = _target(deck, target, one.frame)
         reader.motions.append((_where(one), key, labels, held))
@@ -300,6 +300,9 @@ def _reference_points(reader: _Reader, deck: Deck) -> dict[int, tuple[CoupledGro
     """Return the coupling of each reference node, and the number of the node's first freedom."""
     points: dict[int, tuple[CoupledGroup, int]] = {}
     for one in reader.couplings:
+        if one.ref is not None and one.ref not in deck.nodes:
+            reader.lack(one.keyword, "has a reference node that is not defined")
+            continue
         place = () if one.ref is None else tuple(deck.nodes[one.ref])
         own = CoupledGroup(_where(one.keyword), one.key, one.kind, place)
         if one.ref in points:

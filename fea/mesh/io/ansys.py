@@ -78,6 +78,16 @@ def _take_nodes(found: Translated, _: list[str], __: dict[str, str], rows: Itera
             found.left["nodes with axes of their own"] += 1
 
 
+def _take_types(_: Translated, __: list[str], types: dict[str, str], rows: Iterator[str]) -> None:
+    """Take element types with their options, of newer archives."""
+    widths = re.findall(r"i(\d+),\d+a(\d+)", next(rows).lower())[0]
+    for row in rows:
+        number, *fields = _fixed(row, int(widths[0]))
+        if number == "-1":
+            return
+        types[number] = fields[0] + (" full" if fields[2:3] == ["1"] else "")
+
+
 def _take_elements(
     found: Translated, fields: list[str], types: dict[str, str], rows: Iterator[str]
 ) -> None:
@@ -157,4 +167,9 @@ def _take_on_node(found: Translated, word: str, fields: list[str]) -> None:
     found.left["D with a motion that is not 0"] += float(value or 0) != 0.0
 
 
-_BLOCKS = {"NBLOCK": _take_nodes, "EBLOCK": _take_elements, "CMBLOCK": _take_component}
+_BLOCKS = {
+    "ETBLOCK": _take_types,
+    "NBLOCK": _take_nodes,
+    "EBLOCK": _take_elements,
+    "CMBLOCK": _take_component,
+}

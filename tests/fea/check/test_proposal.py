@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.fea.boxes import box
 from tests.fea.cae import make
 from tests.fea.written_deck import deck_lines
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.check.proposal import main, propose
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.quality import folded_cells, volumes
 from wrenchbook.fea.solve import Solver
 
 LOAD = np.array([50.0, 0, 0, 0, 0, 0.8])
@@ -170,3 +173,69 @@ def test_the_command_ends_with_one_where_something_is_left_to_decide(tmp_path, c
     (tmp_path / "a.inp").write_text(text)
     assert main(["--json", str(tmp_path / "a.inp"), str(tmp_path / "new")]) == 1
     assert json.loads(capsys.readouterr().out)["decide"]
+
+
+def test_an_archive_with_its_types_in_a_block_is_read_with_their_integration(tmp_path):
+    text = make.ansys().replace("ET,        1,186\nKEYOP,        1, 2,        0\n", "")
+    options = "".join(f"{n:9d}" for n in [0, 1, *[0] * 17])
+    block = f"ETBLOCK,        1,        1\n(2i9,19a9)\n{1:9d}{186:9d}{options}\n{-1:9d}\n"
+    (tmp_path / "a.cdb").write_text(text.replace("NBLOCK", f"{block}NBLOCK", 1))
+    assert propose(tmp_path / "a.cdb", tmp_path / "new", "mm")["check"]["ok"]
+    assert read_bundle(tmp_path / "new").analysis.integration == "full"
+
+
+COLLAPSED = {  # each node of a SOLID186 by the nodes of the cell
+    "wedge15": [0, 1, 2, 2, 3, 4, 5, 5, 6, 7, 2, 8, 9, 10, 5, 11, 12, 13, 14, 14],
+    "tet10": [0, 1, 2, 2, 3, 3, 3, 3, 4, 5, 2, 6, 3, 3, 3, 3, 7, 8, 9, 9],
+}
+
+
+@pytest.mark.parametrize("kind", COLLAPSED)
+def test_collapsed_hexahedra_of_an_archive_are_wedges_and_tetrahedra(tmp_path, kind):
+    source = box(kind, (1, 1, 2), (20.0, 20.0, 60.0))
+    lines = ["/PREP7", "ET,1,SOLID186", "NBLOCK,6,SOLID", "(3i9,6e21.13e3)"]
+    for i, point in enumerate(source.points.tolist(), 1):
+        lines.append(f"{i:9d}{0:9d}{0:9d}" + "".join(f"{x:21.13E}" for x in point))
+    lines += ["N,R5.3,LOC,       -1,", "EBLOCK,19,SOLID,1,1", "(19i9)"]
+    for i, cell in enumerate((source.blocks[0].nodes + 1).tolist(), 1):
+        own = [cell[j] for j in COLLAPSED[kind]]
+        fields = [1, 1, 1, 1, 0, 0, 0, 0, 20, 0, i, *own]
+        lines += ["".join(f"{n:9d}" for n in part) for part in (fields[:19], fields[19:])]
+    (tmp_path / "a.cdb").write_text("\n".join([*lines, f"{-1:9d}", "FINISH", ""]))
+    propose(tmp_path / "a.cdb", tmp_path / "new", "mm")
+    mesh = read_mesh(tmp_path / "new" / "a.inp", "mm")
+    assert mesh.cell_counts == source.cell_counts
+    assert volumes(mesh.points, mesh.blocks[0]).sum() == pytest.approx(24e-6, rel=1e-9)
+    assert not folded_cells(mesh.points, mesh.blocks[0]).size
+
+
+def test_a_wedge_of_nastran_keeps_its_midside_nodes(tmp_path):
+    source = box("wedge15", (1, 1, 2), (20.0, 20.0, 60.0))
+    lines = ["BEGIN BULK"]
+    lines += [f"GRID,{i},,{x},{y},{z}" for i, (x, y, z) in enumerate(source.points.tolist(), 1)]
+    for i, cell in enumerate((source.blocks[0].nodes + 1).tolist(), 1):
+        order = [*cell[:9], *cell[12:15], *cell[9:12]]
+        first, second, third = order[:6], order[6:14], order[14:]
+        lines.append(f"CPENTA,{i},1,{','.join(map(str, first))}")
+        lines += [f"+,{','.join(map(str, part))}" for part in (second, third)]
+    (tmp_path / "a.bdf").write_text("\n".join([*lines, "ENDDATA", ""]))
+    propose(tmp_path / "a.bdf", tmp_path / "new", "mm")
+    mesh = read_mesh(tmp_path / "new" / "a.inp", "mm")
+    assert mesh.cell_counts == source.cell_counts
+    assert volumes(mesh.points, mesh.blocks[0]).sum() == pytest.approx(24e-6, rel=1e-9)
+    assert not folded_cells(mesh.points, mesh.blocks[0]).size
+
+
+def test_a_mean_of_several_nastran_weights_is_named_and_one_of_equal_weights_taken(tmp_path):
+    text = make.nastran()
+    start, end = text.index("RBE2"), text.index("SPC1")
+    head = make.at(make.HEX, 60.0)
+    taken = make.card("RBE3", 900, "", len(make.HEX.points) + 1, 123456, "1.", 123, *head)
+    (tmp_path / "a.bdf").write_text(text[:start] + "\n".join(taken) + "\n" + text[end:])
+    assert propose(tmp_path / "a.bdf", tmp_path / "new", "mm")["left"] == []
+    (interface,) = read_bundle(tmp_path / "new").interfaces
+    assert (interface.section, interface.coupling) == ("RBE3_900", "distributed")
+    mixed = make.card("RBE3", 900, "", 1, 123456, "1.", 123, *head[:5], "2.", 123, *head[5:])
+    (tmp_path / "b.bdf").write_text(text[:start] + "\n".join(mixed) + "\n" + text[end:])
+    (left,) = propose(tmp_path / "b.bdf", tmp_path / "other", "mm")["left"]
+    assert "several weights" in left
