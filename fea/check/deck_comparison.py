@@ -42,17 +42,16 @@ def listing(deck: DeckContent) -> dict[str, Any]:
 def _instead(name: str) -> str:
     """Say what an element of a deck is here, where it is not the same."""
     solid = _SOLID.fullmatch(name)
-    letters = "" if solid is None else solid[2].replace("R", "")
-    if solid is None or not letters:
+    if solid is None:
         return ""
+    if solid[1] in ("C3D4", "C3D6", "C3D8"):
+        return "solved with midside nodes (order = 2), else refused"
+    letters = solid[2].replace("R", "")
     if letters != "H":
-        return f"solved as {solid[1]}"
-    projected = solid[1] == "C3D20"
-    return (
-        "no pressure of its own: displacements, "
-        + ("their volumetric strain projected above a Poisson's ratio of 0.4" if projected else "")
-        + ("" if projected else f"as {solid[1]}, refused where that would lock")
-    )
+        return f"solved as {solid[1]}" if letters else ""
+    projected = "their volumetric strain projected above a Poisson's ratio of 0.4"
+    locks = "refused where they would lock"
+    return f"displacements alone, {projected if solid[1] == 'C3D20' else locks}"
 
 
 def contradictions(component: ComponentModel) -> list[BundleProblem]:
@@ -61,7 +60,7 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     if deck is None:
         return []
     found = [f"{where} {words}" for where, words in deck.missing.items()]
-    found += [f"{words}" for words in _integrated(component, deck)]
+    found += _integrated(component, deck)
     found += [words for one in deck.sections for words in _other_material(component, deck, one)]
     found += [words for one in deck.supports for words in _freed(component, one)]
     found += [words for one in deck.couplings for words in _uncoupled(component, one)]

@@ -12,9 +12,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.check.reporting import report
-from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, in_si
+from wrenchbook.fea.mesh.deck_content import (
+    CoupledGroup,
+    DeckContent,
+    SolidSection,
+    in_si,
+)
 from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.io.ansys import read_ansys
 from wrenchbook.fea.mesh.io.nastran import read_nastran
@@ -67,7 +74,7 @@ class _Proposal:
 
     def materials(self) -> list[str]:
         sections = [one for one in self.deck.sections if one.region in self.mesh.regions]
-        alone = len({one.material for one in sections}) == 1
+        alone = len({one.material for one in sections}) == 1 and self.filled(sections)
         pairs = [("all" if alone else one.region, one.material) for one in sections]
         lines = []
         for region, name in dict(pairs).items() if pairs else [("all", "")]:
@@ -78,6 +85,12 @@ class _Proposal:
                 self.decide.append(f'material of "{region}": write its {" and ".join(lacking)}')
             lines += ["", "[[material]]", f"region = {_text(region)}", *values]
         return lines
+
+    def filled(self, sections: list[SolidSection]) -> bool:
+        """Return whether each cell is in a section."""
+        own = zip(*(self.mesh.regions[one.region] for one in sections), strict=True)
+        pairs = zip(own, self.mesh.blocks, strict=True)
+        return all(np.unique(np.concatenate(cells)).size == len(block) for cells, block in pairs)
 
     def supports(self) -> list[str]:
         own = [one for one in self.deck.supports if one.group in self.groups]

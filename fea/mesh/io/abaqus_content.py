@@ -280,6 +280,8 @@ def _set_of(deck: Deck, labels: list[int], name: str) -> str:
     for key, own in deck.node_sets.items():
         if set(own) == set(labels):
             return key
+    while name.upper() in deck.node_sets:
+        name += "_"
     deck.names[name.upper()], deck.node_sets[name.upper()] = name, labels
     return name.upper()
 

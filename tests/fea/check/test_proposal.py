@@ -239,3 +239,50 @@ def test_a_mean_of_several_nastran_weights_is_named_and_one_of_equal_weights_tak
     (tmp_path / "b.bdf").write_text(text[:start] + "\n".join(mixed) + "\n" + text[end:])
     (left,) = propose(tmp_path / "b.bdf", tmp_path / "other", "mm")["left"]
     assert "several weights" in left
+
+
+TWO_PARTS = """*Part, name=Bolt
+*Node
+{nodes}
+*Element, type=C3D20R
+{cells}
+*Elset, elset=Set-1, generate
+1, 16
+*Solid Section, elset=Set-1, material=Steel
+*End Part
+"""
+
+
+def test_instances_of_two_parts_have_each_their_section_and_a_tie_is_named(tmp_path):
+    nodes, cells = "\n".join(make.nodes(make.HEX)), "\n".join(make.cells(make.HEX))
+    text = make.abaqus().replace(
+        "*Assembly,", TWO_PARTS.format(nodes=nodes, cells=cells) + "*Assembly,"
+    )
+    placed = "*Instance, name=Bolt-1, part=Bolt\n 5., 0., -60.\n*End Instance\n"
+    text = text.replace("*End Instance\n", f"*End Instance\n{placed}", 1)
+    text = text.replace("*Density", "*Elastic\n210000., 0.3\n*Material, name=Aluminium\n*Density")
+    text = text.replace("*Material, name=Aluminium", "*Material, name=Steel", 1)
+    tie = "*Tie, name=Tie-1\nFoot, Head\n"
+    (tmp_path / "a.inp").write_text(text.replace("*Step,", f"{tie}*Step,"))
+    found = propose(tmp_path / "a.inp", tmp_path / "new", "mm")
+    moduli = {one.region: one.youngs_modulus for one in read_bundle(tmp_path / "new").materials}
+    assert moduli == {"Block-1.Set-1": 70e9, "Bolt-1.Set-1": 210e9}
+    assert ["TIE" in one for one in found["left"]] == [True]
+    assert "part 2 of 2" in found["check"]["problems"][0]["message"]
+
+
+def test_cells_without_a_section_get_no_material_of_others(tmp_path):
+    text = make.abaqus().replace("  1,  16,   1", "  1,  12,   1")
+    (tmp_path / "a.inp").write_text(text)
+    (problem,) = propose(tmp_path / "a.inp", tmp_path / "new", "mm")["check"]["problems"]
+    assert "4 cells have no material" in problem["message"]
+
+
+def test_first_order_cells_are_proposed_with_midside_nodes(tmp_path, monkeypatch):
+    monkeypatch.setattr(make, "HEX", box("hex8", (2, 2, 6), (20.0, 20.0, 60.0)))
+    text = make.abaqus().replace("C3D20R", "C3D8R").replace("1,  16,", "1,  24,")
+    (tmp_path / "a.inp").write_text(text)
+    found = propose(tmp_path / "a.inp", tmp_path / "new", "mm")
+    assert found["check"]["ok"], found["check"]["problems"]
+    assert found["check"]["cells"] == {"hex20": 24}
+    assert any("midside" in one for one in found["decide"])
