@@ -324,7 +324,8 @@ def new(
         Path | None, typer.Argument(help="folder to write; by default the deck's name")
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="the deck's length unit: mm, m, in; by default guessed")
+        Literal["m", "dm", "cm", "mm", "um", "in", "ft"] | None,
+        typer.Option(help="the deck's length unit; by default guessed from its constants"),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
