@@ -62,10 +62,14 @@ def _cards(lines: list[str], skipped: int) -> Iterator[tuple[int, str, list[str]
         if not line:
             continue
         head, *fields = (each.strip() for each in line.split(","))
-        count = 4 if head[:8].rstrip().endswith("*") else 8
+        count = 4 if line[:1] == "*" or head[:8].rstrip().endswith("*") else 8
         if "," not in line:
             head, width = line[:8].strip(), 64 // count
             fields = [line[8 + width * i : 8 + width * (i + 1)].strip() for i in range(count)]
+        if any(fields[count + 1 :]):
+            raise MeshFileError(
+                f"line {number}: has more than {count} fields; continue on a new line"
+            )
         fields = (fields + [""] * count)[:count]
         if card is not None and head[:1] in ("", "+", "*"):
             card[2].extend(fields)

@@ -286,3 +286,22 @@ def test_first_order_cells_are_proposed_with_midside_nodes(tmp_path, monkeypatch
     assert found["check"]["ok"], found["check"]["problems"]
     assert found["check"]["cells"] == {"hex20": 24}
     assert any("midside" in one for one in found["decide"])
+
+
+def test_large_field_cards_and_continuations_with_names_are_read(tmp_path):
+    text = make.nastran()
+    short = "\n".join(make.card("MAT1", 4, "70000.", "", ".33", "2.7-9"))
+    assert short in text
+    wide = f"MAT1*   {4:16d}{'70000.':>16}{'':16}{'.33':>16}*M1\n*M1     {'2.7-9':>16}"
+    (tmp_path / "a.bdf").write_text(text.replace(short, wide))
+    propose(tmp_path / "a.bdf", tmp_path / "new", "mm")
+    (material,) = read_bundle(tmp_path / "new").materials
+    assert (material.youngs_modulus, material.poisson_ratio) == (70e9, 0.33)
+    assert material.density == pytest.approx(2700)
+
+
+def test_a_free_field_card_of_too_many_fields_is_refused(tmp_path):
+    nodes = ",".join(map(str, range(1, 11)))
+    (tmp_path / "a.bdf").write_text(f"BEGIN BULK\nCTETRA,1,1,{nodes}\nENDDATA\n")
+    with pytest.raises(BundleError, match="line 2: has more than 8 fields"):
+        propose(tmp_path / "a.bdf", tmp_path / "new")
