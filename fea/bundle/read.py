@@ -26,6 +26,7 @@ from wrenchbook.fea.bundle.tables import (
     read_supports,
     read_tolerance,
 )
+from wrenchbook.fea.mesh.deck_content import integrations
 from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
@@ -111,7 +112,7 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
     parts |= {
         "interface": interfaces[0] if interfaces else None,
         "others": tuple(interfaces[1:]),
-        "analysis": read_analysis(top.table("analysis", required=False)),
+        "analysis": read_analysis(top.table("analysis", required=False), _of_deck(parts["mesh"])),
         "range": read_range(top, found),
         "further": read_inputs(top, folder),
         "tolerance": read_tolerance(top.table("tolerance", required=False)),
@@ -126,6 +127,13 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
     if top.problems:
         raise BundleError(top.problems)
     return Bundle(folder=folder, fingerprint=fingerprint(parts), **parts)
+
+
+def _of_deck(source: MeshSource | None) -> list[str]:
+    """Return the integrations that an input deck has for its 20-node hexahedra."""
+    if source is None or source.file is None or source.file.suffix.lower() != ".inp":
+        return []
+    return integrations(source.file.read_text(encoding="utf-8", errors="replace"))
 
 
 def _short(path: Path) -> bytes:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -196,16 +197,22 @@ def _locked(keys: Keys) -> tuple[str, ...]:
     return tuple(freedom for freedom in FREEDOMS if freedom in locked)
 
 
-def read_analysis(keys: Keys | None) -> Analysis:
-    """Return ``[analysis]``; a component without one claims nothing, so: nonlinear."""
+def read_analysis(keys: Keys | None, of_deck: Sequence[str] = ()) -> Analysis:
+    """Return ``[analysis]``; a component without one claims nothing, so: nonlinear.
+
+    `of_deck` are the integrations of the cells in an input deck: the default of its component.
+    """
     if keys is None:
         return Analysis()
     nonlinear = keys.flag("nonlinear")
     integration = keys.choice("integration", INTEGRATIONS, required=False)
+    if "integration" not in keys and len(of_deck) > 1:
+        message = "missing; the deck has C3D20 (full) and C3D20R (reduced): one is for all cells"
+        keys.wrong("integration", message)
     gravity = keys.numbers("gravity", 3, "m/s^2", required=False)
     keys.close()
     weight = (gravity[0], gravity[1], gravity[2]) if gravity and any(gravity) else None
-    return Analysis(nonlinear is not False, integration or "reduced", weight)
+    return Analysis(nonlinear is not False, integration or next(iter(of_deck), "reduced"), weight)
 
 
 def _loads(keys: Keys | None, *, may_rest: bool = False) -> DeclaredRange | None:

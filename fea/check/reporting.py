@@ -15,6 +15,7 @@ from wrenchbook.fea.accuracy.estimate import accuracy_or_why
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from wrenchbook.fea.check import findings
 from wrenchbook.fea.check.cost import estimate
+from wrenchbook.fea.check.deck_comparison import contradictions, listing
 from wrenchbook.fea.check.strength import strength
 from wrenchbook.fea.check.text import as_text
 from wrenchbook.fea.check.trial import (
@@ -28,7 +29,7 @@ from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, m
 from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
-from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings
+from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings, stack_problems
 from wrenchbook.fea.mesh.cad import list_shape
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
@@ -63,7 +64,8 @@ def report(
         each a list of ``{"where", "message"}``. As far as it gets: ``name``, ``fingerprint``,
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
-        ``coincident_nodes``; ``materials``, ``section`` (of several interfaces ``sections``, with
+        ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.deck_comparison`);
+        ``materials``, ``section`` (of several interfaces ``sections``, with
         their names), ``supports``, ``temperature`` and ``acceleration`` where they are inputs, and
         ``estimate`` (see `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density
         or a mass is given ``vibration`` (see `fea.check.trial`), and where a yield strength is
@@ -132,7 +134,10 @@ def _look_at_mesh(
     summary["parts"] = findings.parts(mesh, bodies)
     summary["coincident_nodes"] = len(pairs)
     _warn(summary, coincidence_warnings(mesh, bodies, pairs))
+    if mesh.deck is not None:
+        summary["mesh_file"] = listing(mesh.deck)
     component = build(bundle, mesh)
+    _warn(summary, contradictions(component))
     _look_at_component(component, bodies, pairs, summary)
     _try_out(component, riding, nonlinear, summary)
 
@@ -145,6 +150,7 @@ def _try_out(
     if solver is None:
         raise BundleError(problems)
     summary["trial"], problems = trial(solver, summary["estimate"])
+    problems = problems or stack_problems(component)  # a mechanism is named as such
     if problems:
         raise BundleError(problems)
     _warn(summary, deflection_warnings(component, summary["trial"]["deflection"]))

@@ -24,7 +24,7 @@ def as_text(report: Mapping[str, Any]) -> str:
     if report.get("has_fea") is False:
         lines.append("a table only: nothing to mesh or solve")
     solved = (_trial, _vibration, _strength, _estimate)
-    for write in (_deck, _geometry, _mesh, _groups, _quality, _set_up, *solved):
+    for write in (_deck, _geometry, _mesh, _mesh_file, _groups, _quality, _set_up, *solved):
         lines += write(report)
     lines += _complaints("warning", report["warnings"])
     lines += _complaints("error", report["problems"])
@@ -87,6 +87,21 @@ def _mesh(report: Mapping[str, Any]) -> list[str]:
                 f"{_place(part['middle'])} m"
             )
     return lines
+
+
+def _mesh_file(report: Mapping[str, Any]) -> list[str]:
+    if "mesh_file" not in report:
+        return []
+    one = report["mesh_file"]
+    lines = [
+        f"deck, {words}: {', '.join(f'*{w} ({len(one[key][w])})' for w in one[key]) or 'nothing'}"
+        for key, words in (("read", "read or compared"), ("ignored", "ignored"))
+    ]
+    return lines + [
+        f"deck, elements: {own['count']} {name}: {own['instead']}"
+        for name, own in one["elements"].items()
+        if own["instead"]
+    ]
 
 
 def _groups(report: Mapping[str, Any]) -> list[str]:

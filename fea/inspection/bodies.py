@@ -18,6 +18,9 @@ Array = np.ndarray
 _SAME_PLACE = 1e-2
 """Fraction of the shortest edge within which two nodes count as in one place."""
 
+_OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
+"""Opposite faces of a hexahedron, in the order of `fea.mesh.facets.FACES`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
@@ -66,6 +69,29 @@ def _faces(mesh: Mesh) -> tuple[Array, Array]:
         first += len(block)
     _, number = np.unique(np.concatenate(corners), axis=0, return_inverse=True)
     return number.ravel(), np.concatenate(owners)
+
+
+def stacked_singly(mesh: Mesh) -> Array:
+    """Return the middles of hex20 cells that follow each other with none at their sides.
+
+    Shape (k, 3), m: two or more in a row, each joined to others along one direction only.
+    """
+    number, _ = _faces(mesh)
+    shared = np.bincount(number)[number] > 1
+    first, alone, own, middles = 0, np.zeros(len(number), dtype=bool), [], []
+    for block in mesh.blocks:
+        faces = slice(first, first + len(FACES[block.kind]) * len(block))
+        first = faces.stop
+        if block.kind == "hex20":
+            joined = shared[faces].reshape(-1, len(block))[_OPPOSITE].any(axis=1)
+            single = joined.sum(axis=0) <= 1
+            alone[faces] = np.tile(single, len(FACES[block.kind]))
+            own.append(number[faces].reshape(-1, len(block))[:, single])
+            middles.append(mesh.points[block.nodes[single]].mean(axis=1))
+    if not own:
+        return np.empty((0, 3))
+    times = np.bincount(number[alone], minlength=int(number.max()) + 1)
+    return np.concatenate(middles)[(times[np.hstack(own)] > 1).any(axis=0)]
 
 
 def _nodes_of(mesh: Mesh, label: Array, count: int) -> list[Array]:

@@ -68,6 +68,7 @@ def second_order(mesh: Mesh) -> Mesh:
         mesh.regions,
         _facet_groups(mesh, blocks),
         {name: _with_middles(ids, pairs, middles) for name, ids in mesh.node_groups.items()},
+        mesh.deck,
     )
 
 

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wrenchbook.fea.mesh.deck_content import DeckContent
+
 Array = np.ndarray
 
 NODES_PER_CELL: dict[str, int] = {
@@ -100,6 +102,8 @@ class Mesh:
         Named parts of the surface.
     node_groups
         Named sets of nodes, each of shape (k,), int64.
+    deck
+        What else is in the input deck that the mesh is of; None of other meshes.
     """
 
     points: Array
@@ -107,6 +111,7 @@ class Mesh:
     regions: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
     facet_groups: Mapping[str, FacetGroup] = field(default_factory=dict)
     node_groups: Mapping[str, Array] = field(default_factory=dict)
+    deck: DeckContent | None = None
 
     @property
     def unknowns(self) -> int:

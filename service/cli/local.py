@@ -316,4 +316,24 @@ def check(
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 
-LOCAL_COMMANDS = (serve, work, demo, check, validate)
+def new(
+    deck: Annotated[
+        Path, typer.Argument(help="Abaqus or CalculiX (.inp), Nastran (.bdf), Ansys (.cdb)")
+    ],
+    folder: Annotated[
+        Path | None, typer.Argument(help="folder to write; by default the deck's name")
+    ] = None,
+    unit: Annotated[
+        Literal["m", "dm", "cm", "mm", "um", "in", "ft"] | None,
+        typer.Option(help="the deck's length unit; by default guessed from its constants"),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Propose a component for an input deck, check it, and print what is left to decide."""
+    flags = [*(["--json"] if as_json else []), *([f"--unit={unit}"] if unit else [])]
+    places = str(deck), str(folder or deck.stem)
+    words = child_command("wrenchbook.fea.check.proposal", *flags, "--", *places)
+    raise typer.Exit(subprocess.run(words, check=False).returncode)
+
+
+LOCAL_COMMANDS = (serve, work, demo, new, check, validate)

@@ -36,7 +36,7 @@ def written(title: str, cells: dict[str, list[np.ndarray]], sets: Sets) -> str:
     numbers: dict[tuple[float, ...], int] = {}
     lines, element = [], count(1)
     for name, own in cells.items():
-        lines.append(f"*ELEMENT, TYPE=C3D20, ELSET={name}")
+        lines.append(f"*ELEMENT, TYPE=C3D20R, ELSET={name}")
         for cell in own:
             keys = [tuple((np.round(point, 4) + 0.0).tolist()) for point in cell]
             nodes = [str(numbers.setdefault(key, len(numbers) + 1)) for key in keys]

@@ -55,7 +55,7 @@ def rod_between_loads(folder):
     }
     lines = ["*NODE"]
     lines += [f"{i}, " + ", ".join(map(repr, p)) for i, p in enumerate(mesh.points.tolist(), 1)]
-    lines.append("*ELEMENT, TYPE=C3D20")
+    lines.append("*ELEMENT, TYPE=C3D20R")
     for i, cell in enumerate((mesh.blocks[0].nodes + 1).tolist(), 1):
         lines += [", ".join(map(str, [i, *cell[:10]])) + ",", ", ".join(map(str, cell[10:]))]
     for name, nodes in sets.items():

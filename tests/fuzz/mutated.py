@@ -18,7 +18,8 @@ from pyarrow.parquet import write_table as write_parquet
 from tests.service.table_files import read_csv, read_hdf5, read_json, write_csv, write_json
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.mesh.io.abaqus import MeshFileError, read_inp
+from wrenchbook.fea.mesh.io.abaqus import MeshFileError
+from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.service.formats import Options, ParsedTable, write_hdf5
 from wrenchbook.service.formats.options import ReadReport
@@ -74,7 +75,9 @@ def seeds() -> dict[str, bytes]:
         "zip": packed.getvalue(),
         "inp": b"*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n"
         b"*ELEMENT, TYPE=C3D4, ELSET=E\n1,1,2,3,4\n*NSET, NSET=A, GENERATE\n1,4,1\n"
-        b"*SURFACE, NAME=S\nE, S1\n",
+        b"*SURFACE, NAME=S\nE, S1\n*NODE\n9,0,0,2\n*COUPLING, REF NODE=9, SURFACE=S\n*KINEMATIC\n"
+        b"*MATERIAL, NAME=M\n*ELASTIC\n1.,0.3\n*SOLID SECTION, ELSET=E, MATERIAL=M\n"
+        b"*BOUNDARY\nA,1,3\n2,1\n*STEP\n*CLOAD\n9,1,5.\n*END STEP\n",
     }
 
 
@@ -132,7 +135,7 @@ def read(form: str, content: bytes, folder: Path) -> None:
         elif form == "toml":
             read_bundle(folder)
         elif form == "inp":
-            read_inp(path)
+            read_deck(path)
         else:
             with tempfile.TemporaryDirectory(dir=folder) as target:
                 read_bundle(extract(path, Path(target)))

@@ -67,7 +67,7 @@ COMMANDS = {
     "doctor": (["--data", "FOLDER/data"], []),
     "serve --show-settings": (["--data", "FOLDER/data"], []),
 }
-OTHERS = {"serve", "work", "demo", "validate", "plan", "check"}  # tests here, plan: test_cli
+OTHERS = {"serve", "work", "demo", "validate", "plan", "check", "new"}  # tests here, plan: test_cli
 
 
 def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
@@ -195,6 +195,12 @@ def test_a_check_of_a_bundle_is_printed_as_json(run: Run):
     bundle = ROOT / "data" / "components" / "plate_thin"
     status, out = run("check", str(bundle), "--json")
     assert (status, isinstance(json.loads(out), dict)) == (0, True)
+
+
+def test_a_proposal_from_a_deck_is_printed_as_json(run: Run, tmp_path: Path):
+    deck = ROOT / "tests" / "fea" / "cae" / "calculix.inp"
+    status, out = run("new", str(deck), str(tmp_path / "new"), "--unit", "mm", "--json")
+    assert (status, json.loads(out)["check"]["ok"]) == (0, True)
 
 
 def test_settings_are_printed_as_json(run: Run, tmp_path: Path):

@@ -2,18 +2,21 @@
 
 meshio reads these as well, but forgets the nodes of all ``*NODE`` blocks but the last, gives the
 cells of ``*ELEMENT, ELSET=`` to the wrong block and knows no ``*SURFACE``; decks have all three.
+Nodes and elements are numbered by instance, as the parts of an assembly have them.
 Materials, boundary conditions and steps are not read: a bundle says those itself.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from wrenchbook.fea.mesh.io.keywords import STRIDE, Frame, Keyword, read_keywords
 from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, MeshFileError, RawMesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 
@@ -51,7 +54,7 @@ _MOST_MEMBERS = 20_000_000
 
 
 @dataclass
-class _Deck:
+class Deck:
     """What has been read so far; sets are keyed by their name in capitals, as solvers do."""
 
     nodes: dict[int, list[float]] = field(default_factory=dict)
@@ -62,7 +65,9 @@ class _Deck:
     element_sets: dict[str, list[int]] = field(default_factory=dict)
     surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
-    parts: int = 0
+    frames: dict[str, Frame] = field(default_factory=dict)
+    node_lines: list[tuple[int, int]] = field(default_factory=list)
+    element_lines: list[int] = field(default_factory=list)
     entries: int = 0
 
 
@@ -74,86 +79,92 @@ def read_inp(path: Path) -> RawMesh:
     MeshFileError
         If a line cannot be understood, or nodes and elements come by a keyword that is not read.
     """
-    deck = _Deck()
+    return raw_mesh(parsed(path))
+
+
+def parsed(path: Path, *takers: Callable[[Deck, Keyword], None]) -> Deck:
+    """Return what a deck defines of a mesh; `takers` get each keyword after it.
+
+    Raises
+    ------
+    MeshFileError
+        As `read_inp` does.
+    """
+    deck = Deck()
     text = path.read_text(encoding="utf-8", errors="replace")
-    for number, keyword, options, rows in _keywords(text):
+    for one in read_keywords(text):
         try:
-            _take(deck, keyword, options, rows)
+            for take in (_take, *takers):
+                take(deck, one)
         except MeshFileError as error:
-            raise MeshFileError(f"line {number}: *{keyword} {error}") from None
+            raise one.wrong(error) from None
         except (ValueError, KeyError, IndexError, OverflowError) as error:
-            raise MeshFileError(f"line {number}: *{keyword} cannot be read ({error})") from None
-    try:
-        return _raw_mesh(deck)
-    except OverflowError:
-        raise MeshFileError("numbers a node or an element beyond 2^63; number them anew") from None
+            raise one.wrong(f"cannot be read ({error})") from None
+    return deck
 
 
-def _keywords(text: str) -> Iterator[tuple[int, str, dict[str, str], list[list[str]]]]:
-    """Yield (line number, keyword, options, rows of fields) for each block of the deck."""
-    head: tuple[int, str, dict[str, str]] | None = None
-    rows: list[list[str]] = []
-    open_head = ""
-    for number, line in enumerate(text.splitlines(), start=1):
-        line = line.strip()
-        if not line or line.startswith("**"):
-            continue
-        if line.startswith("*") or open_head:
-            if head is not None and not open_head:
-                yield (*head, rows)
-            line = open_head + line
-            rows = []
-            head = (number, *_head(line))
-            open_head = line if line.endswith(",") else ""
-        else:
-            rows.append([each.strip() for each in line.rstrip(",").split(",")])
-    if head is not None:
-        yield (*head, rows)
-
-
-def _head(line: str) -> tuple[str, dict[str, str]]:
-    keyword, *options = (part.strip() for part in line.lstrip("*").split(","))
-    pairs = (option.partition("=") for option in options if option)
-    return keyword.upper(), {key.strip().upper(): value.strip() for key, _, value in pairs}
-
-
-def _take(deck: _Deck, keyword: str, options: dict[str, str], rows: list[list[str]]) -> None:
-    if keyword in _REFUSED:
-        raise MeshFileError(f"is not read; {_REFUSED[keyword]}")
-    taker = _TAKERS.get(keyword)
+def _take(deck: Deck, one: Keyword) -> None:
+    if one.word in _REFUSED:
+        raise MeshFileError(f"is not read; {_REFUSED[one.word]}")
+    taker = TAKERS.get(one.word)
     if taker is not None:
-        taker(deck, options, rows)
+        taker(deck, one)
 
 
-def _take_nodes(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
-    if options.get("SYSTEM", "R").upper() != "R":
+def _take_nodes(deck: Deck, one: Keyword) -> None:
+    if one.options.get("SYSTEM", "R").upper() != "R":
         raise MeshFileError("is in a system of its own; give global Cartesian coordinates")
-    new = {int(row[0]): [float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]] for row in rows}
-    deck.nodes.update(new)
-    if "NSET" in options:
-        _add(deck, deck.node_sets, options["NSET"], list(new))
+    deck.node_lines.append((len(deck.nodes), one.line))
+    labels = []
+    for row in one.rows:
+        label = one.frame.label(row[0])
+        point = one.frame.place([float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]])
+        if deck.nodes.setdefault(label, point) != point:
+            raise MeshFileError(_two_places(deck, row[0], label, point))
+        labels.append(label)
+    if "NSET" in one.options:
+        _add(deck, deck.node_sets, one.frame, one.options["NSET"], labels)
 
 
-def _take_elements(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
-    kind = _kind(options["TYPE"].upper())
+def _two_places(deck: Deck, name: str, label: int, point: list[float]) -> str:
+    """Say where the two nodes of one number are."""
+    place = list(deck.nodes).index(label)
+    line = next(line for first, line in reversed(deck.node_lines) if first <= place)
+    here, there = (", ".join(f"{x:g}" for x in at) for at in (point, deck.nodes[label]))
+    return (
+        f"has node {name} at ({here}), but the *NODE of line {line} has it at ({there}); number "
+        "one of the two anew"
+    )
+
+
+def _take_elements(deck: Deck, one: Keyword) -> None:
+    kind = kind_of(one.options["TYPE"].upper())
     if kind is None:  # masses, springs, gaps: nothing of the mesh
         return
     columns = 1 + {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}[kind]
-    numbers = [int(each) for row in rows for each in row if each]
+    numbers = [one.frame.label(each) for row in one.rows for each in row if each]
     if len(numbers) % columns:
         raise MeshFileError(f"has {len(numbers)} numbers; {kind} elements have {columns} each")
     table = [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
+    if not table:
+        return
     for i, row in enumerate(table):
         if row[0] in deck.where:
-            raise MeshFileError(f"defines element {row[0]} again")
+            line = [*deck.element_lines, one.line][deck.where[row[0]][0]]
+            raise MeshFileError(
+                f"defines element {row[0] % STRIDE} again; the *ELEMENT of line {line} has it too"
+            )
         deck.where[row[0]] = (len(deck.kinds), i)
     deck.kinds.append(kind)
+    deck.element_lines.append(one.line)
     deck.cells.append([row[1:] for row in table])
-    if "ELSET" in options:
-        _add(deck, deck.element_sets, options["ELSET"], [row[0] for row in table])
+    if "ELSET" in one.options:
+        labels = [row[0] for row in table]
+        _add(deck, deck.element_sets, one.frame, one.options["ELSET"], labels)
 
 
-def _kind(name: str) -> str | None:
+def kind_of(name: str) -> str | None:
+    """Return what an element type is in a mesh; None for masses, springs and the like."""
     solid = _SOLID.fullmatch(name)
     if solid:
         return _known_solid(name, solid[1])
@@ -169,33 +180,35 @@ def _known_solid(name: str, nodes: str) -> str:
     return _SOLIDS[nodes]
 
 
-def _take_node_set(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
-    entries = _members(deck.node_sets, options, rows)
-    if "ELSET" in options:
-        for element in deck.element_sets[options["ELSET"].upper()]:
+def _take_node_set(deck: Deck, one: Keyword) -> None:
+    entries = _members(deck, deck.node_sets, one)
+    if "ELSET" in one.options:
+        for element in named(deck, deck.element_sets, one.options["ELSET"], one.frame):
             block, row = deck.where[element]
             entries += deck.cells[block][row]
-    _add(deck, deck.node_sets, options["NSET"], entries)
+    _add(deck, deck.node_sets, one.frame, one.options["NSET"], entries)
 
 
-def _take_element_set(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
-    entries = _members(deck.element_sets, options, rows)
-    _add(deck, deck.element_sets, options["ELSET"], entries)
+def _take_element_set(deck: Deck, one: Keyword) -> None:
+    entries = _members(deck, deck.element_sets, one)
+    _add(deck, deck.element_sets, one.frame, one.options["ELSET"], entries)
 
 
-def _members(
-    sets: dict[str, list[int]], options: dict[str, str], rows: list[list[str]]
-) -> list[int]:
+def _members(deck: Deck, sets: dict[str, list[int]], one: Keyword) -> list[int]:
     """Return the numbers a set names: one by one, as start-end-step, or by other sets."""
     found: list[int] = []
-    for row in rows:
+    frame = one.frame
+    if "INSTANCE" in one.options:
+        frame = deck.frames[one.options["INSTANCE"].upper()]
+    for row in one.rows:
         fields = [each for each in row if each]
-        if "GENERATE" in options:
+        if "GENERATE" in one.options:
             first, last, step = (*(int(each) for each in fields), 1)[:3]
-            found += _few(range(first, last + 1, step))
+            offset = frame.number * STRIDE
+            found += _few(range(first + offset, last + 1 + offset, step))
         else:
             for each in fields:
-                found += _named(sets, each)
+                found += named(deck, sets, each, frame)
                 _few(found)
     return found
 
@@ -207,62 +220,93 @@ def _few(entries: Sequence[int]) -> Sequence[int]:
     return entries
 
 
-def _named(sets: dict[str, list[int]], name: str) -> list[int]:
-    if name.lstrip("+-").isdigit():
-        return [int(name)]
-    if name.upper() not in sets:
-        raise MeshFileError(f'names a set "{name}" that is not defined above it')
-    return sets[name.upper()]
+def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> list[int]:
+    """Return what a field names: a number, a set, or either of an instance as INSTANCE.NAME."""
+    instance, _, last = name.rpartition(".")
+    frame = deck.frames.get(instance.upper(), frame)
+    if last.lstrip("+-").isdigit() and (not instance or instance.upper() in deck.frames):
+        return [frame.label(last)]
+    return sets[set_key(deck, sets, name, frame)]
 
 
-def _take_surface(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
-    by_node = options.get("TYPE", "ELEMENT").upper() == "NODE"
-    for name, *rest in rows:
+def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> str:
+    """Return the key of a set that a field names, in the frame, else in the assembly.
+
+    Raises
+    ------
+    MeshFileError
+        If there is none.
+    """
+    instance, _, last = name.rpartition(".")
+    own = deck.frames.get(instance.upper())
+    for key in (own.key(last) if own else "", frame.key(name), name.upper()):
+        if key in sets:
+            return key
+    raise MeshFileError(f'names a set "{name}" that is not defined above it')
+
+
+def _take_surface(deck: Deck, one: Keyword) -> None:
+    by_node = one.options.get("TYPE", "ELEMENT").upper() == "NODE"
+    own = one.options["NAME"]
+    for name, *rest in one.rows:
         if by_node:
-            _add(deck, deck.node_sets, options["NAME"], _named(deck.node_sets, name))
+            _add(deck, deck.node_sets, one.frame, own, named(deck, deck.node_sets, name, one.frame))
             continue
         face = rest[0].upper() if rest else ""
         if not re.fullmatch(r"S\d", face):
             raise MeshFileError(f'has the face "{face}"; faces of solids are S1 to S6')
-        entries = [(element, face) for element in _named(deck.element_sets, name)]
+        entries = [(e, face) for e in named(deck, deck.element_sets, name, one.frame)]
         deck.entries += len(entries)
         _few(range(deck.entries))
-        deck.names.setdefault(options["NAME"].upper(), options["NAME"])
-        deck.surfaces.setdefault(options["NAME"].upper(), []).extend(entries)
+        deck.surfaces.setdefault(_key(deck, one.frame, own), []).extend(entries)
 
 
-def _take_part(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
-    deck.parts += 1
-    if deck.parts > 1:
-        raise MeshFileError("comes twice; write a flat deck, without parts and assembly")
+def _take_instance(deck: Deck, one: Keyword) -> None:
+    if one.frame.name.upper() in deck.frames:
+        raise MeshFileError(f'defines "{one.frame.name}" again; name each instance differently')
+    deck.frames[one.frame.name.upper()] = one.frame
 
 
-def _take_instance(deck: _Deck, options: dict[str, str], rows: list[list[str]]) -> None:
-    if rows:
-        raise MeshFileError("moves its part; write a flat deck, without parts and assembly")
-
-
-_TAKERS: dict[str, Callable[[_Deck, dict[str, str], list[list[str]]], None]] = {
+TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
     "NODE": _take_nodes,
     "ELEMENT": _take_elements,
     "NSET": _take_node_set,
     "ELSET": _take_element_set,
     "SURFACE": _take_surface,
-    "PART": _take_part,
     "INSTANCE": _take_instance,
 }
 
 
-def _add(deck: _Deck, sets: dict[str, list[int]], name: str, entries: list[int]) -> None:
-    """Add to a set, which keeps the spelling of its first mention."""
+def _key(deck: Deck, frame: Frame, name: str) -> str:
+    """Return a set's key; its name keeps the spelling of its first mention."""
+    key = frame.key(name)
+    deck.names.setdefault(key, f"{frame.name}.{name}" if frame.name else name)
+    return key
+
+
+def _add(
+    deck: Deck, sets: dict[str, list[int]], frame: Frame, name: str, entries: list[int]
+) -> None:
     deck.entries += len(entries)
     if deck.entries > _MOST_MEMBERS:
         raise MeshFileError(f"names a set too many: they have {deck.entries} members in all")
-    deck.names.setdefault(name.upper(), name)
-    sets.setdefault(name.upper(), []).extend(entries)
+    sets.setdefault(_key(deck, frame, name), []).extend(entries)
 
 
-def _raw_mesh(deck: _Deck) -> RawMesh:
+def set_names(deck: Deck, sets: Iterable[str]) -> dict[str, str]:
+    """Return each set's name by its key: without the instance where no other has that name."""
+    short = {key: key for key in sets}
+    for start in (f"{instance}." for instance in deck.frames):
+        short |= {key: key.removeprefix(start) for key in short if key.startswith(start)}
+    times = Counter(short.values())
+    return {
+        key: deck.names[key][-len(own) :] if times[own] == 1 else deck.names[key]
+        for key, own in short.items()
+    }
+
+
+def raw_mesh(deck: Deck) -> RawMesh:
+    """Return the mesh of a deck with its groups by name."""
     ids = np.array(list(deck.nodes), dtype=np.int64)
     points = np.array(list(deck.nodes.values()), dtype=float).reshape(-1, 3)
     row = {node: i for i, node in enumerate(ids.tolist())}
@@ -273,14 +317,19 @@ def _raw_mesh(deck: _Deck) -> RawMesh:
             if cells
         ]
     except KeyError as error:
-        raise MeshFileError(f"has an element on node {error}, which is not defined") from None
-    name = deck.names
+        label = int(str(error))
+        raise MeshFileError(
+            f"has an element on node {label % STRIDE}, which is not defined"
+        ) from None
+    regions, groups, faces = (
+        set_names(deck, sets) for sets in (deck.element_sets, deck.node_sets, deck.surfaces)
+    )
     return RawMesh(
         points,
         blocks,
-        {name[key]: _by_block(deck, ids) for key, ids in deck.element_sets.items()},
-        {name[key]: _rows(row, ids) for key, ids in deck.node_sets.items()},
-        {name[key]: _faces(deck, row, faces) for key, faces in deck.surfaces.items()},
+        {regions[key]: _by_block(deck, ids) for key, ids in deck.element_sets.items()},
+        {groups[key]: _rows(row, ids) for key, ids in deck.node_sets.items()},
+        {faces[key]: _faces(deck, row, own) for key, own in deck.surfaces.items()},
     )
 
 
@@ -288,7 +337,7 @@ def _rows(row: dict[int, int], ids: list[int]) -> Array:
     return np.array([row[node] for node in ids if node in row], dtype=np.int64)
 
 
-def _by_block(deck: _Deck, ids: list[int]) -> list[Array]:
+def _by_block(deck: Deck, ids: list[int]) -> list[Array]:
     """Return for each block the rows of the elements `ids`; solvers skip those not there."""
     chosen: list[list[int]] = [[] for _ in deck.kinds]
     for element in ids:
@@ -298,16 +347,20 @@ def _by_block(deck: _Deck, ids: list[int]) -> list[Array]:
     return [np.array(rows, dtype=np.int64) for rows in chosen]
 
 
-def _faces(deck: _Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> list[Block]:
+def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> list[Block]:
     found: dict[str, list[list[int]]] = {}
     for element, face in faces:
         if element not in deck.where:
-            raise MeshFileError(f"has a surface on element {element}, which is not defined")
+            raise MeshFileError(
+                f"has a surface on element {element % STRIDE}, which is not defined"
+            )
         block, cell = deck.where[element]
         shape = deck.kinds[block].rstrip("0123456789")
         table = _FACES.get(shape, ())
         if int(face[1]) > len(table):
-            raise MeshFileError(f"has a surface on face {face} of element {element}, a {shape}")
+            raise MeshFileError(
+                f"has a surface on face {face} of element {element % STRIDE}, a {shape}"
+            )
         corners = [row[deck.cells[block][cell][int(c) - 1]] for c in table[int(face[1]) - 1]]
         found.setdefault("quad4" if len(corners) == 4 else "tri3", []).append(corners)
     return [(kind, np.array(nodes, dtype=np.int64)) for kind, nodes in found.items()]

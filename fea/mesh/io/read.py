@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import io
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
 import numpy as np
 from meshio import _mesh
 
-from wrenchbook.fea.mesh.io.abaqus import read_inp
+from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.raw import Block, MeshFileError, RawMesh, to_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
@@ -62,8 +63,10 @@ def read_mesh(path: Path, unit: str) -> Mesh:
         If it cannot be read, has no solid cells, or some that the solver does not know.
     """
     try:
-        raw = read_inp(path) if path.suffix.lower() == ".inp" else _read_meshio(path)
-        return to_mesh(raw, UNITS[unit])
+        if path.suffix.lower() != ".inp":
+            return to_mesh(_read_meshio(path), UNITS[unit])
+        raw, content = read_deck(path)
+        return replace(to_mesh(raw, UNITS[unit]), deck=content)
     except MeshFileError as error:
         raise BundleError([BundleProblem("mesh.file", f'"{path.name}" {error}')]) from None
 

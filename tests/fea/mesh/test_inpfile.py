@@ -161,7 +161,11 @@ def changed(old, new):
         (DECK + "*INCLUDE, INPUT=other.inp\n", "*INCLUDE is not read"),
         (DECK + "*NCOPY, CHANGE NUMBER=10\n", "*NCOPY is not read"),
         (DECK + "*PART, NAME=A\n*PART, NAME=B\n", "*PART comes twice"),
-        (DECK + "*INSTANCE, NAME=A-1, PART=A\n 1., 0., 0.\n", "*INSTANCE moves"),
+        (DECK + "*INSTANCE, NAME=A-1, PART=A\n", 'of a part "A" that is not defined'),
+        (DECK + "*NODE\n 5, 0., 0., 3.\n", "the *NODE of line 4 has it at (0, 0, 1)"),
+        (DECK + "*NODE\n 5, 0., 0., 3.\n", "line 56: *NODE has node 5 at (0, 0, 3)"),
+        (DECK + "*NODE\n 12, 0., 0., 3.\n", "the *NODE of line 13 has it at (2, 1, 0)"),
+        (changed(" 9, 2, 11, 12, 3", " 7, 2, 11, 12, 3"), "*ELEMENT of line 22 has it too"),
         (changed("TYPE=C3D8I", "TYPE=C3D27"), "C3D27 is not read"),
         (changed("*NODE\n 11", "*NODE, SYSTEM=C\n 11"), "system of its own"),
         (changed(" GRIP, 2,", " grab, 2"), 'a set "grab" that is not defined'),
@@ -188,3 +192,77 @@ def test_a_refusal_names_the_line(tmp_path):
 def test_a_deck_without_elements_says_so(tmp_path):
     with pytest.raises(BundleError, match="no cells at all"):
         read(tmp_path, "*NODE\n1,0,0,0\n")
+
+
+# One cube, whose assembly has a reference point that is node 1 of its own, as Abaqus/CAE writes it.
+PART = """*Part, name=Cube
+*Node
+{nodes}
+*Element, type=C3D8
+1, 1, 2, 3, 4, 5, 6, 7, 8
+*Nset, nset=Foot
+1, 2, 3, 4
+*Elset, elset=All
+1
+*Solid Section, elset=All, material=Steel
+*End Part
+""".format(nodes=DECK[DECK.index(" 1, 0.") : DECK.index("\n*NODE\n 11")])
+ASSEMBLED = (
+    PART
+    + """*Assembly, name=Assembly
+*Instance, name=Cube-1, part=Cube
+*End Instance
+*Node
+1, {at}
+*Nset, nset=Ref
+1
+*Nset, nset=Head, instance=Cube-1
+5, 6, 7, 8
+*Nset, nset=Both
+Cube-1.Foot, Cube-1.5
+*Elset, elset=_Top, internal, instance=Cube-1
+1
+*Surface, type=ELEMENT, name=Top
+_Top, S2
+*End Assembly
+"""
+)
+TWICE = ASSEMBLED.replace("{at}", "0, 0, 9").replace(
+    "*End Instance\n",
+    "*End Instance\n*Instance, name=Cube-2, part=Cube\n1., 0., 0.\n"
+    "2., 0., 0., 2., 0., 1., 90.\n*End Instance\n",
+    1,
+)
+
+
+@pytest.mark.parametrize("at", ["0., 0., 1.5", "500., 0., 900."])
+def test_a_node_of_the_assembly_is_not_the_node_of_that_number_of_a_part(tmp_path, at):
+    mesh = read(tmp_path, ASSEMBLED.replace("{at}", at))
+    np.testing.assert_allclose(volumes(mesh.points, mesh.blocks[0]), [1.0], rtol=1e-12)
+    assert sorted(mesh.node_groups) == ["Both", "Foot", "Head"]
+    assert (mesh.points[mesh.node_groups["Head"]][:, 2] == 1.0).all()
+    assert len(mesh.node_groups["Both"]) == 5
+    section = section_of_facets(mesh.points, mesh.facet_groups["Top"])
+    np.testing.assert_allclose(section.centre, [0.5, 0.5, 1.0], atol=1e-12)
+
+
+def test_each_instance_of_a_part_has_its_own_nodes_where_it_is_moved_and_turned_to(tmp_path):
+    mesh = read(tmp_path, TWICE)
+    assert len(mesh.points) == 16
+    np.testing.assert_allclose(volumes(mesh.points, mesh.blocks[0]), [1.0, 1.0], rtol=1e-12)
+    foot = mesh.points[mesh.node_groups["Cube-2.Foot"]]
+    np.testing.assert_allclose(foot.mean(axis=0), [1.5, -0.5, 0.0], atol=1e-12)
+
+
+def test_sets_of_two_instances_of_one_name_are_told_apart_by_the_instance(tmp_path):
+    mesh = read(tmp_path, TWICE)
+    assert sorted(mesh.node_groups) == ["Both", "Cube-1.Foot", "Cube-2.Foot", "Head"]
+    assert sorted(mesh.regions) == ["Cube-1.All", "Cube-2.All", "_Top"]
+
+
+def test_a_node_given_twice_in_one_place_is_one_node(tmp_path):
+    assert len(read(tmp_path, DECK + "*NODE\n5, 0., 0., 1.\n").points) == 12
+
+
+def test_a_part_without_instances_is_read_as_a_flat_deck(tmp_path):
+    assert len(read(tmp_path, PART).points) == 8

@@ -1,0 +1,269 @@
+"""A proposed component of an input deck: ``python -m wrenchbook.fea.check.proposal DECK``.
+
+What a deck has is taken over; what it has not is written with a mark, and said.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wrenchbook.fea.bundle.read import FILE_NAME
+from wrenchbook.fea.check.reporting import report
+from wrenchbook.fea.mesh.deck_content import (
+    CoupledGroup,
+    DeckContent,
+    SolidSection,
+    in_si,
+)
+from wrenchbook.fea.mesh.element_order import SECOND
+from wrenchbook.fea.mesh.io.ansys import read_ansys
+from wrenchbook.fea.mesh.io.nastran import read_nastran
+from wrenchbook.fea.mesh.io.raw import MeshFileError
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.io.translated import Translated
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.schema import FREEDOMS, UNITS
+
+_TRANSLATORS: dict[str, Callable[[str], Translated]] = {
+    ".cdb": read_ansys,
+    **dict.fromkeys((".bdf", ".nas", ".dat"), read_nastran),
+}
+_CHOOSE = "CHOOSE"  # a group that no mesh has: `check` then lists those there are
+_IN_PASCAL = 1e8  # no elastic constant in MPa is above, few in Pa are below
+_ELASTIC = ("youngs_modulus", "poisson_ratio")
+_FORCE, _LEVER = 100.0, 0.1  # N and m, where the deck has no load
+
+
+class _Proposal:
+    """The lines of a component, and what is open: `decide` and `left`, in words."""
+
+    def __init__(self, mesh: Mesh, unit: str) -> None:
+        self.mesh, self.unit = mesh, unit
+        self.deck = mesh.deck or DeckContent()
+        self.groups = {*mesh.facet_groups, *mesh.node_groups}
+        self.decide: list[str] = []
+
+    def lines(self, name: str, file: str) -> list[str]:
+        """Return the lines of ``component.toml``."""
+        first = sorted({kind for kind in self.mesh.cell_counts if kind in SECOND})
+        if first:
+            self.decide.append(f"{', '.join(first)} cells get midside nodes (order = 2)")
+        return [
+            f"name = {_text(name)}",
+            f"title = {_text(name)}",
+            "",
+            "[mesh]",
+            f"file = {_text(file)}",
+            f"unit = {_text(self.unit)}",
+            *(["order = 2"] if first else []),
+            *self.materials(),
+            *self.supports(),
+            *self.interfaces(),
+            "",
+            "[analysis]",
+            f"nonlinear = {'true' if self.deck.nonlinear else 'false'}",
+        ]
+
+    def materials(self) -> list[str]:
+        sections = [one for one in self.deck.sections if one.region in self.mesh.regions]
+        alone = len({one.material for one in sections}) == 1 and self.filled(sections)
+        pairs = [("all" if alone else one.region, one.material) for one in sections]
+        lines = []
+        for region, name in dict(pairs).items() if pairs else [("all", "")]:
+            own = self.deck.materials.get(name, {})
+            values = [f"{key} = {own[key] * in_si(key, self.unit):.9g}" for key in own]
+            lacking = [key for key in _ELASTIC if key not in own]
+            if lacking:
+                self.decide.append(f'material of "{region}": write its {" and ".join(lacking)}')
+            lines += ["", "[[material]]", f"region = {_text(region)}", *values]
+        return lines
+
+    def filled(self, sections: list[SolidSection]) -> bool:
+        """Return whether each cell is in a section."""
+        own = zip(*(self.mesh.regions[one.region] for one in sections), strict=True)
+        pairs = zip(own, self.mesh.blocks, strict=True)
+        return all(np.unique(np.concatenate(cells)).size == len(block) for cells, block in pairs)
+
+    def supports(self) -> list[str]:
+        own = [one for one in self.deck.supports if one.group in self.groups]
+        fixed = [one.group for one in own if one.directions == "xyz"]
+        sliding = [one for one in own if one.directions != "xyz"]
+        if not own:
+            self.decide.append("supports: the deck holds nothing; name fixed groups")
+            fixed = [_CHOOSE]
+        names = ", ".join(map(_text, dict.fromkeys(fixed)))
+        lines = ["", "[supports]", *([f"fixed = [{names}]"] if fixed else [])]
+        for one in sliding:
+            ways = ", ".join(_text(way) for way in one.directions)
+            lines += [
+                "[[supports.sliding]]",
+                f"group = {_text(one.group)}",
+                f"directions = [{ways}]",
+            ]
+        return lines
+
+    def interfaces(self) -> list[str]:
+        """Return each coupling that is free, else the group with forces, as an interface."""
+        own = [one for one in self.deck.couplings if one.group in self.groups]
+        if not own:
+            group, loads = next(iter(self.deck.loads.items()), (_CHOOSE, [0.0] * 6))
+            group = group if group in self.groups else _CHOOSE
+            self.decide.append(f"interface: no free coupling in the deck; section = {group}")
+            own = [CoupledGroup("", group, "distributed", (), set(), loads)]
+        if len(own) == 1:
+            return ["", "[interface]", *self.interface(own[0]), "", "[range]", *self.range(own[0])]
+        lines = []
+        for one in own:
+            lines += ["", "[[interface]]", f"name = {_text(_name(one.group))}"]
+            lines += [*self.interface(one), "[interface.range]", *self.range(one)]
+        return lines
+
+    def interface(self, one: CoupledGroup) -> list[str]:
+        place = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in one.point)
+        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(one.held))
+        return [
+            f"section = {_text(one.group)}",
+            *([f"point = [{place}]"] if place else []),
+            f"coupling = {_text(one.kind)}",
+            *([f"locked = [{locked}]"] if locked else []),
+        ]
+
+    def range(self, one: CoupledGroup) -> list[str]:
+        """Return plus and minus the largest force and moment, or those of a lever."""
+        force = max(map(abs, one.loads[:3])) * in_si("force", self.unit)
+        moment = max(map(abs, one.loads[3:])) * in_si("moment", self.unit)
+        whole = force and moment
+        force = force or moment / _LEVER or _FORCE
+        moment = moment or force * _LEVER
+        if not whole:
+            words = f"the deck lacks force or moment; {force:.4g} N and {moment:.4g} N·m stand"
+            self.decide.append(f'range at "{one.group}": {words}')
+        return [
+            f"{k} = [{v:.4g}, {v:.4g}, {v:.4g}]" for k, v in (("force", force), ("moment", moment))
+        ]
+
+
+def propose(file: Path, folder: Path, unit: str | None = None) -> dict[str, Any]:
+    """Write a component's folder from a deck.
+
+    Parameters
+    ----------
+    file
+        Abaqus or CalculiX (.inp), Nastran (.bdf, .nas, .dat) or Ansys (.cdb).
+    folder
+        To be made; it must not have a ``component.toml``.
+    unit
+        The deck's length unit, a key of `fea.spec.schema.UNITS`; None guesses mm or m by the
+        largest elastic constant.
+
+    Returns
+    -------
+    dict
+        ``files`` written, ``left``: what is not taken over, ``decide``: what the deck does not
+        tell, and ``check``: the report on the proposal.
+
+    Raises
+    ------
+    BundleError
+        If the deck cannot be read, or the folder has a component.
+    """
+    if (folder / FILE_NAME).exists():
+        raise BundleError([BundleProblem(str(folder), f"has a {FILE_NAME}; name a new folder")])
+    text, left = _deck_text(file)
+    folder.mkdir(parents=True, exist_ok=True)
+    deck = folder / f"{file.stem}.inp"
+    deck.write_text(text, encoding="utf-8")
+    proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m")
+    if unit is None:
+        proposal.unit = _guessed(proposal)
+    lines = proposal.lines(_name(file.stem), deck.name)
+    left += [f"{where} {words}" for where, words in proposal.deck.missing.items()]
+    notes = [f"# DECIDE: {one}" for one in proposal.decide] + [
+        f"# not taken over: {o}" for o in left
+    ]
+    (folder / FILE_NAME).write_text("\n".join([*lines, "", *notes, ""]), encoding="utf-8")
+    files = [str(folder / FILE_NAME), str(deck)]
+    return {"files": files, "left": left, "decide": proposal.decide, "check": report(folder)}
+
+
+def _deck_text(file: Path) -> tuple[str, list[str]]:
+    """Return an Abaqus deck and what of the file is not in it."""
+    try:
+        text = file.read_text(encoding="utf-8", errors="replace")
+        left: list[str] = []
+        if (translate := _TRANSLATORS.get(file.suffix.lower())) is not None:
+            found = translate(text)
+            text = "\n".join(found.lines())
+            left = [f"{what} ({count})" for what, count in found.left.items() if count]
+        elif file.suffix.lower() != ".inp":
+            raise MeshFileError(f"is no .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand")
+        return text, left
+    except (OSError, MeshFileError) as error:
+        raise BundleError([BundleProblem(file.name, str(error))]) from None
+
+
+def _guessed(proposal: _Proposal) -> str:
+    largest = max(
+        (own.get("youngs_modulus", 0.0) for own in proposal.deck.materials.values()), default=0
+    )
+    unit = "m" if largest > _IN_PASCAL else "mm"
+    proposal.decide.append(f"unit: a deck names none; {unit} by its elastic constants (--unit)")
+    return unit
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _name(text: str) -> str:
+    return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_-")[:64] or "part"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the proposal and print what is open; return 0 if its check finds no problem."""
+    parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.check.proposal")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--unit", choices=tuple(UNITS))
+    parser.add_argument("deck", type=Path)
+    parser.add_argument("folder", type=Path)
+    options = parser.parse_args(arguments)
+    try:
+        found = propose(options.deck, options.folder, options.unit)
+    except BundleError as error:
+        message = str(error)
+        print(
+            json.dumps({"error": {"title": "BundleError", "detail": message}})
+            if options.json
+            else message
+        )
+        return 1
+    if options.json:
+        print(json.dumps(found))
+    else:
+        print("\n".join(_as_lines(found)))
+    return 0 if found["check"]["ok"] else 1
+
+
+def _as_lines(found: dict[str, Any]) -> list[str]:
+    check = found["check"]
+    return [
+        *(f"wrote {file}" for file in found["files"]),
+        *(f"not taken over: {one}" for one in found["left"]),
+        *(f"decide: {one}" for one in found["decide"]),
+        *(f"error: {one['where']}: {one['message']}" for one in check["problems"]),
+        "ready to solve"
+        if check["ok"]
+        else f"then: wrenchbook check {Path(found['files'][0]).parent}",
+    ]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,119 @@
+"""What an input deck has besides its mesh: materials, sections, supports, couplings, loads.
+
+All numbers are in the deck's own units, which no deck names; `in_si` takes its length unit and the
+forces that go with it.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+from wrenchbook.fea.spec.schema import UNITS
+
+_FORCES = {"in": 4.4482216152605, "ft": 4.4482216152605, "um": 1e-6}
+"""N: inches and feet go with pounds, micrometres with micronewtons, all others with newtons."""
+
+
+_HEX20 = re.compile(r"^\s*\*ELEMENT\s*,[^*]*?\bTYPE\s*=\s*C3D20(\w*)", re.I | re.M)
+
+
+def integrations(text: str) -> list[str]:
+    """Return how a deck integrates its 20-node hexahedra: "full" (C3D20), "reduced" (C3D20R)."""
+    found = {"reduced" if "R" in letters.upper() else "full" for letters in _HEX20.findall(text)}
+    return sorted(found)
+
+
+def in_si(quantity: str, unit: str) -> float:
+    """Return the factor from a deck's consistent units to SI.
+
+    Parameters
+    ----------
+    quantity
+        A key of ``[[material]]``, ``length``, ``force`` or ``moment``; others have no unit.
+    unit
+        The deck's length unit, a key of `fea.spec.schema.UNITS`.
+    """
+    length, force = UNITS[unit], _FORCES.get(unit, 1.0)
+    stress = force / length**2
+    factors = {"youngs_modulus": stress, "yield_strength": stress, "density": stress / length**2}
+    factors |= {"length": length, "force": force, "moment": force * length}
+    return factors.get(quantity, 1.0)
+
+
+@dataclass(frozen=True)
+class SolidSection:
+    """A cell group and the name of its material; `where` is the line and keyword."""
+
+    where: str
+    region: str
+    material: str
+
+
+@dataclass(frozen=True)
+class HeldGroup:
+    """A node or facet group that does not move along `directions`, such as "xyz"."""
+
+    where: str
+    group: str
+    directions: str
+
+
+@dataclass
+class CoupledGroup:
+    """A group that a reference point moves, or whose mean that point follows.
+
+    Attributes
+    ----------
+    where, group
+        Line and keyword, and the name of a facet or node group.
+    kind
+        "rigid" or "distributed".
+    point
+        Of the reference point, in the deck's length unit; empty where it has no node.
+    held
+        Freedoms of the point that a support holds, in numbers 0 to 5.
+    loads
+        Force and moment on the point in the deck's units.
+    """
+
+    where: str
+    group: str
+    kind: str
+    point: tuple[float, ...] = ()
+    held: set[int] = field(default_factory=set)
+    loads: list[float] = field(default_factory=lambda: [0.0] * 6)
+
+
+@dataclass
+class DeckContent:
+    """What a deck has besides its mesh.
+
+    Attributes
+    ----------
+    materials
+        Constants of each, by the keys of ``[[material]]``.
+    sections, supports, couplings
+        In the order of the deck; they name groups of the mesh.
+    loads
+        Forces on groups without a coupling, their sums, shape (6,).
+    elements
+        The number of elements of each type.
+    taken, ignored
+        Lines of each keyword that is read or compared, and that is neither.
+    missing
+        By line and keyword, what counts and cannot be taken over, and what to do.
+    nonlinear
+        Whether a step has large displacements.
+    """
+
+    materials: dict[str, dict[str, float]] = field(default_factory=dict)
+    sections: list[SolidSection] = field(default_factory=list)
+    supports: list[HeldGroup] = field(default_factory=list)
+    couplings: list[CoupledGroup] = field(default_factory=list)
+    loads: dict[str, list[float]] = field(default_factory=dict)
+    elements: dict[str, int] = field(default_factory=dict)
+    taken: dict[str, list[int]] = field(default_factory=dict)
+    ignored: dict[str, list[int]] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+    nonlinear: bool = False

@@ -1,0 +1,79 @@
+"""What a file of another solver holds, written as an Abaqus deck."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+
+@dataclass
+class Translated:
+    """A deck in the making; all entries are text as it goes into the deck.
+
+    Attributes
+    ----------
+    nodes
+        Rows of ``*NODE``.
+    elements
+        By type and region, numbers of element and nodes.
+    constants
+        By material, rows by keyword.
+    sections
+        Material by region.
+    groups
+        Nodes by name.
+    held
+        Nodes by freedom, 1 to 6.
+    ties
+        Lines of couplings.
+    loads
+        Rows of ``*CLOAD``.
+    left
+        How often each thing occurs that is not in the deck.
+    """
+
+    nodes: list[str] = field(default_factory=list)
+    elements: dict[tuple[str, str], list[list[str]]] = field(
+        default_factory=lambda: defaultdict(list)
+    )
+    constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
+    sections: dict[str, str] = field(default_factory=dict)
+    groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    held: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    ties: list[str] = field(default_factory=list)
+    loads: list[str] = field(default_factory=list)
+    left: Counter[str] = field(default_factory=Counter)
+    nonlinear: bool = False
+
+    def lines(self) -> list[str]:
+        """Return the deck."""
+        found = ["*NODE", *self.nodes]
+        for (kind, region), rows in self.elements.items():
+            found.append(f"*ELEMENT, TYPE={kind}, ELSET={region}")
+            found += [",\n".join(_rows(row)) for row in rows]
+        for name, nodes in self.groups.items():
+            found += [f"*NSET, NSET={name}", *_rows(nodes)]
+        for name, constants in self.constants.items():
+            found.append(f"*MATERIAL, NAME={name}")
+            found += [f"*{word}\n{row}" for word, row in constants.items()]
+        known = {region for _, region in self.elements}
+        pairs = ((region, name) for region, name in self.sections.items() if region in known)
+        found += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
+        held = [f"{node}, {way}" for way, nodes in self.held.items() for node in nodes]
+        found += ["*BOUNDARY", *held] if held else []
+        found += self.ties
+        found.append("*STEP, NLGEOM" if self.nonlinear else "*STEP")
+        return [*found, *(["*CLOAD", *self.loads] if self.loads else []), "*END STEP", ""]
+
+    def tie(self, name: str, nodes: list[str], reference: str, kind: str) -> None:
+        """Let nodes follow a reference node ("KINEMATIC"), or it their mean ("DISTRIBUTING")."""
+        self.groups[name] = nodes
+        self.ties += [f"*SURFACE, TYPE=NODE, NAME={name}", name]
+        self.ties += [f"*COUPLING, CONSTRAINT NAME={name}, SURFACE={name}, REF NODE={reference}"]
+        self.ties.append(f"*{kind}")
+
+
+def _rows(words: Iterable[str]) -> list[str]:
+    words = list(words)
+    return [", ".join(words[i : i + 10]) for i in range(0, len(words), 10)]
