@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg.blas import get_blas_funcs
 from scipy.linalg.lapack import get_lapack_funcs
+from threadpoolctl import ThreadpoolController
 
 from wrenchbook.fea.linalg.condensed import (
     Condensed,
@@ -34,6 +35,9 @@ _trsm, _syrk = get_blas_funcs(("trsm", "syrk"), _like)
 _potrf, _getrf, _getrs = get_lapack_funcs(("potrf", "getrf", "getrs"), _like)
 _trttf, _tfsm = get_lapack_funcs(("trttf", "tfsm"), _like)
 
+
+# Fronts of up to 3,500 unknowns take twice the time by two threads of BLAS as by one.
+_ONE_THREAD = ThreadpoolController().wrap(limits=1, user_api="blas")
 
 Leaf = Callable[[int], Array]
 """Gives the matrix of a leaf by its number, its unknowns in the order of the substructure's."""
@@ -67,6 +71,7 @@ class MultifrontalFactor:
         Shape (unknowns,): that of the matrix.
     """
 
+    @_ONE_THREAD
     def __init__(self, dissection: Dissection, leaf: Leaf) -> None:
         self._dissection = dissection
         self.unknowns = dissection.unknowns
@@ -88,6 +93,7 @@ class MultifrontalFactor:
         """Number of negative eigenvalues: by Sylvester's law, those of the pivot blocks."""
         return 0 if self.definite else sum(front.negatives for front in self._fronts)
 
+    @_ONE_THREAD
     def solve(self, loads: Array) -> Array:
         """Solve for several load cases.
 

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from tests.fea import components
 from tests.fea.boxes import box
+from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
 from wrenchbook.fea.linalg.nested_dissection import unknowns_of
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 
@@ -100,3 +102,25 @@ def test_a_body_without_free_nodes_has_nothing_to_solve():
     body = body_of(mesh, np.zeros(8, dtype=bool))
     assert body.dissection.unknowns == 0
     assert body.tangent(None).solve(np.ones((8, 3, 2))).max() == 0.0
+
+
+def test_a_factorisation_runs_on_one_thread_and_leaves_the_callers_as_they_were():
+    mesh = box("hex8", (2, 2, 2), (1.0, 1.0, 1.0))
+    tangent = body_of(mesh, np.ones(len(mesh.points), dtype=bool)).tangent(None)
+    seen = []
+
+    def leaf(number):
+        seen.append(blas_threads())
+        return tangent._leaf(number)
+
+    with threadpool_limits(2, "blas"):
+        before = blas_threads()
+        MultifrontalFactor(tangent._body.dissection, leaf)
+        assert blas_threads() == before
+    assert seen
+    assert all(threads == [1] * len(threads) for threads in seen)
+
+
+def blas_threads():
+    """Threads of each BLAS that is loaded."""
+    return [one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"]
