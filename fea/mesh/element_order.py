@@ -44,7 +44,8 @@ def first_order_problems(mesh: Mesh) -> list[BundleProblem]:
         f"{' and '.join(found)} cells are of first order, which is up to several times too stiff "
         "in bending and when nearly incompressible; mesh in second order (gmsh: "
         "Mesh.ElementOrder = 2; Abaqus: C3D20R, C3D10), or write order = 2 under [mesh] to give "
-        "them midside nodes"
+        "them midside nodes, in the middle of straight edges: what that changes on round surfaces "
+        "is in the error bar"
     )
     return [BundleProblem("mesh", message)]
 
