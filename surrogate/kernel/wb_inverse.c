@@ -5,8 +5,8 @@
 #include <string.h>
 
 enum { MOST_STEPS = 40, MOST_HALVINGS = 12 };
-/* Of the load range: a step that no displacement of a table shows, and one below which rounding of
- * the interpolant can keep the next from being shorter. */
+/* Of the load range: a step that no displacement of a table shows, and one below which rounding can
+ * always keep the next from being shorter. */
 static const double SMALL_STEP = 1e-12, ROUNDING_STEP = 1e-9;
 /* How much shorter each step is while the matrix of another place is good enough. */
 static const double GAIN = 0.1;
@@ -166,6 +166,25 @@ static double try_step(solver *s, const double *target, const double *stiffness,
     return step_by(s, stiffness, missed, next);
 }
 
+/* The largest step that rounding of the outputs can make: a kriging's sums lose more than others. */
+static double step_of_rounding(const solver *s, const double *stiffness) {
+    double most = ROUNDING_STEP, lost[WB_MOST] = {0};
+    for (int i = 0; i < s->t->groups; i++) {
+        const wb_group *g = &s->t->group[i];
+        if (!g->used || wb_method_of(g, s->o) != WB_KRIGING) continue;
+        for (int q = 0; q < s->t->outputs; q++)
+            if (g->outputs[q]) lost[q] = g->kriging.lost[q];
+    }
+    for (int i = 0; i < s->count; i++) {
+        int load = s->free[i];
+        double step = 0;
+        for (int j = 0; j < s->count; j++)
+            step += fabs(stiffness[s->t->outputs * load + s->free[j]]) * lost[s->free[j]];
+        most = fmax(most, step / s->t->scale[load]);
+    }
+    return most;
+}
+
 /* Newton's method with the natural monotonicity test (Deuflhard 2004): the next step by the same
  * matrix must be shorter. The matrix stays while each is shorter by GAIN. */
 static int iterate(solver *s, const double *target, double *w, double *stiffness, int fresh) {
@@ -174,8 +193,9 @@ static int iterate(solver *s, const double *target, double *w, double *stiffness
     double most = try_step(s, target, stiffness, 0.0, w, none, there, step);
     for (int count = 0; count < MOST_STEPS; count++) {
         if (!isfinite(most)) return WB_SINGULAR;
+        double floor = step_of_rounding(s, stiffness);
         double share = 1.0, after = try_step(s, target, stiffness, share, w, step, there, next);
-        if (most <= SMALL_STEP || (most <= ROUNDING_STEP && !(after <= GAIN * most))) {
+        if (most <= SMALL_STEP || (most <= floor && !(after <= GAIN * most))) {
             if (after <= most) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
             return WB_OK;
         }
@@ -187,7 +207,7 @@ static int iterate(solver *s, const double *target, double *w, double *stiffness
         }
         for (int half = 0; half < MOST_HALVINGS && !(after < most); half++)
             after = try_step(s, target, stiffness, share *= 0.5, w, step, there, next);
-        if (!(after < most)) return most <= ROUNDING_STEP ? WB_OK : WB_NO_CONVERGENCE;
+        if (!(after < most)) return most <= floor ? WB_OK : WB_NO_CONVERGENCE;
         memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
         memcpy(step, next, sizeof step);
         most = after, fresh = 0;

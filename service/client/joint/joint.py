@@ -207,7 +207,7 @@ class Joint:
                 wrench = self._loads + self._near @ (target - self._moved)
                 start[: packed.outputs] = wrench[: packed.outputs]
             loads, slopes = packed.inverse(target, start, self._method, self._near)
-        except ValueError:  # no such wrench: far beyond the range
+        except (ValueError, ArithmeticError):  # no such wrench: far beyond the range
             return self._beyond(self._whole(self.wrench), target, turn)
         left = max(self._ranges(loads), turn)
         if left > 1.0:

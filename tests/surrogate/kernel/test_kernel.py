@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.surrogate.kernel.kinds import KINDS, asked_of, packed_of, special_of, table_of
+from tests.surrogate.kernel.kinds import KINDS, RANGE, asked_of, packed_of, special_of, table_of
 from wrenchbook.surrogate.answer import ANSWERED, METHODS, NAMES, UnknownMethodError
+from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.kernel import library
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.replies import InverseError
-from wrenchbook.surrogate.packed.writer import write
+from wrenchbook.surrogate.packed.writer import pack, write
+from wrenchbook.surrogate.table.rows import Rows
 
 PAGE = Path(__file__).parents[3] / "data" / "docs" / "how-to" / "c.md"
 
@@ -123,6 +125,25 @@ def test_the_inverse_of_a_displacement_is_its_wrench(kind):
         np.testing.assert_allclose(stiffness @ slopes, np.eye(6), atol=1e-9)
         near, _ = packed.inverse(found.outputs, start=wrench + 0.05 * scale)
         np.testing.assert_allclose(near / scale, wrench / scale, atol=1e-9)
+
+
+def test_the_inverse_of_a_part_soft_one_way_and_stiff_another_ends_at_rounding():
+    """Its wrench is no better than what sums over the rows lose: steps of Newton end there."""
+    random = np.random.default_rng(2)
+    turn = np.linalg.qr(random.normal(size=(6, 6)))[0]
+    linear = turn @ np.diag(np.geomspace(1e-3, 1e-11, 6)) @ turn.T
+    x, along = random.uniform(-1, 1, (20, 6)), 0.4 * random.normal(size=6)
+    bend = 0.3 * np.tanh(x @ along)
+    moved = x @ linear + bend[:, None] * (linear @ along)
+    slopes = linear + (0.3 - bend**2 / 0.3)[:, None, None] * np.outer(linear @ along, along)
+    rows = Rows.of(x * RANGE.high, moved, compliance=slopes / RANGE.high, source=["fea"] * 20)
+    packed = PackedTable.from_bytes(b"".join(pack(build(rows, RANGE))))
+    wrench, stiffness = np.zeros(6), None
+    for time in np.linspace(0, 1, 200):
+        target = packed.answer((0.5 * RANGE.high * np.sin(time + np.arange(6))).tolist()).outputs
+        wrench, stiffness = packed.inverse(target, wrench, None, stiffness)
+        again = np.array(packed.answer(wrench.tolist()).outputs)
+        np.testing.assert_allclose(again, target, atol=1e-12 * np.abs(moved).max())
 
 
 def test_the_inverse_leaves_locked_loads_zero():
