@@ -24,6 +24,7 @@ from wrenchbook.service.cli.render import matrix_table
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.client import Client
 from wrenchbook.service.client.joint import LinearPart
+from wrenchbook.service.client.joint.joint import FREEDOMS
 
 Three = tuple[float, float, float]
 _About = Annotated[
@@ -94,8 +95,16 @@ def _springs(
 
 
 def _mass_of(facts: dict[str, Any]) -> list[list[float]] | None:
-    """Return a component's condensed mass, shape (6, 6), kg to kg·m^2; None if it is not known."""
-    return (facts.get("vibration") or {}).get("condensed_mass")
+    """Return a component's condensed mass, shape (6, 6), kg to kg·m^2; None if it is not known.
+
+    Of several interfaces that of the last one that is not held.
+    """
+    whole = (facts.get("vibration") or {}).get("condensed_mass") or []
+    for last in range(len(whole), 0, -FREEDOMS):
+        own = slice(last - FREEDOMS, last)
+        if any(whole[k][k] for k in range(own.start, last)):
+            return [row[own] for row in whole[own]]
+    return None
 
 
 def _tell_mass(name: str, facts: dict[str, Any]) -> None:

@@ -142,8 +142,13 @@ class Joint:
         JointRangeError
             If the pose lies beyond twice the load range or 40 degrees.
         InvalidArgument
-            If the inverse mass is not positive definite.
+            If the inverse mass is not positive definite, the step not above zero, or the velocity
+            not finite.
         """
+        if not (math.isfinite(dt) and dt > 0 and np.isfinite(velocity).all()):
+            raise InvalidArgument(
+                f"a step is above zero and its velocity six finite numbers, not {dt} s, {velocity}"
+            )
         wrench, stiffness = self.state(p, rotation_vector(R))
         free, mass = self.free, np.asarray(inverse_mass, dtype=float)
         square = np.ix_(free, free)

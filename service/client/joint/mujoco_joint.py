@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -250,9 +251,12 @@ def step_joints(*joints: MujocoJoint) -> None:
 
     Raises
     ------
+    JointError
+        If the joints are not of one scene and of a tip each, or its step is not above zero.
     JointRangeError
         See `Joint.step`; the scene is where it was.
     """
+    _require_one_scene(joints)
     model, data = joints[0]._model, joints[0]._data
     engine.mj_step1(model, data)
     for joint in joints:
@@ -265,6 +269,16 @@ def step_joints(*joints: MujocoJoint) -> None:
     engine.mj_step2(model, data)
     for joint in joints:
         joint._read()
+
+
+def _require_one_scene(joints: Sequence[MujocoJoint]) -> None:
+    if not joints or any(one._data is not joints[0]._data for one in joints):
+        raise JointError("step_joints takes the joints of one scene: one or more of the same data")
+    if len({one._dofs.start for one in joints}) < len(joints):
+        raise JointError("two joints have one tip, which would feel one of them: leave one out")
+    step = joints[0]._model.opt.timestep
+    if not step > 0:
+        raise JointError(f"the scene's time step is {step} s: set it above 0")
 
 
 def _places(model: Any, dofs: NDArray[np.intp]) -> tuple[Any, Any, Any]:

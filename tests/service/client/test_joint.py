@@ -270,6 +270,26 @@ def test_the_law_for_other_simulators_is_that_in_mujoco():
     np.testing.assert_allclose(here.wrench, there.wrench, rtol=1e-6, atol=1e-6)
 
 
+def test_two_joints_of_one_tip_are_refused():
+    joint = MujocoJoint(*scene(sphere(3)), TABLE)
+    with pytest.raises(JointError, match="two joints have one tip"):
+        step_joints(joint, joint)
+
+
+def test_joints_of_two_scenes_are_refused():
+    with pytest.raises(JointError, match="joints of one scene"):
+        step_joints(*(MujocoJoint(*scene(sphere(3)), TABLE) for _ in range(2)))
+
+
+@pytest.mark.parametrize(
+    ("velocity", "dt"),
+    [(np.zeros(6), 0.0), (np.zeros(6), -1e-3), (np.zeros(6), np.nan), (np.full(6, np.nan), 1e-3)],
+)
+def test_a_step_that_is_none_and_a_velocity_that_is_no_number_are_refused(velocity, dt):
+    with pytest.raises(InvalidArgument, match="a step is above zero"):
+        Joint(TABLE).step(np.eye(3), np.zeros(3), velocity, np.eye(6), dt)
+
+
 def test_beyond_the_range_the_wrench_goes_on_linearly_with_one_warning():
     joint = Joint(linear_table(high=HIGH / 100))
     with pytest.warns(JointWarning, match="beyond the load range"):
