@@ -124,6 +124,16 @@ def locking_material(message: str) -> SolveFailed:
     )
 
 
+def yields(message: str) -> SolveFailed:
+    """Return the failure of a part of which a share, named in the message, yields."""
+    return SolveFailed(
+        "yields",
+        message,
+        'Lower the load range, strengthen the part, or write on_yield = "warn" under [analysis] to '
+        "take such answers.",
+    )
+
+
 def rotation_too_large(degrees: float, limit: float, load_factor: float = 1.0) -> SolveFailed:
     """Return the failure of an interface that rotates further than tables cover.
 

@@ -20,11 +20,12 @@ from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.equations import system_of
 from wrenchbook.fea.export.failure_record import keep
-from wrenchbook.fea.failure import SolveFailed, rotation_too_large
+from wrenchbook.fea.failure import SolveFailed, rotation_too_large, yields
 from wrenchbook.fea.inspection.warnings import warnings_of
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
 from wrenchbook.fea.recovery.stress import small_stress, stress_of
 from wrenchbook.fea.recovery.weight import material_of_parts
+from wrenchbook.fea.recovery.yielding import yielding
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
@@ -285,9 +286,16 @@ class Solver:
             found = self._solve_linear(whole, acting)
         else:
             found = self._solve_nonlinear(whole, acting, progress, start)
+        found = self._as_it_yields(found)
         if progress is not None:
             progress(1.0, "done")
         return replace(found, seconds=time.perf_counter() - started)
+
+    def _as_it_yields(self, found: Solution) -> Solution:
+        words = yielding(self.component, self._system.body, found)
+        if words and self.component.analysis.on_yield == "fail":
+            raise yields(words)
+        return replace(found, notes=(*found.notes, words)) if words else found
 
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear

@@ -21,6 +21,7 @@ from wrenchbook.fea.spec.schema import (
     FREEDOMS,
     INTEGRATIONS,
     LAWS,
+    ON_YIELD,
     Analysis,
     Bushing,
     DeclaredRange,
@@ -209,10 +210,12 @@ def read_analysis(keys: Keys | None, of_deck: Sequence[str] = ()) -> Analysis:
     if "integration" not in keys and len(of_deck) > 1:
         message = "missing; the deck has C3D20 (full) and C3D20R (reduced): one is for all cells"
         keys.wrong("integration", message)
+    on_yield = keys.choice("on_yield", ON_YIELD, required=False)
     gravity = keys.numbers("gravity", 3, "m/s^2", required=False)
     keys.close()
     weight = (gravity[0], gravity[1], gravity[2]) if gravity and any(gravity) else None
-    return Analysis(nonlinear is not False, integration or next(iter(of_deck), "reduced"), weight)
+    points = integration or next(iter(of_deck), "reduced")
+    return Analysis(nonlinear is not False, points, weight, on_yield or ON_YIELD[0])
 
 
 def _loads(keys: Keys | None, *, may_rest: bool = False) -> DeclaredRange | None:

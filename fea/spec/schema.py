@@ -254,16 +254,22 @@ class Supports:
     bushings: tuple[Bushing, ...] = ()
 
 
+ON_YIELD = ("warn", "fail")
+"""What becomes of a solve in which a material yields: a note with the answer, or no answer."""
+
+
 @dataclass(frozen=True)
 class Analysis:
     """How to solve: geometrically nonlinear or not, the integration of hex20 cells, own weight.
 
     `gravity` is the acceleration of gravity in the mesh's axes, m/s^2; None for no weight.
+    `on_yield` is what becomes of a solve beyond a material's yield strength, one of `ON_YIELD`.
     """
 
     nonlinear: bool = True
     integration: str = "reduced"
     gravity: tuple[float, float, float] | None = None
+    on_yield: str = "warn"
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from tests import shipped_checks
 from tests.service.client.joint_scenes import linear_table, mujoco
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.cli.joint import _mass_of
 from wrenchbook.service.client.joint import JointError
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint
 from wrenchbook.service.client.joint.mujoco_model import scene_with_joint
@@ -112,3 +113,11 @@ def test_the_shipped_bars_mass_and_frequency_are_those_of_its_check():
     for name in ("mass", "first_frequency"):
         assert stored[name] == pytest.approx(found[name], rel=1e-6)
     np.testing.assert_allclose(stored["condensed_mass"], found["condensed_mass"], atol=1e-6)
+
+
+def test_the_mass_of_a_link_is_that_of_the_end_that_moves():
+    facts = json.loads((SHIPPED / "link" / "check.json").read_text())
+    mass = np.array(_mass_of(facts))
+    assert mass.shape == (6, 6)
+    assert (np.linalg.eigvalsh(mass) > 0).all()
+    assert mass[0, 0] < facts["vibration"]["mass"]
