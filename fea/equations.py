@@ -37,7 +37,8 @@ def system_of(component: ComponentModel, active: Array) -> System:
     free[coupling.tied] = False
     materials, numbers = component.materials, component.material_of_cells
     integration = component.analysis.integration
-    filled = filled_cells(mesh, materials, numbers, integration, component.axes)
+    frame = component.axes, component.point
+    filled = filled_cells(mesh, materials, numbers, integration, *frame)
     if component.warmth is not None:
         warmth = component.warmth
         filled = [(block, _warmed(block, part, warmth, integration)) for block, part in filled]

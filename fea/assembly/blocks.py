@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from wrenchbook.fea.element.orthotropic import OrthotropicStiffness, turned_elas
 from wrenchbook.fea.element.pressure_projection import projects, require_no_locking, volume_modes
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.reference_cell import reference_element
+from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.schema import LAWS, Material
 
 Array = np.ndarray
@@ -24,6 +26,7 @@ def filled_cells(
     numbers: Sequence[Array],
     integration: str,
     axes: Array | None = None,
+    origin: Array | None = None,
 ) -> list[tuple[CellBlock, CellStiffness]]:
     """Return the cells in parts of one law each, with their stiffness.
 
@@ -40,6 +43,8 @@ def filled_cells(
     axes
         Shape (3, 3): row i is the mesh's axis i in those that the bundle is written in; the same
         unless given.
+    origin
+        Shape (3,), m: where the mesh's points are counted from, in the bundle's axes.
 
     Raises
     ------
@@ -47,6 +52,7 @@ def filled_cells(
         ``inverted_elements`` or ``locking_material``.
     """
     frame = np.eye(3) if axes is None else axes
+    start = np.zeros(3) if origin is None else origin
     filled = []
     for block, number, chosen, law, projected in sorted_cells(mesh, materials, numbers):
         own = CellBlock(block.kind, block.nodes[chosen])
@@ -55,7 +61,9 @@ def filled_cells(
         modes = None
         if projected:
             modes = volume_modes(mesh.points, own, gradients.weights, integration)
-        filled.append((own, _stiffness(law, gradients, one_each, modes, frame)))
+        values = reference_element(own.kind, integration).values
+        places = values @ mesh.points[own.nodes] @ frame + start
+        filled.append((own, _stiffness(law, gradients, one_each, modes, (frame, places))))
     return filled
 
 
@@ -86,12 +94,17 @@ def sorted_cells(
 
 
 def _stiffness(
-    law: str, gradients: Gradients, materials: list[Material], modes: Array | None, frame: Array
+    law: str,
+    gradients: Gradients,
+    materials: list[Material],
+    modes: Array | None,
+    where: tuple[Array, Array],
 ) -> CellStiffness:
-    expansion = _expansion(materials, frame)
+    """Return the cells of one law; `where` is as of `_directions`."""
+    expansion = _expansion(materials, where)
     if law == "orthotropic":
-        elasticities = {id(m): _elasticity(m, frame) for m in materials}
-        elasticity = np.array([elasticities[id(m)] for m in materials])
+        parts = _directions(materials, where)
+        elasticity = _by_cell(parts, lambda one, own: turned_elasticity(_own(one).elasticity, own))
         return OrthotropicStiffness(gradients, elasticity, expansion=expansion)
     kind = NeoHookeanStiffness if law == "neo-hookean" else Stiffness
     young = np.array([material.youngs_modulus for material in materials])
@@ -99,21 +112,53 @@ def _stiffness(
     return kind(gradients, *_lame(young, poisson), modes, expansion=expansion)
 
 
-def _expansion(materials: list[Material], frame: Array) -> Array | None:
-    """Return thermal strains per kelvin, shape (cells, 1, 3, 3), 1/K; None for none."""
-    found = {}
-    for one in materials:
-        if one.thermal_expansion is None:
-            return None
-        own = np.eye(3) if one.orthotropic is None else np.array(one.orthotropic.axes) @ frame.T
-        found[id(one)] = (own.T * one.thermal_expansion) @ own
-    return np.array([found[id(one)] for one in materials])[:, None]
+def _expansion(materials: list[Material], where: tuple[Array, Array]) -> Array | None:
+    """Return thermal strains per kelvin, (cells, points or 1, 3, 3), 1/K; None for none."""
+    if any(one.thermal_expansion is None for one in materials):
+        return None
+    return _by_cell(
+        _directions(materials, where),
+        lambda one, own: (own.swapaxes(-1, -2) * np.array(one.thermal_expansion)) @ own,
+    )
 
 
-def _elasticity(material: Material, frame: Array) -> Array:
-    own = material.orthotropic
-    assert own is not None
-    return turned_elasticity(own.elasticity, np.array(own.axes) @ frame.T)
+def _directions(
+    materials: list[Material], where: tuple[Array, Array]
+) -> list[tuple[Material, Array, Array]]:
+    """Return each material, its cells (k,) and its directions there, (k, points or 1, 3, 3).
+
+    `where` is the frame of the result, (3, 3), and the integration points' places in the bundle's
+    axes, (cells, points, 3), m. Directions that are everywhere the same stand once a cell.
+    """
+    frame, places = where
+    found = []
+    for one in {id(material): material for material in materials}.values():
+        cells = np.array([k for k, material in enumerate(materials) if material is one])
+        own = one.orthotropic
+        if own is None:
+            directions = np.broadcast_to(np.eye(3), (len(cells), 1, 3, 3))
+        else:
+            at = places[cells] if own.cylinder else places[cells, :1]
+            directions = own.directions(at) @ frame.T
+        found.append((one, cells, directions))
+    return found
+
+
+def _by_cell(
+    parts: list[tuple[Material, Array, Array]], tensor: Callable[[Material, Array], Array]
+) -> Array:
+    """Return a tensor of each material's directions, by cell, (cells, points or 1, ...)."""
+    made = [(cells, tensor(one, directions)) for one, cells, directions in parts]
+    points = max(own.shape[1] for _, own in made)
+    out = np.empty((sum(len(cells) for cells, _ in made), points, *made[0][1].shape[2:]))
+    for cells, own in made:
+        out[cells] = own
+    return out
+
+
+def _own(material: Material) -> Orthotropic:
+    assert material.orthotropic is not None
+    return material.orthotropic
 
 
 def _lame(young: Array, poisson: Array) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrenchbook.fea.bundle.inputs_table import read_expansion
-from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
+from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic, Three
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import (
     COUPLINGS,
@@ -314,11 +314,12 @@ def _orthotropic(keys: Keys) -> Orthotropic | None:
     young = _three(keys, "youngs_modulus", "E1, E2, E3", "Pa", positive=True)
     ratios = _three(keys, "poisson_ratio", "nu12, nu13, nu23", "no unit", positive=False)
     shears = _three(keys, "shear_modulus", "G12, G13, G23", "Pa", positive=True)
+    cylinder = _cylinder(keys)
     axes = read_axes(keys)
     if young is None or ratios is None or shears is None or axes is None:
         return None
     x, y, z = ((float(row[0]), float(row[1]), float(row[2])) for row in axes)
-    own = Orthotropic(young, ratios, shears, (x, y, z))
+    own = Orthotropic(young, ratios, shears, (x, y, z), cylinder)
     if not own.stable:
         message = (
             "no material has these: some strain would give energy back. Each |nu_ij| must be below "
@@ -334,6 +335,26 @@ def _orthotropic(keys: Keys) -> Orthotropic | None:
         keys.wrong("poisson_ratio", message)
         return None
     return own
+
+
+def _cylinder(keys: Keys) -> tuple[Three, Three] | None:
+    """Return ``cylinder``: a point and the direction of its axis, exactly a unit; None for none."""
+    table = keys.table("cylinder", required=False)
+    if table is None:
+        return None
+    point, axis = table.numbers("point", 3, "m"), table.numbers("axis", 3, "no unit")
+    table.close()
+    if "axes" in keys:
+        keys.wrong(
+            "axes", "is for directions that are the same everywhere: leave it or cylinder out"
+        )
+    if point is None or axis is None:
+        return None
+    if not 1e-6 < math.sqrt(sum(one * one for one in axis)) < 1e6:
+        table.wrong("axis", "must be a direction: three numbers that are not all zero")
+        return None
+    x, y, z = _unit(axis)
+    return (point[0], point[1], point[2]), (x, y, z)
 
 
 def _three(

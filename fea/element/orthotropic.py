@@ -32,8 +32,8 @@ class OrthotropicStiffness(CellStiffness):
     Attributes
     ----------
     elasticity
-        Shape (cells, 6, 6), Pa: stresses (xx, yy, zz, xy, xz, yz) by strains, the shears 2 E_ij,
-        in the axes of the mesh.
+        Shape (cells, points or 1, 6, 6), Pa: stresses (xx, yy, zz, xy, xz, yz) by strains, the
+        shears 2 E_ij, in the axes of the mesh.
     """
 
     elasticity: Array
@@ -46,8 +46,9 @@ class OrthotropicStiffness(CellStiffness):
         """Return the cells after a stretch without stress, shape (cells, 3, 3)."""
         inverse = np.linalg.inv(stretch)[:, None]
         strains = (inverse @ UNIT_STRAINS @ inverse)[..., ROWS, COLUMNS] * _SHEARS_TWICE
-        elasticity = strains @ self.elasticity @ strains.swapaxes(1, 2)
-        return replace(self, elasticity=np.linalg.det(stretch)[:, None, None] * elasticity)
+        strains = strains[:, None]
+        elasticity = strains @ self.elasticity @ strains.swapaxes(2, 3)
+        return replace(self, elasticity=np.linalg.det(stretch)[:, None, None, None] * elasticity)
 
     def small_stress(self, strain: Array, part: Which) -> Array:
         """Return weighted stresses, Pa times m^3, of strains: shape (k, cells, points, 3, 3)."""
@@ -55,7 +56,7 @@ class OrthotropicStiffness(CellStiffness):
 
     def _weighted(self, part: Which) -> Array:
         """Return elasticities times weights, shape (cells, points, 6, 6), Pa times m^3."""
-        return self.elasticity[part, None] * self.gradients.weights[part][..., None, None]
+        return self.elasticity[part] * self.gradients.weights[part][..., None, None]
 
 
 class _State(DenseState):
@@ -83,12 +84,17 @@ def turned_elasticity(elasticity: Array, directions: Array) -> Array:
     elasticity
         Shape (6, 6), Pa: in the material's own directions, as in `OrthotropicStiffness`.
     directions
-        Shape (3, 3): row i is the material's direction i in the target axes.
+        Shape (..., 3, 3): row i is the material's direction i in the target axes.
+
+    Returns
+    -------
+    Array
+        Shape (..., 6, 6), Pa.
     """
-    strains = directions @ UNIT_STRAINS @ directions.T
-    stresses = _stress(elasticity, strains)
-    back = directions.T @ stresses @ directions
-    return np.ascontiguousarray(back[:, ROWS, COLUMNS].T)
+    rows = directions[..., None, :, :]
+    stresses = _stress(elasticity, rows @ UNIT_STRAINS @ rows.swapaxes(-1, -2))
+    back = rows.swapaxes(-1, -2) @ stresses @ rows
+    return np.ascontiguousarray(back[..., ROWS, COLUMNS].swapaxes(-1, -2))
 
 
 def _stress(elasticity: Array, strain: Array) -> Array:

@@ -214,7 +214,15 @@ def _expansion(material: Material, reference: float) -> str:
 
 
 def _orientation(number: int, own: Orthotropic, axes: Array) -> Iterator[str]:
-    """Yield a material's directions by a point on its x-axis and one on its y-axis."""
+    """Yield a material's directions by a point on its x-axis and one on its y-axis.
+
+    Those about a cylinder's axis by two points of it.
+    """
+    if own.cylinder is not None:
+        point, axial = np.array(own.cylinder) @ axes.T
+        yield f"*ORIENTATION, NAME=O{number}, SYSTEM=CYLINDRICAL"
+        yield _numbers([*point, *(point + axial)])
+        return
     x, y, _ = np.array(own.axes) @ axes.T
     yield f"*ORIENTATION, NAME=O{number}\n{_numbers([*x, *y])}"
 

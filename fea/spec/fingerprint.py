@@ -95,7 +95,8 @@ def _material(material: Material, heated: bool) -> list[object]:
     if material.law != "isotropic":
         content.append(material.law)
     if material.orthotropic is not None:
-        content.append(asdict(material.orthotropic))
+        own = asdict(material.orthotropic)
+        content.append({name: value for name, value in own.items() if value is not None})
     return [*content, material.thermal_expansion] if heated else content
 
 

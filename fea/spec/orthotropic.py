@@ -28,12 +28,33 @@ class Orthotropic:
         G12, G13, G23, Pa.
     axes
         The directions 1, 2 and 3 in the mesh's axes, orthonormal and right-handed.
+    cylinder
+        A point, m, and a unit direction of the axis about which 1, 2 and 3 are radial,
+        circumferential and axial, in the mesh's axes; None where `axes` are everywhere the same.
     """
 
     youngs_moduli: Three
     poisson_ratios: Three
     shear_moduli: Three
     axes: tuple[Three, Three, Three]
+    cylinder: tuple[Three, Three] | None = None
+
+    def directions(self, places: Array) -> Array:
+        """Return the directions 1, 2 and 3 at places (..., 3), m: shape (..., 3, 3), in rows.
+
+        Places and directions are in the mesh's axes. On the axis itself any radial one will do.
+        """
+        if self.cylinder is None:
+            return np.broadcast_to(np.array(self.axes), (*places.shape[:-1], 3, 3))
+        point, axial = np.array(self.cylinder)
+        off = places - point
+        off = off - (off @ axial)[..., None] * axial
+        size = np.linalg.norm(off, axis=-1, keepdims=True)
+        any_radial = np.cross(axial, np.eye(3)[np.abs(axial).argmin()])
+        radial = np.where(size > 0, off / np.where(size > 0, size, 1.0), any_radial)
+        radial = radial / np.linalg.norm(radial, axis=-1, keepdims=True)
+        around = np.cross(axial, radial)
+        return np.stack([radial, around, np.broadcast_to(axial, radial.shape)], axis=-2)
 
     @property
     def elasticity(self) -> Array:

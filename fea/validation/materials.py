@@ -16,11 +16,25 @@ from wrenchbook.fea.validation.calculix import same_mesh
 from wrenchbook.fea.validation.clamped import clamped
 from wrenchbook.fea.validation.finding import Finding, case
 
+Array = np.ndarray
+
 _X, _Y, _Z = rotation(np.array([0.3, -0.8, 0.5])).tolist()
 CARBON = Orthotropic(
     (135e9, 10e9, 9e9), (0.3, 0.32, 0.45), (5e9, 4.8e9, 3.2e9), (tuple(_X), tuple(_Y), tuple(_Z))
 )
 """Carbon fibre with nine different constants, its directions askew to every axis."""
+
+TURN = rotation(np.array([0.4, -0.2, 0.7]))
+CENTRE = (0.3, -0.1, 0.2)
+_AXIAL = TURN[:, 2].tolist()
+WOUND = Orthotropic(
+    (9e9, 135e9, 10e9),
+    (0.02, 0.4, 0.3),
+    (5e9, 3.2e9, 4.8e9),
+    (tuple(_X), tuple(_Y), tuple(_Z)),
+    (CENTRE, (_AXIAL[0], _AXIAL[1], _AXIAL[2])),
+)
+"""Carbon fibre wound round an axis askew: radial, circumferential, axial. Its axes do not count."""
 
 TIP_LOAD = (90.0, -60.0, 270.0, 9.0, -7.5, 3.6)
 SQUEEZE = (250.0, -100.0, -900.0, 0.5, 1.0, 0.8)
@@ -44,6 +58,27 @@ def rubber_same_mesh() -> Iterator[Finding]:
         for nonlinear in (False, True):
             name = f"{kind}, Poisson's ratio {ratio:g}"
             yield from same_mesh(name, part, SQUEEZE, nonlinear=nonlinear)
+
+
+@case("material")
+def wound_tube_same_mesh() -> Iterator[Finding]:
+    """Half a wound tube, 40 mm round, 5 mm thick, 200 mm long, on the same mesh as CalculiX."""
+    for nonlinear in (False, True):
+        yield from same_mesh("hex20", wound_tube(), TIP_LOAD, nonlinear=nonlinear)
+
+
+def wound_tube(divisions: tuple[int, int, int] = (1, 8, 5)) -> ComponentModel:
+    """Return half a tube of `WOUND`, its axis and its interface askew."""
+
+    def bent(points: Array) -> Array:
+        radius, angle = 0.015 + 0.005 * points[:, 0], np.pi * points[:, 1]
+        places = [radius * np.cos(angle), radius * np.sin(angle), 0.2 * points[:, 2]]
+        return np.stack(places, axis=1) @ TURN.T + CENTRE
+
+    axes = rotation(np.array([0.2, 0.1, -0.4]))
+    part = clamped(box("hex20", divisions, warp=bent), "z0", "z1", (1.0, 0.0), axes=axes)
+    own = Material("all", 135e9, WOUND.isotropic_ratio, law="orthotropic", orthotropic=WOUND)
+    return replace(part, materials=(own,))
 
 
 def orthotropic_beam(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> ComponentModel:

@@ -48,7 +48,7 @@ _MISSING = {
     "MEMBRANE SECTION": "is not solved: membranes are groups of faces only",
     "BEAM SECTION": "is not solved: beams and trusses are groups of nodes only",
     "HYPERELASTIC": 'is not compared; write law = "neo-hookean" with small-strain constants',
-    "ORIENTATION": 'is not compared; write law = "orthotropic" with axes',
+    "ORIENTATION": 'is not compared; write law = "orthotropic" with axes or a cylinder',
     "DISTRIBUTING COUPLING": "is not compared; write [interface] with the section's group",
     "KINEMATIC COUPLING": "is not compared; write [interface] with the section's group",
     "HYPERFOAM": "is not solved: materials are elastic, or neo-Hookean",

@@ -31,7 +31,7 @@ def cells(law):
     gradients = cell_gradients(mesh.points, block, "full")
     if law == "orthotropic":
         moduli = turned_elasticity(CARBON.elasticity, TURN)
-        return OrthotropicStiffness(gradients, np.array([moduli] * len(block))), nodes
+        return OrthotropicStiffness(gradients, np.array([[moduli]] * len(block))), nodes
     modes = None
     if law == "projected":
         modes = volume_modes(mesh.points, block, gradients.weights, "full")
@@ -133,7 +133,9 @@ def test_equal_constants_in_all_directions_are_the_isotropic_material_in_any_axe
         CARBON, youngs_moduli=(young,) * 3, poisson_ratios=(nu,) * 3, shear_moduli=(shear,) * 3
     )
     ones = np.ones(len(nodes))
-    ours = OrthotropicStiffness(gradients, np.array([turned_elasticity(same.elasticity, TURN)] * 4))
+    ours = OrthotropicStiffness(
+        gradients, np.array([[turned_elasticity(same.elasticity, TURN)]] * 4)
+    )
     plain = Stiffness(gradients, ones * 2 * shear * nu / (1 - 2 * nu), ones * shear)
     u = 0.05 * RNG.standard_normal(nodes.shape)
     for one, other in zip(ours.forces(u), plain.forces(u), strict=True):

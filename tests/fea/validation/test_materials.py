@@ -35,12 +35,14 @@ def test_a_laminate_of_one_angle_is_the_ply_itself():
 
 
 @pytest.mark.ccx
-@pytest.mark.parametrize("name", ["orthotropic_same_mesh", "rubber_same_mesh"])
+@pytest.mark.parametrize(
+    "name", ["orthotropic_same_mesh", "rubber_same_mesh", "wound_tube_same_mesh"]
+)
 def test_calculix_finds_the_same_on_the_same_mesh(name):
     require_ccx()
     found = findings(name)
-    assert [one.tolerance for one in found] == [1e-5, 1e-4] * 2
-    assert [one.verdict for one in found] == ["pass"] * 4, found
+    assert [one.tolerance for one in found] == [1e-5, 1e-4] * (len(found) // 2)
+    assert {one.verdict for one in found} == {"pass"}, found
 
 
 @pytest.mark.ccx
