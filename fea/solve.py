@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import ROUNDOFF
@@ -28,12 +29,13 @@ from wrenchbook.fea.recovery.weight import material_of_parts
 from wrenchbook.fea.recovery.yielding import yielding
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
+from wrenchbook.fea.solver.craig_bampton import CraigBampton, craig_bampton
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath, hang
 from wrenchbook.fea.solver.newton import Equilibrium
 from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.solver.warm_start import WarmFolder
-from wrenchbook.fea.spec.schema import Bundle
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
 
@@ -207,11 +209,35 @@ class Solver:
         ValueError, SolveFailed
             As `fea.solver.vibration.first_vibration` does.
         """
+        return first_vibration(self._system, self._mass, riding)
+
+    def craig_bampton(self, modes: int) -> CraigBampton:
+        """Return the part's stiffness and mass, of its frames and some modes, unloaded.
+
+        The first frame is the held interface's, or else the mesh's own, for the supports.
+
+        Raises
+        ------
+        ValueError, SolveFailed
+            As `fea.solver.craig_bampton.craig_bampton` does.
+        """
+        held, frames = [("base", np.zeros(3), np.eye(3))], []
+        for one in self.component.interfaces:
+            frame = one.name or "interface", one.point, one.axes
+            if one.locked == FREEDOMS:
+                held = [frame]
+            else:
+                frames.append(frame)
+        where = self.component.mesh.points, self.component.axes
+        return craig_bampton(self._system, self._mass, *where, [*held, *frames], modes)
+
+    @property
+    def _mass(self) -> csr_array:
         densities = np.array([one.density or 0.0 for one in self.component.materials])
         density = [densities[numbers] for numbers in self.component.material_of_cells]
         mass = consistent_mass(self.component.mesh, density)
         mass.eliminate_zeros()
-        return first_vibration(self._system, mass, riding)
+        return mass
 
     def unit_stresses(self) -> Array:
         """Return the small-strain stresses of unit inputs, shape (p, 6, k), Pa per unit.

@@ -165,15 +165,24 @@ def condensed_mass(inertia: Inertia) -> Array:
     Guyan (1965): the kinetic energy of the motions that static loads at the interfaces give.
     """
     active, count = inertia.active, len(inertia.interface_mass)
-    own = inertia.first + np.arange(active.size)
-    units = np.zeros((active.size, inertia.size))
-    units[np.arange(active.size), own] = 1.0
-    moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
-    shapes = np.linalg.solve(moved[own].T, moved.T).T
+    shapes, _ = static_shapes(inertia)
     energies = shapes.T @ np.stack([inertia.times(one) for one in shapes.T], axis=1)
     whole = np.zeros((count, count))
     whole[np.ix_(active, active)] = 0.5 * (energies + energies.T)
     return whole
+
+
+def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
+    """Return the unknowns by unit motions of each active interface freedom, shape (size, k).
+
+    And the compliance of these freedoms, shape (k, k), m/N and its like.
+    """
+    own = inertia.first + np.arange(inertia.active.size)
+    units = np.zeros((own.size, inertia.size))
+    units[np.arange(own.size), own] = 1.0
+    moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
+    compliance = 0.5 * (moved[own] + moved[own].T)
+    return np.linalg.solve(moved[own].T, moved.T).T, compliance
 
 
 class Inertia:
@@ -227,7 +236,7 @@ class Inertia:
         return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self._motions, 0]])
 
 
-class _Applied(LinearOperator):
+class Applied(LinearOperator):
     """A linear map as SciPy takes it."""
 
     def __init__(self, size: int, apply: Callable[[Array], Array]) -> None:
@@ -240,7 +249,7 @@ class _Applied(LinearOperator):
 
 def _lowest(inertia: Inertia) -> Array:
     """Return the motion of the lowest frequency, by Lanczos' method."""
-    mass, inverse = (_Applied(inertia.size, one) for one in (inertia.times, inertia.solved))
+    mass, inverse = (Applied(inertia.size, one) for one in (inertia.times, inertia.solved))
     start = np.random.default_rng(_SEED).standard_normal(inertia.size)
     # In this mode ARPACK multiplies by K^-1 and M alone; the first argument tells the size.
     _, motions = eigsh(mass, k=1, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 
@@ -18,6 +19,7 @@ from tests.service.client.joint_scenes import linear_table
 from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_cli import EXTREMES, QUEUED_NONE, RECORDED
 from tests.service.test_client_calls import COVERED
+from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli import local
 from wrenchbook.service.cli.main import app, main
 from wrenchbook.service.keys import Keyring
@@ -67,7 +69,16 @@ COMMANDS = {
     "doctor": (["--data", "FOLDER/data"], []),
     "serve --show-settings": (["--data", "FOLDER/data"], []),
 }
-OTHERS = {"serve", "work", "demo", "validate", "plan", "check", "new"}  # tests here, plan: test_cli
+OTHERS = {
+    "serve",
+    "work",
+    "demo",
+    "validate",
+    "plan",
+    "check",
+    "new",
+    "condense",
+}  # tests here, plan: test_cli
 
 
 def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
@@ -221,3 +232,21 @@ def test_a_server_prints_one_json_line_when_it_is_ready(tmp_path: Path, command:
         finally:
             os.kill(process.pid, signal.SIGTERM)
         assert process.stdout.read() == ""
+
+
+def test_a_condensed_part_tells_its_frames(run, tmp_path):
+    out = tmp_path / "bar.npz"
+    status, said = run("condense", str(SHIPPED / "bar"), str(out), "--modes", "3", "--json")
+    assert status == 0
+    found = json.loads(said)
+    assert found["frames"] == ["base", "interface"]
+    assert len(found["held"]) == 3
+    arrays = np.load(out)
+    assert arrays["stiffness"].shape == arrays["mass"].shape == (15, 15)
+    assert found["free"][0] == pytest.approx(arrays["free"][0], rel=1e-5)
+
+
+def test_a_part_that_cannot_be_condensed_says_why(run, tmp_path):
+    status, _ = run("condense", str(tmp_path), str(tmp_path / "none.npz"), "--json")
+    assert status == 2
+    assert not (tmp_path / "none.npz").exists()

@@ -1,0 +1,112 @@
+"""A part as stiffness and mass of its frames and modes, against the whole equations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+from tests.fea.boxes import box
+from tests.fea.components import component
+from wrenchbook.fea.coupling.rotation import rotation, skew
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.solver.vibration import Inertia, Riding
+from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.validation.clamped import shipped
+
+DENSITY, SIZE = 2700.0, (0.05, 0.03, 0.4)
+AXES = rotation(np.array([0.3, -0.5, 0.2]))
+
+
+def bar(coupling="rigid", **options):
+    mesh = box("hex20", (1, 1, 6), SIZE)
+    one = component(mesh, coupling=coupling, axes=AXES, integration="full", **options)
+    return Solver(replace(one, materials=(Material("all", 70e9, 0.3, DENSITY),)))
+
+
+def frequencies(solver, held):
+    """All natural frequencies, Hz, by the whole matrices."""
+    system = solver._system
+    inertia = Inertia(system, solver._mass, np.zeros((6, 6)))
+    units = np.eye(inertia.size)
+    flexible = np.stack([inertia.solved(unit) for unit in units], axis=1)
+    mass = np.stack([inertia.times(unit) for unit in units], axis=1)
+    stiffness = np.linalg.inv(0.5 * (flexible + flexible.T))
+    kept = slice(inertia.first) if held else slice(None)
+    squares = eigh(stiffness[kept, kept], 0.5 * (mass + mass.T)[kept, kept], eigvals_only=True)
+    return np.sqrt(squares) / (2 * np.pi)
+
+
+def test_the_frequencies_are_those_of_the_whole_part():
+    solver = bar()
+    found = solver.craig_bampton(20)
+    np.testing.assert_allclose(found.held, frequencies(solver, held=True)[:20], rtol=1e-6)
+    np.testing.assert_allclose(found.free[:10], frequencies(solver, held=False)[:10], rtol=1e-3)
+
+
+@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
+def test_the_first_frequency_is_that_of_the_check(coupling):
+    solver = bar(coupling)
+    first = solver.craig_bampton(12).free[0]
+    assert first == pytest.approx(solver.vibration(Riding.of()).frequency, rel=1e-4)
+
+
+def test_the_stiffness_is_that_of_the_part():
+    solver = bar()
+    own = solver.craig_bampton(3).stiffness[6:12, 6:12]
+    product = own @ solver.compliance
+    np.testing.assert_allclose(product, np.eye(6), atol=1e-9 * np.abs(product).max())
+
+
+def test_a_rigid_motion_costs_no_energy_and_moves_the_whole_mass():
+    found = bar().craig_bampton(4)
+    arm = found.origins[1] - found.origins[0]
+    turn = found.rotations[1].T @ found.rotations[0]
+    moved = np.hstack([turn, -turn @ skew(found.rotations[0].T @ arm)])
+    rigid = np.vstack([np.eye(6), moved, np.hstack([np.zeros((3, 3)), turn]), np.zeros((4, 6))])
+    scale = np.sqrt(np.abs(np.diag(found.stiffness)))
+    forces = (found.stiffness @ rigid) / scale[:, None]
+    assert np.abs(forces).max() < 1e-9 * scale.max()
+    mass = rigid.T @ found.mass @ rigid
+    whole, centre = DENSITY * np.prod(SIZE), np.array(SIZE) / 2
+    np.testing.assert_allclose(mass[:3, :3], whole * np.eye(3), atol=1e-9 * whole)
+    np.testing.assert_allclose(mass[3:, :3], whole * skew(centre), atol=1e-9 * whole)
+    expected = whole * (SIZE[1] ** 2 + SIZE[2] ** 2) / 3
+    assert mass[3, 3] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_mode_has_unit_mass_and_its_frequency_as_stiffness():
+    found = bar().craig_bampton(4)
+    np.testing.assert_allclose(found.mass[12:, 12:], np.eye(4), atol=1e-6)
+    square = (2 * np.pi * found.held) ** 2
+    np.testing.assert_allclose(found.stiffness[12:, 12:], np.diag(square), rtol=1e-12)
+    assert not found.stiffness[:12, 12:].any()
+
+
+def test_a_link_has_a_frame_at_each_end():
+    found = Solver(shipped("link")).craig_bampton(2)
+    assert len(found.names) == 2
+    assert found.stiffness.shape == found.mass.shape == (14, 14)
+    translations = np.zeros(14)
+    translations[[2, 8]] = 1.0  # both frames along one z, if their axes agree
+    if np.allclose(found.rotations[0], found.rotations[1]):
+        total = translations @ found.mass @ translations
+        expected = Solver(shipped("link")).vibration(Riding.of()).mass
+        assert total == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_locked_freedom_leaves_no_frame():
+    with pytest.raises(ValueError, match="six freedoms"):
+        bar(locked=("ux",)).craig_bampton(2)
+
+
+def test_a_part_without_density_is_refused():
+    solver = bar()
+    light = replace(solver.component, materials=(Material("all", 70e9, 0.3),))
+    with pytest.raises(ValueError, match="density"):
+        Solver(light).craig_bampton(2)
+
+
+def test_no_modes_are_refused():
+    with pytest.raises(ValueError, match="modes"):
+        bar().craig_bampton(0)
