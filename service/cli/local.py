@@ -342,30 +342,10 @@ def condense(
     modes: Annotated[int, typer.Option(help="modes with all frames held")] = 10,
     as_json: AsJson = False,
 ) -> None:
-    """Write the part as stiffness and mass of its frames and modes (Craig-Bampton), for multibody.
-
-    The arrays are those of `fea.solver.craig_bampton.CraigBampton`, as numpy's npz.
-    """
-    import numpy as np
-
-    from wrenchbook.fea.bundle.read import read_bundle
-    from wrenchbook.fea.failure import SolveFailed
-    from wrenchbook.fea.solve import Solver
-    from wrenchbook.fea.spec.problems import BundleError
-
-    try:
-        found = vars(Solver(read_bundle(bundle)).craig_bampton(modes))
-        with out.open("wb") as file:
-            np.savez(file, **found)
-    except (BundleError, SolveFailed, ValueError, OSError) as error:
-        raise _refused(str(error)) from error
-    first = {name: [float(f"{f:.6g}") for f in found[name][:5]] for name in ("free", "held")}
-    if as_json:
-        print_json({"file": str(out), "frames": list(found["names"]), "modes": modes, **first})
-        return
-    typer.echo(f"{out}: frames {', '.join(found['names'])}, {modes} modes")
-    for name, words in (("free", "the first frame alone"), ("held", "all frames")):
-        typer.echo(f"first frequencies with {words} held: {first[name]} Hz")
+    """Write the part as stiffness and mass of its frames and modes (Craig-Bampton), as npz."""
+    flags = [f"--modes={modes}", *(["--json"] if as_json else [])]
+    words = child_command("wrenchbook.fea.check.condense", *flags, "--", str(bundle), str(out))
+    raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 
 LOCAL_COMMANDS = (serve, work, demo, new, check, condense, validate)

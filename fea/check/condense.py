@@ -1,0 +1,49 @@
+"""Write a part as stiffness and mass of its frames and modes: ``wrenchbook condense``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.problems import BundleError
+
+_SHOWN = 5  # frequencies that are printed; the file has all
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the file and print its first frequencies; return 1 if the part cannot be condensed."""
+    parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.check.condense")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--modes", type=int, default=10)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("out", type=Path)
+    options = parser.parse_args(arguments)
+    try:
+        found = vars(Solver(read_bundle(options.folder)).craig_bampton(options.modes))
+        with options.out.open("wb") as file:
+            np.savez(file, **found)
+    except (BundleError, SolveFailed, ValueError, OSError) as error:
+        kind, message = type(error).__name__, str(error)
+        words = json.dumps({"error": {"title": kind, "detail": message}})
+        print(words if options.json else message)
+        return 1
+    first = {name: [float(f"{f:.6g}") for f in found[name][:_SHOWN]] for name in ("free", "held")}
+    about = {"file": str(options.out), "frames": list(found["names"]), "modes": options.modes}
+    if options.json:
+        print(json.dumps(about | first))
+        return 0
+    print(f"{options.out}: frames {', '.join(found['names'])}; {options.modes} modes")
+    print(f"first frequencies with the first frame held: {first['free']} Hz")
+    print(f"with all frames held: {first['held']} Hz")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
