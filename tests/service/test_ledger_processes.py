@@ -81,7 +81,9 @@ while True:
     worker = start(endless, path)
     acknowledged = [int(worker.stdout.readline()) for _ in range(50)]
     worker.kill()
-    acknowledged += [int(line) for line in worker.communicate()[0].splitlines()]
+    # What readline has read ahead too, which communicate leaves out.
+    acknowledged += [int(line) for line in worker.stdout.read().splitlines()]
+    worker.communicate()
     ledger = Ledger(path)
     there = {job.wrench[0] for job in ledger.jobs(limit=10**6)}
     assert set(acknowledged) <= there
