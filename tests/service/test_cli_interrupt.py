@@ -17,15 +17,15 @@ def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
     with served(tmp_path) as client:
         other = client.solve("plate", [1, 2, -3], [0, 0, 0]).job
         assert other is not None
-        words = [sys.executable, "-P", str(FACE), "fill", "plate", "--budget", "3"]
+        # A shell starts its background commands with SIGINT ignored, and children inherit it.
+        words = ["env", "--default-signal=INT", sys.executable, "-P", str(FACE)]
+        words += ["fill", "plate", "--budget", "3"]
         words += ["--server", client.url]
         with subprocess.Popen(
             words,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            # A shell starts its background commands with SIGINT ignored, and children inherit it.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         ) as command:
             assert command.stdout is not None
             assert command.stdout.readline() == "choosing wrenches for plate\n"

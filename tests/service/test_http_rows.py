@@ -1,12 +1,9 @@
 """Withdrawing rows, filling on all rows, linear components, and a server on a bad disk."""
 
-import ctypes
 import io
 import json
 import os
-import resource
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -223,10 +220,12 @@ def test_a_component_on_a_full_disk_is_507_and_leaves_nothing(http, folder, monk
     assert http.post("/v1/components", json=TABLE_ONLY).status_code == 201
 
 
-def no_space():
-    """Let the process write no byte more into any file; the log and the terminal are pipes."""
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+# The process may write no byte more into any file; the log and the terminal are pipes.
+NO_SPACE = """
+import resource, signal
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+"""
 
 
 SERVE = """
@@ -255,16 +254,22 @@ def call(port, path, body=None):
             return error.code, json.load(error)
 
 
-def no_right():
-    """Take from root, too, the right to write where the mode of a file says no."""
-    ctypes.CDLL(None).prctl(24, 1, 0, 0, 0)  # PR_CAPBSET_DROP, CAP_DAC_OVERRIDE
+# Root, too, may not write where the mode of a file forbids it.
+NO_RIGHT = """
+import ctypes
+ctypes.CDLL(None).prctl(24, 1, 0, 0, 0)  # PR_CAPBSET_DROP, CAP_DAC_OVERRIDE
+"""
+
+# Limits are set by a process that becomes the server: a hook of this one would fork it, threads
+# and all.
+BECOME = "\nimport os, sys; os.execv(sys.executable, [sys.executable, '-c', *sys.argv[1:]])"
 
 
 @pytest.fixture
 def full_disk(folder, http, rig, unused):
     """A server that could write no byte from its start on; its port."""
     http.app.state.workspace.close()
-    with serving(folder, unused, no_space):
+    with serving(folder, unused, NO_SPACE):
         yield unused
 
 
@@ -276,7 +281,7 @@ def read_only(folder, http, rig, unused):
     for path in places:
         path.chmod(0o500 if path.is_dir() else 0o400)
     try:
-        with serving(folder, unused, no_right):
+        with serving(folder, unused, NO_RIGHT):
             yield unused
     finally:
         for path in places:
@@ -286,10 +291,8 @@ def read_only(folder, http, rig, unused):
 @contextmanager
 def serving(folder, unused, before):
     environment = dict(os.environ, PYTHONPATH=str(ROOT))
-    command = [sys.executable, "-c", SERVE, str(folder), str(unused)]
-    server = subprocess.Popen(
-        command, env=environment, preexec_fn=before, stdout=-1, stderr=subprocess.STDOUT
-    )
+    command = [sys.executable, "-c", before + BECOME, SERVE, str(folder), str(unused)]
+    server = subprocess.Popen(command, env=environment, stdout=-1, stderr=subprocess.STDOUT)
     log = []
     reader = threading.Thread(target=lambda: log.extend(server.stdout))
     reader.start()
