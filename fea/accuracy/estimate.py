@@ -9,33 +9,38 @@ import numpy as np
 from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
 from wrenchbook.fea.accuracy.recovered import recovered_error
 from wrenchbook.fea.accuracy.rounded import Roundness, roundness
-from wrenchbook.fea.component import build
+from wrenchbook.fea.accuracy.second_mesh import FINER_UNKNOWNS, coarser, finer
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.facets import EDGES
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
 
 Array = np.ndarray
 
-_RECOVERED_ALONE = 1.25
-"""On the recovered error without a second mesh: Roache's for three meshes, 1994."""
+_MARGIN = 1.25
+"""On what recovered stresses and a coarser mesh say: Roache's for three meshes, 1994."""
+
+_STILL = 2.0
+"""Of what halving the cells changes: with first-order convergence, the slowest, where singular
+stresses at clamped or re-entrant edges rule, the finer mesh lacks as much again."""
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
     """Return what a component's own answers may be wrong by.
 
-    Where a second mesh can be made the mesh's error is the mean, entry by entry, of what that
-    changes and of what `recovered_error` finds; elsewhere the latter alone, with a margin. Either
-    errs where the other does not: on a bracket of one tetrahedron a wall the change holds 7 errors
-    of 10, on a block with round holes the recovered stresses 5. Their mean covered 98 of 100 on
-    eight parts at 2.8 times the error, the larger of both 99 at 4.2 (`make bench NAME=mesh_error`).
-    It costs a fifth to a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of
-    one on STEP parts (most of it gmsh, which repairs coarse cells that curved edges fold); a linear
-    component costs two nonlinear solves besides, on the coarser mesh if there is one. What straight
-    edges of a mesh file change on round surfaces is added (`roundness`): no recovered stress tells.
+    Of a small mesh the cells are halved, and what that changes is taken twice: on ten kinds of
+    parts on coarse meshes that covers all errors at 1.1 to 4 times their size. Where a finer mesh
+    would be large but a coarser one can be made, the mesh's error is the mean, entry by entry, of
+    what that changes and of what `recovered_error` finds; elsewhere the latter alone; both with a
+    margin. Either errs where the other does not: on a bracket of one tetrahedron a wall the change
+    holds 7 errors of 10, on a block with round holes the recovered stresses 5
+    (`make bench NAME=mesh_error`). The finer mesh costs about a second, the coarser one a fifth to
+    a half of a linear solve where a generator makes the mesh, 1.5 to 2.8 of one on STEP parts (most
+    of it gmsh, which repairs coarse cells that curved edges fold); a linear component costs two
+    nonlinear solves besides, on the coarser mesh if there is one. What straight edges of a mesh
+    file change on round surfaces is added (`roundness`): no refinement and no stress shows it.
 
     Returns
     -------
@@ -65,22 +70,33 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
 
 def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     compliance = solver.linear.compliance
-    recovered = recovered_error(solver)[: len(compliance)]
-    if second is None:
-        errors = [_RECOVERED_ALONE * recovered]
-        basis = "stresses recovered at six unit loads; no second mesh can be made"
-    else:
-        errors = [0.5 * (compliance - second.linear.compliance), 0.5 * recovered]
-        own, other = (len(one.component.mesh.points) for one in (solver, second))
-        basis = (
-            f"a coarser mesh of {other} nodes beside this one of {own}, and recovered stresses, at "
-            "six unit loads"
-        )
+    errors, basis = _of_cells(solver, second)
     round_ = roundness(solver)
     if round_ is not None:
         errors.append(_ROUND * round_.change)
         basis += f"; {_of_roundness(round_, compliance)}"
     return _report(compliance, np.array(errors), basis)
+
+
+def _of_cells(solver: Solver, second: Solver | None) -> tuple[list[Array], str]:
+    """Return the parts of the error that the size of cells makes, each (6 i, k), and the basis."""
+    compliance = solver.linear.compliance
+    own = len(solver.component.mesh.points)
+    fine = finer(solver, FINER_UNKNOWNS)
+    if fine is not None:
+        basis = f"a finer mesh of {len(fine.component.mesh.points)} nodes beside this one of {own}"
+        return [_STILL * (fine.linear.compliance - compliance)], f"{basis}, at six unit loads"
+    recovered = recovered_error(solver)[: len(compliance)]
+    if second is None:
+        basis = "stresses recovered at six unit loads; no second mesh can be made"
+        return [_MARGIN * recovered], basis
+    other = len(second.component.mesh.points)
+    basis = (
+        f"a coarser mesh of {other} nodes beside this one of {own}, and recovered stresses, at "
+        "six unit loads"
+    )
+    change = compliance - second.linear.compliance
+    return [0.5 * _MARGIN * change, 0.5 * _MARGIN * recovered], basis
 
 
 def _of_roundness(found: Roundness, compliance: Array) -> str:
@@ -179,38 +195,3 @@ def _linearity(solver: Solver, loads: DeclaredRange) -> dict[str, Any]:
         "linearity_basis": basis,
         "buckling": found.buckling,
     }
-
-
-COARSER = 0.5
-"""Cells along each direction of the second mesh, over those of the first.
-
-A linear solve of it takes a sixth of the first's (generators) to two thirds (STEP parts whose own
-edges keep cells small). Its error is two to four times the
-first's (first- to second-order convergence of the displacements, by the corners where loads and
-supports end), so that what the two differ by holds what the first still lacks.
-"""
-
-_SMALLER = 0.75
-"""Of the first mesh's nodes: one that has more tells nothing, its cells are the geometry's own."""
-
-
-def coarser(solver: Solver) -> Solver | None:
-    """Return the component on a coarser mesh; None if none can be made, or it is no smaller.
-
-    Mesh files have none: only their author can mesh anew. Nor has a mesh of single cells, or one
-    whose cells the geometry's own edges keep small.
-    """
-    bundle = solver.component.bundle
-    if bundle is None:
-        return None
-    other = refined(bundle, COARSER)
-    if other is None:
-        return None
-    try:
-        found = Solver(build(other))
-        if len(found.component.mesh.points) > _SMALLER * len(solver.component.mesh.points):
-            return None
-        _ = found.linear
-    except (BundleError, SolveFailed):
-        return None  # too coarse for the shape, or for reduced integration to hold it
-    return found

@@ -10,8 +10,9 @@ from tests.fea.components import component
 from tests.fea.geometry import draw_bracket
 from tests.surrogate.law.solver_share import widened, widened_many
 from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
-from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why, coarser
+from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
 from wrenchbook.fea.accuracy.recovered import recovered_error
+from wrenchbook.fea.accuracy.second_mesh import coarser
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.mesh.refine import refined

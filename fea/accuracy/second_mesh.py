@@ -1,0 +1,71 @@
+"""The component on a second mesh, coarser or finer, to learn what the first one lacks."""
+
+from __future__ import annotations
+
+from wrenchbook.fea.component import build
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.mesh.split import halved
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.problems import BundleError
+
+COARSER = 0.5
+"""Cells along each direction of the second mesh, over those of the first.
+
+A linear solve of it takes a sixth of the first's (generators) to two thirds (STEP parts whose own
+edges keep cells small). Its error is two to four times the
+first's (first- to second-order convergence of the displacements, by the corners where loads and
+supports end), so that what the two differ by holds what the first still lacks.
+"""
+
+_SMALLER = 0.75
+"""Of the first mesh's nodes: one that has more tells nothing, its cells are the geometry's own."""
+
+
+def coarser(solver: Solver) -> Solver | None:
+    """Return the component on a coarser mesh; None if none can be made, or it is no smaller.
+
+    Mesh files have none: only their author can mesh anew. Nor has a mesh of single cells, or one
+    whose cells the geometry's own edges keep small.
+    """
+    bundle = solver.component.bundle
+    if bundle is None:
+        return None
+    other = refined(bundle, COARSER)
+    if other is None:
+        return None
+    try:
+        found = Solver(build(other))
+        if len(found.component.mesh.points) > _SMALLER * len(solver.component.mesh.points):
+            return None
+        _ = found.linear
+    except (BundleError, SolveFailed):
+        return None  # too coarse for the shape, or for reduced integration to hold it
+    return found
+
+
+FINER_UNKNOWNS = 30_000
+"""Of a finer mesh that an estimate may solve unasked: about a second."""
+
+
+def finer(solver: Solver, most: int | None = None) -> Solver | None:
+    """Return the component with cells of half the size; None if that has over `most` unknowns.
+
+    A mesh file's cells are split into eight each, its edges kept as they are; generators and
+    geometries make the mesh anew.
+
+    Raises
+    ------
+    BundleError, SolveFailed
+        If the mesh or its linear solution fails.
+    """
+    component = solver.component
+    bundle, limit = component.bundle, float("inf") if most is None else most
+    # A mesh of curved cells has six to eight times the unknowns when halved, a thin one four.
+    if bundle is None or 4 * component.mesh.unknowns > limit:
+        return None
+    again = None if bundle.mesh is None else refined(bundle, 2.0)
+    found = build(again) if again is not None else build(bundle, halved(component.mesh))
+    if found.mesh.unknowns > limit:
+        return None
+    return Solver(found)
