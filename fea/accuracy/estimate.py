@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
+from wrenchbook.fea.accuracy.convergence import kept, lacking
 from wrenchbook.fea.accuracy.recovered import recovered_error
 from wrenchbook.fea.accuracy.rounded import Roundness, roundness
 from wrenchbook.fea.accuracy.second_mesh import FINER_UNKNOWNS, coarser, finer
@@ -22,15 +23,12 @@ Array = np.ndarray
 _MARGIN = 1.25
 """On what recovered stresses and a coarser mesh say: Roache's for three meshes, 1994."""
 
-_STILL = 2.0
-"""Of what halving the cells changes: with first-order convergence, the slowest, where singular
-stresses at clamped or re-entrant edges rule, the finer mesh lacks as much again."""
-
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
     """Return what a component's own answers may be wrong by.
 
-    Of a small mesh the cells are halved, and what that changes is taken twice: on ten kinds of
+    What `fea.accuracy.convergence` found of this setup is taken as it is. Of a small mesh the cells
+    are halved, and what that changes is taken twice: on ten kinds of
     parts on coarse meshes that covers all errors at 1.1 to 4 times their size. Where a finer mesh
     would be large but a coarser one can be made, the mesh's error is the mean, entry by entry, of
     what that changes and of what `recovered_error` finds; elsewhere the latter alone; both with a
@@ -81,11 +79,15 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
 def _of_cells(solver: Solver, second: Solver | None) -> tuple[list[Array], str]:
     """Return the parts of the error that the size of cells makes, each (6 i, k), and the basis."""
     compliance = solver.linear.compliance
+    found = kept(solver.component.bundle, compliance.shape)
+    if found is not None:
+        return [found[0]], found[1]
     own = len(solver.component.mesh.points)
     fine = finer(solver, FINER_UNKNOWNS)
     if fine is not None:
         basis = f"a finer mesh of {len(fine.component.mesh.points)} nodes beside this one of {own}"
-        return [_STILL * (fine.linear.compliance - compliance)], f"{basis}, at six unit loads"
+        error = lacking(np.array([compliance, fine.linear.compliance]), 2.0)
+        return [error], f"{basis}, at six unit loads"
     recovered = recovered_error(solver)[: len(compliance)]
     if second is None:
         basis = "stresses recovered at six unit loads; no second mesh can be made"

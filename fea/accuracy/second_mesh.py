@@ -48,24 +48,24 @@ FINER_UNKNOWNS = 30_000
 """Of a finer mesh that an estimate may solve unasked: about a second."""
 
 
-def finer(solver: Solver, most: int | None = None) -> Solver | None:
-    """Return the component with cells of half the size; None if that has over `most` unknowns.
+def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solver | None:
+    """Return the component with smaller cells; None if that has over `most` unknowns.
 
-    A mesh file's cells are split into eight each, its edges kept as they are; generators and
-    geometries make the mesh anew.
+    Generators and geometries make the mesh anew with cells `factor` times as small; a mesh file's
+    cells are halved, its edges kept as they are.
 
     Raises
     ------
-    BundleError, SolveFailed
-        If the mesh or its linear solution fails.
+    BundleError
+        If the mesh fails.
     """
     component = solver.component
     bundle, limit = component.bundle, float("inf") if most is None else most
-    # A mesh of curved cells has six to eight times the unknowns when halved, a thin one four.
-    if bundle is None or 4 * component.mesh.unknowns > limit:
+    if bundle is None:
         return None
-    again = None if bundle.mesh is None else refined(bundle, 2.0)
+    again = None if bundle.mesh is None else refined(bundle, factor)
+    # In a plane alone, as thin parts have it, unknowns grow by the square.
+    if (factor if again else 2.0) ** 2 * component.mesh.unknowns > limit:
+        return None
     found = build(again) if again is not None else build(bundle, halved(component.mesh))
-    if found.mesh.unknowns > limit:
-        return None
-    return Solver(found)
+    return Solver(found) if found.mesh.unknowns <= limit else None

@@ -16,6 +16,7 @@ from rich.text import Text
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli.connect import AsJson, print_json
+from wrenchbook.service.cli.convergence import converge
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.files.program import child_command, usable_cores
@@ -348,4 +349,4 @@ def condense(
     raise typer.Exit(subprocess.run(words, check=False).returncode)
 
 
-LOCAL_COMMANDS = (serve, work, demo, new, check, condense, validate)
+LOCAL_COMMANDS = (serve, work, demo, new, check, converge, condense, validate)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -78,6 +79,7 @@ OTHERS = {
     "check",
     "new",
     "condense",
+    "converge",
 }  # tests here, plan: test_cli
 
 
@@ -250,3 +252,22 @@ def test_a_part_that_cannot_be_condensed_says_why(run, tmp_path):
     status, _ = run("condense", str(tmp_path), str(tmp_path / "none.npz"), "--json")
     assert status == 1
     assert not (tmp_path / "none.npz").exists()
+
+
+def test_a_study_of_finer_meshes_tells_order_and_limit(run, tmp_path):
+    folder = tmp_path / "bar"
+    shutil.copytree(SHIPPED / "bar", folder)
+    page = tmp_path / "errors.html"
+    status, said = run("converge", str(folder), "--plot", str(page), "--json")
+    assert status == 0
+    found = json.loads(said)
+    assert found["outputs"][2] == "uz/Fz"
+    assert len(found["values"]) == len(found["nodes"]) == 3
+    assert found["order"][2] == pytest.approx(2, abs=0.5)
+    assert found["extrapolated"][2] > found["values"][0][2]
+    assert "cell size, mm" in page.read_text(encoding="utf-8")
+
+
+def test_a_part_that_cannot_be_refined_says_why(run, tmp_path):
+    status, _ = run("converge", str(tmp_path), "--json")
+    assert status == 1

@@ -9,6 +9,7 @@ from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.geometry import draw_bracket
 from tests.surrogate.law.solver_share import widened, widened_many
+from wrenchbook.fea.accuracy import estimate
 from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
 from wrenchbook.fea.accuracy.recovered import recovered_error
@@ -49,6 +50,11 @@ moment = [5, 5, 5]
 @pytest.fixture(scope="module")
 def bar():
     return Solver(read_bundle(SHIPPED / "bar"))
+
+
+@pytest.fixture(scope="module")
+def plate():
+    return Solver(read_bundle(SHIPPED / "plate"))
 
 
 @pytest.fixture(scope="module")
@@ -132,10 +138,15 @@ def test_the_bar_of_a_bracket_at_12_mm_holds_what_its_mesh_is_off(bracket):
     assert (np.diag(bar) >= np.diag(fine - own)).all()
     assert np.median(np.diag(bar) / np.diag(fine - own)) <= 5
     assert bar[0, 0] >= 0.047 * own[0, 0]
-    assert "coarser mesh" in told["mesh_basis"]
+    assert "finer mesh" in told["mesh_basis"]
 
 
-def test_a_mesh_file_has_the_recovered_estimate_with_a_margin(bracket):
+def test_a_large_mesh_is_compared_with_a_coarser_one(plate):
+    assert "coarser mesh" in accuracy_of(plate)["mesh_basis"]
+
+
+def test_a_large_mesh_file_has_the_recovered_estimate_with_a_margin(bracket, monkeypatch):
+    monkeypatch.setattr(estimate, "FINER_UNKNOWNS", 10_000)
     source = replace(bracket.component.bundle.mesh, geometry=None)
     bundle = replace(bracket.component.bundle, mesh=source)
     alone = Solver(replace(bracket.component, bundle=bundle))

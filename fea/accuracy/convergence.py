@@ -1,0 +1,223 @@
+"""What a component's compliance does as its cells become smaller, and what its own mesh lacks.
+
+Two or three meshes give the change; three also give the order p at which it shrinks, and with it
+the value at cells without size (Richardson 1911; Roache 1994). A linear problem is enough: the
+mesh's error at small loads is the one that the bars take (`fea.accuracy.estimate`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wrenchbook.fea.accuracy.second_mesh import finer
+from wrenchbook.fea.component import ComponentModel, build
+from wrenchbook.fea.mesh.element_order import second_order
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import Bundle
+
+Array = np.ndarray
+
+FILE = "convergence.json"
+"""In the bundle's folder: what `converge` found, for the bars of this setup."""
+
+MOST_UNKNOWNS = 350_000
+"""Of the finest mesh that is made unasked: about half a minute and 4 GB."""
+
+_RESPONSES = ("ux/Fx", "uy/Fy", "uz/Fz", "rx/Mx", "ry/My", "rz/Mz")
+
+_STEP = 1.5
+"""Between cells that a generator or a geometry makes anew; those of mesh files are halved."""
+
+_LEAST_RATIO = 1.1
+"""Between the sizes of cells of two meshes: what nearer ones differ by is their irregularity."""
+
+
+class Study(NamedTuple):
+    """Compliances on meshes from the component's own to the finest.
+
+    Attributes
+    ----------
+    nodes
+        Of each mesh.
+    sizes
+        Of the cells, the cube root of their mean volume, m.
+    compliance
+        Shape (meshes, 6 i, k): m/N, rad/N, m/(N·m), rad/(N·m), and by further inputs.
+    """
+
+    nodes: list[int]
+    sizes: list[float]
+    compliance: Array
+
+    @property
+    def lacking(self) -> Array:
+        """What the own mesh lacks, shape (6 i, k)."""
+        return lacking(self.compliance, self.sizes[-2] / self.sizes[-1])
+
+    @property
+    def order(self) -> Array:
+        """Observed order of each response to its own load, (6 i,).
+
+        It is NaN with two meshes, and where changes differ in sign or do not shrink.
+        """
+        found = np.full(self.compliance.shape[1], np.nan)
+        if len(self.sizes) < 3:
+            return found
+        values = np.diagonal(self.compliance, axis1=1, axis2=2)
+        first, last = np.diff(values[-3:], axis=0)
+        for i in np.flatnonzero(first * last > 0):
+            found[i] = _order(first[i] / last[i], *self.sizes[-3:])
+        return found
+
+    @property
+    def extrapolated(self) -> Array:
+        """The responses to their own loads at cells without size, (6 i,); NaN without an order."""
+        values = np.diagonal(self.compliance, axis1=1, axis2=2)
+        ratio = self.sizes[-2] / self.sizes[-1]
+        return values[-1] + (values[-1] - values[-2]) / (ratio**self.order - 1)
+
+
+def lacking(compliance: Array, ratio: float) -> Array:
+    """Return what the first of two or more meshes lacks, shape (6 i, k).
+
+    The finest is taken to lack what an error of first order would still, the slowest: it rules
+    where stresses are singular, at clamped and at re-entrant edges.
+
+    Parameters
+    ----------
+    compliance
+        Shape (meshes, 6 i, k), the finest last.
+    ratio
+        Of the cells' sizes of the two finest.
+    """
+    own, before, last = compliance[0], compliance[-2], compliance[-1]
+    return last - own + (last - before) / (ratio - 1)
+
+
+def _order(change: float, first: float, second: float, third: float) -> float:
+    """Return p of (h1^p - h2^p) / (h2^p - h3^p) = change, by bisection; NaN out of 0.1 to 10."""
+    low, high = 0.1, 10.0
+
+    def excess(p: float) -> float:
+        return (first**p - second**p) / (second**p - third**p) - change
+
+    if excess(low) > 0 or excess(high) < 0:
+        return float("nan")
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if excess(middle) > 0 else (middle, high)
+    return low
+
+
+def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
+    """Solve the component on its own and on finer meshes.
+
+    Parameters
+    ----------
+    finer_meshes
+        One or two files with the bundle's groups, in the unit of its mesh, each finer than the one
+        before. Without them cells are halved, twice where that makes at most `MOST_UNKNOWNS`.
+
+    Raises
+    ------
+    ValueError
+        If a mesh is not finer, or none can be made.
+    BundleError, SolveFailed
+        If a mesh cannot be read, lacks a group, or cannot be solved.
+    """
+    solvers = [Solver(build(bundle))]
+    solvers += [Solver(_read(bundle, path)) for path in finer_meshes]
+    while not finer_meshes and len(solvers) < 3:
+        found = finer(solvers[-1], MOST_UNKNOWNS if len(solvers) > 1 else None, _STEP)
+        if found is None:
+            break
+        solvers.append(found)
+    sizes = [_size(one) for one in solvers]
+    for coarse, fine, one in zip(sizes, sizes[1:], solvers[1:], strict=False):
+        if coarse < _LEAST_RATIO * fine:
+            nodes = len(one.component.mesh.points)
+            message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
+            raise ValueError(
+                f"{message}, the one before of {1e3 * coarse:.4g} mm: give one with cells at most "
+                "0.9 times as large"
+            )
+    compliance = np.array([one.linear.compliance for one in solvers])
+    return Study([len(one.component.mesh.points) for one in solvers], sizes, compliance)
+
+
+def _read(bundle: Bundle, path: Path) -> ComponentModel:
+    source = bundle.mesh
+    if source is None:
+        raise ValueError("a component without a [mesh] is a table: nothing is meshed")
+    mesh = read_mesh(path, source.unit)
+    return build(bundle, mesh if source.order is None else second_order(mesh))
+
+
+def _size(solver: Solver) -> float:
+    """Return the cube root of the cells' mean volume, m."""
+    cells = np.concatenate([own for _, own in solver.volumes])
+    return float(np.cbrt(cells.mean()))
+
+
+def write(bundle: Bundle, study: Study) -> Path:
+    """Keep the study in the bundle's folder, from where the bars take its error; return where.
+
+    Besides ``nodes``, ``sizes`` and ``lacking`` of `Study` the file has what people read, by
+    responses in ``outputs`` (uz/Fz, m/N, and so on; locked ones are left out): ``values``, shape
+    (meshes, n), ``order`` and ``extrapolated``, both with null for unknown, and ``first_lacks``.
+    """
+    moved = np.flatnonzero(np.diagonal(study.compliance[0]) > 0)
+    content = {
+        "fingerprint": bundle.fingerprint,
+        "nodes": study.nodes,
+        "sizes": study.sizes,
+        "outputs": [names_of(bundle)[i] for i in moved],
+        "values": np.diagonal(study.compliance, axis1=1, axis2=2)[:, moved].tolist(),
+        "order": _or_null(study.order[moved]),
+        "extrapolated": _or_null(study.extrapolated[moved]),
+        "first_lacks": np.diagonal(study.lacking)[moved].tolist(),
+        "lacking": study.lacking.tolist(),
+    }
+    path = bundle.folder / FILE
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def names_of(bundle: Bundle) -> list[str]:
+    """Return the names of the responses to their own loads, such as tool.uz/Fz; (6 i,)."""
+    own = [f"{one.name}." if bundle.others else "" for one in bundle.interfaces]
+    return [f"{name}{one}" for name in own for one in _RESPONSES]
+
+
+def _or_null(values: Array) -> list[float | None]:
+    return [float(one) if np.isfinite(one) else None for one in values]
+
+
+def kept(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
+    """Return the error kept for this setup, shape `shape`, and its basis; None if none was.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged.
+    """
+    if bundle is None or not (bundle.folder / FILE).is_file():
+        return None
+    try:
+        content: dict[str, Any] = json.loads((bundle.folder / FILE).read_text(encoding="utf-8"))
+        if content["fingerprint"] != bundle.fingerprint:
+            return None
+        error = np.array(content["lacking"], dtype=float)
+        first, *others = map(int, content["nodes"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{FILE} is damaged ({error}); run wrenchbook converge again") from None
+    if error.shape != shape or not np.isfinite(error).all():
+        raise ValueError(f"{FILE} is not of this component; run wrenchbook converge again")
+    meshes = " and ".join(map(str, others))
+    return error, f"finer meshes of {meshes} nodes beside this one of {first}, at six unit loads"
