@@ -83,7 +83,7 @@ def _of_cells(solver: Solver, second: Solver | None) -> tuple[list[Array], str]:
     if found is not None:
         return [found[0]], found[1]
     own = len(solver.component.mesh.points)
-    fine = finer(solver, FINER_UNKNOWNS)
+    fine = _solved_finer(solver)
     if fine is not None:
         basis = f"a finer mesh of {len(fine.component.mesh.points)} nodes beside this one of {own}"
         error = lacking(np.array([compliance, fine.linear.compliance]), 2.0)
@@ -99,6 +99,16 @@ def _of_cells(solver: Solver, second: Solver | None) -> tuple[list[Array], str]:
     )
     change = compliance - second.linear.compliance
     return [0.5 * _MARGIN * change, 0.5 * _MARGIN * recovered], basis
+
+
+def _solved_finer(solver: Solver) -> Solver | None:
+    """Return a finer mesh, solved; None where it would be large, or no mesh that can be solved."""
+    try:
+        found = finer(solver, FINER_UNKNOWNS)
+        _ = found and found.linear
+    except (BundleError, SolveFailed):
+        return None
+    return found
 
 
 def _of_roundness(found: Roundness, compliance: Array) -> str:

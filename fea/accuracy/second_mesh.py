@@ -61,9 +61,9 @@ def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solve
     """
     component = solver.component
     bundle, limit = component.bundle, float("inf") if most is None else most
-    if bundle is None:
+    if bundle is None or bundle.mesh is None:
         return None
-    again = None if bundle.mesh is None else refined(bundle, factor)
+    again = refined(bundle, factor)
     # In a plane alone, as thin parts have it, unknowns grow by the square.
     if (factor if again else 2.0) ** 2 * component.mesh.unknowns > limit:
         return None

@@ -59,7 +59,7 @@ def test_the_reply_tells_the_largest_of_each_share_and_where_it_is_from(client):
     parts = client.deformed("sheet", FORCE, MOMENT).error_parts
     assert list(parts) == ["table", "mesh", "mesh_basis"]
     assert parts["mesh"] > 1e-6 > 1e-12 > parts["table"] > 0
-    assert "coarser mesh" in parts["mesh_basis"]
+    assert "finer mesh of" in parts["mesh_basis"]
 
 
 def test_a_linear_component_has_a_share_of_its_linearity(client):

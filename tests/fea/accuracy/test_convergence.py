@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from tests.fea.accuracy.test_rounded import tube
-from wrenchbook.fea.accuracy import convergence
+from wrenchbook.fea.accuracy import convergence, estimate
 from wrenchbook.fea.accuracy.convergence import Study, kept, lacking, studied, write
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
 from wrenchbook.fea.accuracy.second_mesh import finer
 from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.failure import mechanism
 from wrenchbook.fea.solve import Solver
 
 STUBBY = """name = "block"
@@ -152,3 +153,12 @@ def test_a_finer_mesh_with_too_many_unknowns_is_not_made(tmp_path):
     made = finer(own, 20000)
     assert made is not None
     assert made.component.mesh.unknowns < 20000
+
+
+def test_where_the_finer_mesh_cannot_be_solved_the_coarser_one_counts(tmp_path, monkeypatch):
+    def fails(*_arguments):
+        raise mechanism("this mesh moves freely")
+
+    own = Solver(block(tmp_path))
+    monkeypatch.setattr(estimate, "finer", fails)
+    assert "coarser mesh" in accuracy_of(own)["mesh_basis"]
