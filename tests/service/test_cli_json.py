@@ -243,9 +243,9 @@ def test_a_condensed_part_tells_its_frames(run, tmp_path):
     found = json.loads(said)
     assert found["frames"] == ["base", "interface"]
     assert len(found["held"]) == 3
-    arrays = np.load(out)
-    assert arrays["stiffness"].shape == arrays["mass"].shape == (15, 15)
-    assert found["free"][0] == pytest.approx(arrays["free"][0], rel=1e-5)
+    with np.load(out) as arrays:
+        assert arrays["stiffness"].shape == arrays["mass"].shape == (15, 15)
+        assert found["free"][0] == pytest.approx(arrays["free"][0], rel=1e-5)
 
 
 def test_a_part_that_cannot_be_condensed_says_why(run, tmp_path):

@@ -20,7 +20,8 @@ FOLDER = Path(__file__).parent / "tables/version_0_2"
 
 @pytest.fixture(scope="module")
 def then():
-    return np.load(FOLDER / "answers.npz")
+    with np.load(FOLDER / "answers.npz") as file:
+        return dict(file)
 
 
 def test_an_hdf5_table_answers_as_it_did(then):

@@ -33,7 +33,8 @@ def need_compiler() -> list[str]:
 
 def solved(name: str, clean: int, full: int, *, tangents: bool = True, **more: object) -> AnyTable:
     """A table of real solves of a shipped component."""
-    found = np.load(SOLVED / f"{name}.npz")
+    with np.load(SOLVED / f"{name}.npz") as file:
+        found = dict(file)
     chosen = np.r_[:clean, found["clean"] : found["clean"] + full]
     columns = {"compliance": found["compliance"][chosen]} if tangents else {}
     rows = Rows.of(found["wrench"][chosen], found["displacement"][chosen], **columns)

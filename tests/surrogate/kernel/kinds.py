@@ -23,7 +23,8 @@ SOLVED = Path(__file__).parents[1] / "tables"
 
 def solved(name: str, clean: int, full: int, **more: object) -> AnyTable:
     """A table of real solves of a shipped component, with tangents."""
-    found = np.load(SOLVED / f"{name}.npz")
+    with np.load(SOLVED / f"{name}.npz") as file:
+        found = dict(file)
     chosen = np.r_[:clean, found["clean"] : found["clean"] + full]
     columns = {"compliance": found["compliance"][chosen], "source": ["fea"] * len(chosen)}
     rows = Rows.of(found["wrench"][chosen], found["displacement"][chosen], **columns)
