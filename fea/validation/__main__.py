@@ -24,12 +24,13 @@ from wrenchbook.fea.validation import (
     rates,
     spring,
     supports,
+    vibration,
 )
 from wrenchbook.fea.validation.finding import CASES, TOPICS, Case, Finding
 
 __all__ = ["MODULES", "main", "markdown", "replace_table", "run"]
 
-MODULES = (patch, rates, supports, bar, plate, curved_beam, spring, laminate, materials)
+MODULES = (patch, rates, supports, bar, plate, curved_beam, spring, laminate, materials, vibration)
 """Where the cases are; importing them enters them in `CASES`."""
 
 BEGIN = "<!-- validation: begin (written by `make validate-table`) -->"

@@ -9,7 +9,7 @@ from typing import Literal
 Comparison = Literal["relative", "absolute", "at least"]
 Check = Callable[[], "Iterator[Finding]"]
 
-TOPICS = ("patch", "support", "bar", "plate", "curved_beam", "spring", "material")
+TOPICS = ("patch", "support", "bar", "plate", "curved_beam", "spring", "material", "vibration")
 """What can be validated, in the order it is."""
 
 

@@ -217,8 +217,8 @@ def validate(
     topic: Annotated[
         str,
         typer.Argument(
-            help="patch, support, bar, plate, curved_beam, spring, material, all; paper; or, with "
-            "--with, a component or a bundle's folder"
+            help="patch, support, bar, plate, curved_beam, spring, material, vibration, all; "
+            "paper; or, with --with, a component or a bundle's folder"
         ),
     ] = "all",
     markdown: Annotated[bool, typer.Option(help="print the tables as Markdown")] = False,

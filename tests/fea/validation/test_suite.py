@@ -38,7 +38,7 @@ def told(topic, capsys):
     return status, json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("topic", ["patch", "bar", "curved_beam"])
+@pytest.mark.parametrize("topic", ["patch", "bar", "curved_beam", "vibration"])
 def test_every_finding_of_a_topic_is_within_its_tolerance(topic, capsys):
     status, rows = told(topic, capsys)
     assert status == 0
