@@ -40,6 +40,8 @@ On that spring a tangent changes by 500 times the correction: this leaves 5e-8 o
 MOST_ITERATIONS = 16
 
 _NEARLY = 1e-3
+_MOST_CHORDS = 3  # by when one that shrinks tenfold is below what a new tangent needs
+_CHORD_GAIN = 0.1  # a correction that shrinks less says that the tangent has changed
 _MOST_IDLE = 3
 _FAR_ROTATION = 2.0  # rad: a rotation vector is of no use near half a turn
 _FAR = 1e3  # times the size of the part
@@ -124,7 +126,8 @@ def find_equilibrium(
 
     The first correction uses `tangent` as it is. While steps are large the tangents after it take
     the stress that the step aimed at (`ElasticBody.tangent`); the last are tangents proper at the
-    state itself, and only their corrections count as proof of convergence.
+    state itself, and only their corrections count as proof of convergence. Between two of these
+    the older one corrects again, while that helps.
 
     Parameters
     ----------
@@ -153,6 +156,8 @@ def find_equilibrium(
         sizes.append(step.size)
         _require_progress(sizes)
         proper = step.nearly
+        if proper:
+            balance = _settled(system, step, tangent)
         tangent = system.linearise(balance, None if proper else step.aim)
     raise Stuck(f"no equilibrium after {most} iterations")
 
@@ -184,6 +189,23 @@ def correct(
     energy = np.sqrt(_quotient(work, 2 * (after.energy + after.heat[1])))
     size = _quotient(np.abs(change).max(initial=0.0), np.abs(state.nodes).max(initial=0.0))
     return Correction(after, (balance.state.nodes + change, change), size, energy)
+
+
+def _settled(system: System, step: Correction, tangent: Linearisation) -> Balance:
+    """Return the state after further corrections with the same tangent, while each is much smaller.
+
+    These cost a solve with factors at hand and no new ones (the modified Newton method). They prove
+    nothing, but the tangent proper at a better state needs one correction less.
+    """
+    for _ in range(_MOST_CHORDS):
+        try:
+            again = correct(system, step.balance, tangent, *tangent.correction(step.balance))
+        except Stuck:
+            break
+        if not again.energy <= _CHORD_GAIN * step.energy:
+            break
+        step = again
+    return step.balance
 
 
 def tangent_after(system: System, step: Correction, tangent: Linearisation) -> Linearisation:

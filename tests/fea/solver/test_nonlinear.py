@@ -9,8 +9,10 @@ from scipy.optimize import brentq
 
 from tests.fea.boxes import box
 from tests.fea.components import component
+from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver import load_steps as path
+from wrenchbook.fea.solver import newton
 
 YOUNG = 70e9
 COUPLINGS = ["rigid", "distributed"]
@@ -114,6 +116,23 @@ def test_external_work_becomes_strain_energy(coupling, monkeypatch):
     monkeypatch.setattr(path, "FIRST_STEP", 0.02)
     monkeypatch.setattr(path, "GROWTH", 1.0)
     assert built.solve(force).work == pytest.approx(found.strain_energy, rel=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0, 2.0])
+def test_corrections_with_an_old_tangent_save_a_factorisation_and_change_no_answer(
+    share, monkeypatch
+):
+    solver = Solver(plate())
+    made = []
+    linearise = System.linearise
+    monkeypatch.setattr(System, "linearise", lambda *a: made.append(1) or linearise(*a))
+    answer = solver.solve(share * PLATE_WRENCH)
+    with_chords = len(made)
+    monkeypatch.setattr(newton, "_MOST_CHORDS", 0)
+    plain = solver.solve(share * PLATE_WRENCH)
+    assert with_chords < len(made) - with_chords
+    scale = np.abs(plain.displacement).max()
+    np.testing.assert_allclose(answer.displacement, plain.displacement, rtol=0, atol=1e-10 * scale)
 
 
 def test_the_history_and_the_progress_tell_each_iteration():
