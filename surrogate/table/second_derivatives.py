@@ -1,0 +1,117 @@
+"""Derivatives of rows by q = (F, mu), the loads by which displacements are an energy's gradient.
+
+mu = J(r)^T M is the moment that works on the rotation vector r; J is the left Jacobian of the
+rotation vector, M the spatial moment. Derivatives by (F, M), which rows store, are unsymmetric by
+as much as the rotation.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import NamedTuple
+
+import numpy as np
+
+from .space import PER_INTERFACE, Floats, Space
+
+TERMS = 14  # of the series of J: at 20 degrees the next one adds 5e-16 to the second derivative
+
+_CROSS = np.zeros((3, 3, 3))  # (a x b)_i = _CROSS[i, j, k] a_j b_k
+_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
+_CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
+
+
+class MomentMap(NamedTuple):
+    """J(r)^T M and its derivatives by r at fixed M.
+
+    Attributes
+    ----------
+    value : ndarray, shape (..., 3), N·m
+    by_rotation : ndarray, shape (..., 3, 3), N·m/rad
+        [i, a]: of component i by r_a.
+    second : ndarray, shape (..., 3, 3, 3), N·m/rad^2
+        [i, a, b]: of component i by r_a and r_b.
+    """
+
+    value: Floats
+    by_rotation: Floats
+    second: Floats
+
+
+def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
+    """Return J(r)^T M of rotation vectors r, (..., 3), rad, and moments M, (..., 3), N·m.
+
+    J^T M = sum of v_n / (n + 1)! over n >= 0, with v_0 = M and v_n = -r x v_(n-1): the series of
+    the left Jacobian (Sola, Deray and Atchuthan 2018, A micro Lie theory, equation 145). The
+    product rule gives the derivatives of v_n. Leading dimensions broadcast; J^T M is linear in M,
+    so that unit moments give the columns of J^T.
+    """
+    cross = -np.einsum("ijk,...j->...ik", _CROSS, rotation)  # cross @ v = -r x v
+    lead = np.broadcast_shapes(np.shape(rotation), np.shape(moment))[:-1]
+    term = MomentMap(
+        np.array(np.broadcast_to(moment, (*lead, 3)), dtype=float),
+        np.zeros((*lead, 3, 3)),
+        np.zeros((*lead, 3, 3, 3)),
+    )
+    total = MomentMap(*map(np.copy, term))
+    for order in range(1, TERMS):
+        value, first, second = term
+        bent = -np.einsum("iak,...kb->...iab", _CROSS, first)
+        term = MomentMap(
+            np.einsum("...ik,...k->...i", cross, value),
+            np.einsum("...ik,...ka->...ia", cross, first)
+            - np.einsum("iak,...k->...ia", _CROSS, value),
+            np.einsum("...ik,...kab->...iab", cross, second) + bent + np.swapaxes(bent, -1, -2),
+        )
+        for whole, part in zip(total, term, strict=True):
+            whole += part / factorial(order + 1)
+    return total
+
+
+def load_change(wrench: Floats, displacement: Floats, compliance: Floats, space: Space) -> Floats:
+    """Return dq/dw along the equilibria of n rows, shape (n, I, I), SI.
+
+    With y = (u, r) and q(w, r): dq/dw = B + S C, B = dq/dw at fixed r = diag(1, J^T), S = dq/dy at
+    fixed w = diag(0, d(J^T M)/dr), C = dy/dw. Further inputs are entries of q as they are. A locked
+    freedom, whose load moves nothing, takes no part: the solver leaves out what acts on it.
+
+    Parameters
+    ----------
+    wrench : ndarray, shape (n, I), SI
+    displacement : ndarray, shape (n, O), m and rad
+    compliance : ndarray, shape (n, O, I), SI
+        Tangents by (F, M) of the rows; the result is NaN where one is.
+    """
+    free = np.any(compliance != 0, axis=1)
+    acting = np.where(free, wrench, 0.0)
+    by_load = np.broadcast_to(np.eye(len(space.inputs)), (*free.shape, len(space.inputs))).copy()
+    by_motion = np.zeros_like(np.swapaxes(compliance, 1, 2))
+    for first in range(PER_INTERFACE // 2, len(space.outputs), PER_INTERFACE):
+        own = slice(first, first + 3)
+        # [n, k, i] is J^T's column k: J itself; its slope times the moment is S.
+        unit = moment_map(displacement[:, None, own], np.eye(3))
+        by_load[:, own, own] = np.swapaxes(unit.value, 1, 2)
+        by_motion[:, own, own] = np.einsum("nk,nkia->nia", acting[:, own], unit.by_rotation)
+    held = np.logical_not(free)
+    locked = held[:, :, None] | held[:, None, :]
+    by_load = np.where(locked, np.eye(len(space.inputs)), by_load)
+    return by_load + np.where(held[:, :, None], 0.0, by_motion) @ compliance
+
+
+def symmetric_tangents(
+    wrench: Floats, displacement: Floats, compliance: Floats, space: Space
+) -> Floats:
+    """Return tangents of n rows by q, C (B + S C)^-1 of `load_change`, shape (n, O, I), SI.
+
+    The columns of the loads are symmetric if the row is a nonlinear solve. NaN where the tangent
+    by (F, M) is NaN or has no such counterpart: where dq/dw is singular.
+
+    Parameters
+    ----------
+    wrench, displacement, compliance, space
+        As `load_change` takes them.
+    """
+    change = load_change(wrench, displacement, compliance, space)
+    with np.errstate(invalid="ignore"):  # NaN stays NaN
+        change[np.linalg.det(change) == 0] = np.nan
+        return compliance @ np.linalg.inv(change)
