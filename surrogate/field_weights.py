@@ -108,7 +108,7 @@ class FieldWeights:
         by_mean = factor.mean_covariance @ loose
         weights = np.zeros(own.known.shape)
         weights[own.known] = factor.T.T @ (reduced + factor.TF @ by_mean)
-        squared = float(self.hyperparameters.prior[0]) - reduced @ reduced + loose @ by_mean
+        squared = float(self.hyperparameters.prior(1)[0]) - reduced @ reduced + loose @ by_mean
         sigma = float(np.sqrt(max(squared, factor.nugget)))
         return Weights(weights[:, 0], weights[:, 1:] * self.load_range.scale, sigma)
 

@@ -28,7 +28,13 @@ from ..table.spread import spread_wrenches
 from .correlation import Hyperparameters, block, numbers
 from .equations import Equations, Scaling
 from .left_out import left_out
-from .neighbourhood import Neighbourhoods, deviations, local_factor, noise_of
+from .neighbourhood import (
+    Neighbourhoods,
+    deviations,
+    local_factor,
+    neighbours_known,
+    noise_of,
+)
 from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
@@ -279,7 +285,7 @@ def calibrated(
         is not None
     )
     queries = _typical_places(span, full, scaling.space, settings)
-    across = block(queries, equations.x, hyperparameters, slopes_x=False, slopes_v=True)
+    across = block(queries, equations.x, hyperparameters, 1, equations.places)
     sigma = deviations(queries, across.reshape(len(queries), -1), hyperparameters, spread)
     # The mean's coefficients, which all rows settle: these in proportion.
     coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
@@ -299,7 +305,7 @@ def _level(
 
     Errors are of the whole factor; sigma, as in answers, of the nearest row's neighbourhood.
     """
-    factor, prior = spread.factor, float(hyperparameters.prior[0])
+    factor, prior = spread.factor, float(hyperparameters.prior(1)[0])
     if len(np.unique(labels)) < 2:
         return None
     out = left_out(equations, factor, labels)
@@ -310,7 +316,7 @@ def _level(
     for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
         how = members, factor.nugget, settings, table
         local = local_factor(equations, noise, hyperparameters, *how)
-        columns = number[members][equations.known[members]]
+        columns = number[members][neighbours_known(equations, members, settings.deviation_bent)]
         found = local.squared_deviation(
             table[np.ix_(number[row, :1], columns)],
             np.append(1.0, equations.x[row])[None],

@@ -69,7 +69,7 @@ class Dense:
 
         Errors are 95 % error bars; where they are not known, some answers err by more.
         """
-        across = block(x, self.equations.x, self.hyperparameters, slopes_x=False, slopes_v=True)
+        across = block(x, self.equations.x, self.hyperparameters, 1, self.equations.places)
         across = across.reshape(len(x), -1)
         values = row_by_row(across, self.weights.reshape(-1, self.weights.shape[2]))
         values += self.coefficients[0] + row_by_row(x, self.coefficients[1:])
@@ -86,9 +86,8 @@ class Dense:
 
     def slopes(self, x: Floats) -> Floats:
         """Return the derivatives of the values by the loads at places (m, 6), shape (m, 6, 6)."""
-        across = block(x, self.equations.x, self.hyperparameters, slopes_x=True, slopes_v=True)[
-            :, 1:
-        ]
+        places = 1 + self.equations.loads, self.equations.places
+        across = block(x, self.equations.x, self.hyperparameters, *places)[:, 1:]
         slopes = across.reshape(*x.shape, -1) @ self.weights.reshape(-1, self.weights.shape[2])
         return (slopes + self.coefficients[1:]).transpose(0, 2, 1)
 
@@ -107,11 +106,11 @@ class Dense:
         here, here_left = self._unexplained(factor, x, value)
         within = covariance(pending, known, pending, known, self.hyperparameters) - new @ new.T
         within += new_left @ factor.mean_covariance @ new_left.T
-        prior = np.tile(self.hyperparameters.prior, (len(pending), 1))[known]
+        prior = np.tile(self.hyperparameters.prior(known.shape[1]), (len(pending), 1))[known]
         within[np.diag_indices_from(within)] += factor.nugget * prior
         between = covariance(x, value, pending, known, self.hyperparameters) - here @ new.T
         between += here_left @ factor.mean_covariance @ new_left.T
-        before = float(self.hyperparameters.prior[0]) - np.einsum("me,me->m", here, here)
+        before = float(self.hyperparameters.prior(1)[0]) - np.einsum("me,me->m", here, here)
         loose = np.einsum("ma,ab,mb->m", here_left, factor.mean_covariance, here_left)
         before = np.maximum(before, factor.nugget) + loose
         won = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
@@ -182,7 +181,7 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
 def _together(equations: Equations, factors: list[KrigingFactor]) -> tuple[Floats, Floats, Floats]:
     """Return weights (n, 7, 6), coefficients (7, 6) and process deviations (6,) of all outputs."""
     weights = np.zeros(equations.data.shape)
-    coefficients = np.empty(equations.data.shape[1:])
+    coefficients = np.empty((1 + equations.loads, equations.data.shape[2]))
     deviation = np.empty(equations.data.shape[2])
     for factor in factors:
         own = equations.known & np.isin(np.arange(len(equations)), factor.rows)[:, None]

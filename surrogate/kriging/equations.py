@@ -12,8 +12,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from ..table.rows import Floats, LoadRange, RowError, Rows
+from ..table.second_derivatives import second_derivatives
 from ..table.space import Space
-from .correlation import Mask
+from .correlation import SECOND_SMOOTHNESS, SLOPES_SMOOTHNESS, Mask, indices, places_of
 from .settings import DEFAULTS, KrigingSettings
 
 SOLVED = "fea"  # the source of a row that repeats exactly
@@ -122,10 +123,10 @@ class Equations:
     Attributes
     ----------
     x : ndarray, shape (n, 6), half ranges
-    known : ndarray of bool, shape (n, 7)
-        Which of its value and slopes a row brings.
-    data : ndarray, shape (n, 7, 6), spreads
-        Values and slopes of the six outputs; zero where not known.
+    known : ndarray of bool, shape (n, p)
+        Which readings a row brings: its value, slopes, and second derivatives if any row has them.
+    data : ndarray, shape (n, p, 6), spreads
+        Readings of the six outputs; zero where not known.
     measured : ndarray of bool, shape (n, 6)
         Which outputs a row brings.
     noise : ndarray, shape (n, 6), spreads squared
@@ -151,9 +152,24 @@ class Equations:
         return len(self.x)
 
     @property
+    def loads(self) -> int:
+        """Loads of a wrench."""
+        return self.x.shape[1]
+
+    @property
     def places(self) -> int:
-        """Of one row: its value, then its slope by each load."""
+        """Readings that a row can bring: its value, its slopes, its second derivatives."""
         return self.known.shape[1]
+
+    @property
+    def smoothness(self) -> int:
+        """p of the correlation Matern p + 1/2: see `correlation.smoothness_of`."""
+        return SECOND_SMOOTHNESS if self.places > 1 + self.loads else SLOPES_SMOOTHNESS
+
+    @property
+    def weights(self) -> int:
+        """Weights among the hyperparameters: one a term where rows bring second derivatives."""
+        return len(self.groups) if self.places > 1 + self.loads else 1
 
     @property
     def count(self) -> int:
@@ -251,6 +267,23 @@ def _with_slopes(rows: Rows) -> Mask:
     return np.logical_and(finite, np.isfinite(rows.displacement).all(axis=1))
 
 
+def _with_second_derivatives(rows: Rows) -> Mask:
+    """Return which rows bring the second derivatives too, shape (n,)."""
+    if not rows.curvature.shape[1]:
+        return np.zeros(len(rows), dtype=bool)
+    return _with_slopes(rows) & np.isfinite(rows.curvature).all(axis=1)
+
+
+def _scaled_second(rows: Rows, scaling: Scaling) -> Floats:
+    """Return the second derivatives of rows, (n, pairs of loads, 6), in spreads."""
+    found = second_derivatives(
+        rows.wrench, rows.displacement, rows.compliance, rows.curvature, scaling.space
+    )
+    one, other = np.array(indices(len(scaling.half), 2)[1 + len(scaling.half) :]).T
+    scaled = found[:, :, one, other] * (scaling.half[one] * scaling.half[other])
+    return (scaled / scaling.spread[:, None]).transpose(0, 2, 1)
+
+
 def equations_of(
     rows: Rows,
     scaling: Scaling,
@@ -262,16 +295,22 @@ def equations_of(
     `readings` are those behind the rows, where these are merged already.
     """
     behind = readings_of(rows) if readings is None else readings
-    sloped = _with_slopes(rows)
+    sloped, bent = _with_slopes(rows), _with_second_derivatives(rows)
     measured = np.isfinite(rows.displacement)
     loads, outputs = rows.wrench.shape[1], rows.displacement.shape[1]
-    known = np.zeros((len(rows), 1 + loads), dtype=bool)
+    places = places_of(loads, 2 if bent.any() else 1)
+    known = np.zeros((len(rows), places), dtype=bool)
     known[:, 0] = True
-    known[:, 1:] = sloped[:, None] & scaling.active
-    data = np.zeros((len(rows), 1 + loads, outputs))
+    known[:, 1 : 1 + loads] = sloped[:, None] & scaling.active
+    data = np.zeros((len(rows), places, outputs))
     data[:, 0] = np.where(measured, (rows.displacement - scaling.offset) / scaling.spread, 0.0)
     slopes = rows.compliance * scaling.half / scaling.spread[:, None]
-    data[:, 1:] = np.where(known[:, 1:, None], slopes.transpose(0, 2, 1), 0.0)
+    data[:, 1 : 1 + loads] = slopes.transpose(0, 2, 1)
+    if bent.any():
+        one, other = np.array(indices(loads, 2)[1 + loads :]).T
+        known[:, 1 + loads :] = bent[:, None] & scaling.active[one] & scaling.active[other]
+        data[bent, 1 + loads :] = _scaled_second(rows.take(np.flatnonzero(bent)), scaling)
+    data[~known] = 0.0
     half_widths = np.nan_to_num(rows.uncertainty) / scaling.spread
     whole = Equations(
         # Rounded, so that another unit's rounding is not blown up by the covariance's condition.
@@ -326,5 +365,7 @@ def _merge(out: Equations, place: int, members: Equations, settings: KrigingSett
     out.measured[place] = members.measured.any(axis=0)
     sloped = members.known[:, 1:].any(axis=1)
     whole = sloped.any() and out.measured[place].all()
-    out.known[place, 1:] = members.known[sloped, 1:].any(axis=0) if whole else False
-    out.data[place, 1:] = members.data[sloped, 1:].mean(axis=0) if whole else 0.0
+    bring = members.known[:, 1:] & whole
+    out.known[place, 1:] = bring.any(axis=0)
+    total = (members.data[:, 1:] * bring[..., None]).sum(axis=0)
+    out.data[place, 1:] = total / np.maximum(bring.sum(axis=0), 1)[:, None]

@@ -78,6 +78,21 @@ def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:
     return [share for share in varying if len(share.outputs) and len(share.rows)]
 
 
+def within_one_factor(equations: Equations, settings: KrigingSettings) -> Equations:
+    """Return the equations that one factor holds: second derivatives of as many rows as fit.
+
+    These rows are spread farthest: between distant rows a second derivative tells most.
+    """
+    if equations.count <= settings.dense_equations:
+        return equations
+    second = np.zeros_like(equations.known)
+    second[:, 1 + equations.loads :] = equations.known[:, 1 + equations.loads :]
+    room = settings.dense_equations - int((equations.known & ~second).sum())
+    kept = np.zeros((len(equations), 1), dtype=bool)
+    kept[spread_rows(replace(equations, known=second), room)] = True
+    return replace(equations, known=equations.known & (~second | kept))
+
+
 def spread_rows(equations: Equations, most_equations: int) -> NDArray[np.intp]:
     """Return rows within the limit, each the farthest from those before it, in their own order.
 

@@ -124,7 +124,7 @@ def diagonal_added(
 
     Shape (equations,), dimensionless, of noise, shape (rows,), over the process variance.
     """
-    added = np.tile(nugget * hyperparameters.prior, (len(equations), 1))
+    added = np.tile(nugget * hyperparameters.prior(equations.places), (len(equations), 1))
     added[:, 0] += noise
     return added[equations.known]
 
@@ -188,7 +188,7 @@ def factorise(
     matrix[np.diag_indices_from(matrix)] += diagonal_added(
         own, noise, settings.nugget, hyperparameters
     )
-    prior = np.tile(hyperparameters.prior, (len(own), 1))[own.known]
+    prior = np.tile(hyperparameters.prior(own.places), (len(own), 1))[own.known]
     T, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
     TF = T @ mean_terms(own.x, own.known)
     data = own.data[own.known][:, outputs]

@@ -22,7 +22,7 @@ from .equations import (
     scaling_of,
     within,
 )
-from .estimate import estimated
+from .estimate import estimated, within_one_factor
 from .factor import shares_of
 from .settings import DEFAULTS, KrigingSettings
 
@@ -97,6 +97,7 @@ class Kriging:
         used, behind = rows.take(places), readings.take(places)
         scaling = scaling_of(used, load_range, settings)
         equations = equations_of(used, scaling, settings, behind)
+        equations = within_one_factor(equations, settings)
         if len(equations) < settings.least_rows:
             raise TooFewRowsError(
                 f"kriging needs {settings.least_rows} rows at different wrenches; there are "

@@ -58,7 +58,7 @@ def left_out(equations: Equations, factor: KrigingFactor, labels: NDArray[np.int
         np.full((len(own), len(factor.outputs)), np.nan),
         np.full((len(own), len(factor.outputs)), np.nan),
         np.full(len(own), np.nan),
-        np.full((len(own), own.places, own.places), np.nan),
+        np.full((len(own), 1 + own.loads, 1 + own.loads), np.nan),
     )
     for label in np.unique(labels):
         rows = np.flatnonzero(labels == label)

@@ -11,12 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.sparse import csr_array
 
 from ..table.rows import Floats
 from .correlation import (
     Hyperparameters,
-    matern,
+    derivatives_of_term,
+    indices,
+    joins,
     numbers,
+    order_of,
+    seen_by,
 )
 from .equations import Equations
 from .factor import KrigingFactor, Share, SingularCovarianceError, factorise
@@ -102,8 +107,8 @@ def negative_log_likelihood(
     The gradient is by the hyperparameters' logarithms, shape (7,), or (8,) with that of the
     variance of one reading of unstated noise over the process variance; all is dimensionless.
     """
-    places = equations.places
-    hyperparameters = Hyperparameters.of_logarithms(logarithms[:places], equations.groups)
+    places = equations.loads + equations.weights
+    hyperparameters = _hyperparameters(logarithms, equations)
     ratio = float(np.exp(logarithms[places])) if len(logarithms) > places else 0.0
     outputs = sum(len(share.outputs) for share in shares)
     value, gradient = 0.0, np.zeros(places + 1)
@@ -129,75 +134,66 @@ def _contracted(
     sensitivity: Floats, own: Equations, hyperparameters: Hyperparameters, nugget: float
 ) -> Floats:
     """Return the sum of a symmetric matrix (e, e) times the covariance's seven derivatives."""
-    if not own.known[:, 1:].any():
-        return _contracted_values(sensitivity, own, hyperparameters, nugget)
-    n, count, groups = len(own), own.places, hyperparameters.groups
-    whole = np.zeros((n, count, n, count))
-    places = np.flatnonzero(own.known)
-    whole.reshape(n * count, n * count)[np.ix_(places, places)] = sensitivity
-    apart = own.x[:, None, :] - own.x[None, :, :]
-    by_rate, by_weight = np.zeros(count - 1), 0.0
-    for group, (rates, weight) in enumerate(zip(*hyperparameters.terms, strict=True)):
-        loads = np.flatnonzero(groups[group])
-        seen = np.append(0, 1 + loads)
-        term = _one_term(whole[:, seen][:, :, :, seen], apart[..., loads], rates[loads])
-        by_rate[loads] += weight * term[0]
-        by_weight += weight * term[1] if group == len(groups) - 1 else 0.0
-    diagonal = np.where(own.known, np.einsum("ipip->ip", whole), 0.0).sum(axis=0)
-    terms, weights = hyperparameters.terms
-    by_rate += nugget * 1.4 * diagonal[1:] * (weights @ groups)
-    by_weight += nugget * (
-        hyperparameters.weight * diagonal[0]
-        + 1.4 * hyperparameters.weight * diagonal[1:] @ terms[-1]
-    )
-    return np.append(by_rate * hyperparameters.inverse_squares, by_weight)
-
-
-def _contracted_values(
-    sensitivity: Floats, own: Equations, hyperparameters: Hyperparameters, nugget: float
-) -> Floats:
-    """Return what `_contracted` does where no row brings slopes: a tenth of the work.
-
-    Each pair of rows counts twice; on the diagonal covariances are their terms' weights.
-    """
-    one, other = np.triu_indices(len(own), 1)
-    squares = (own.x[one] - own.x[other]).T ** 2
-    pairs, trace = 2 * sensitivity[one, other], np.trace(sensitivity)
-    by_rate = np.zeros(own.x.shape[1])
-    itself = np.zeros_like(pairs)
+    parts, apart = _by_derivative(sensitivity, own, nugget)
+    order, loads = 2 * order_of(own.places, own.loads), own.loads
+    by_rate, by_weight = np.zeros(loads), []
     for rates, weight in zip(*hyperparameters.terms, strict=True):
-        loads = np.flatnonzero(rates)
-        itself, first, _, _ = matern(rates[loads] @ squares[loads])
-        by_rate[loads] += weight * (squares[loads] @ (pairs * first))
-    by_weight = hyperparameters.weight * (pairs @ itself + (1 + nugget) * trace)
+        chosen = np.flatnonzero(rates)
+        seen = parts[list(seen_by(loads, tuple(chosen.tolist()), order))]
+        term = apart[chosen], rates[chosen], order, hyperparameters.smoothness
+        by_rate[chosen] += weight * _by_rates(seen, *term)
+        by_weight.append(weight * sum(map(np.dot, seen, derivatives_of_term(*term))))
+    by_weight = by_weight[-len(hyperparameters.weights) :]
     return np.append(by_rate * hyperparameters.inverse_squares, by_weight)
 
 
-def _one_term(whole: Floats, apart: Floats, rates: Floats) -> tuple[Floats, float]:
-    """Return the contraction with one term's derivatives by its rates, and with the term itself.
+def _by_derivative(
+    sensitivity: Floats, own: Equations, nugget: float
+) -> tuple[Floats, Floats]:
+    """Return a symmetric matrix's sums by the derivatives that its entries stand with.
 
-    Parameters
-    ----------
-    whole : ndarray, shape (n, 1 + loads, n, 1 + loads)
-    apart : ndarray, shape (n, n, loads)
+    Returns
+    -------
+    parts : ndarray, shape (k, p)
+        Of each derivative by x - v and each pair of rows; the last is that of rows themselves.
+    apart : ndarray, shape (loads, p), half ranges
     """
-    values, first, second, third = matern(apart**2 @ rates)
-    by_load = 2 * apart * rates
-    value = whole[:, 0, :, 0]
-    slope = whole[:, 1:, :, 0].transpose(0, 2, 1)
-    curved = whole[:, 1:, :, 1:].transpose(0, 2, 1, 3)
-    trace = np.einsum("ijaa->ija", curved)
-    rotated = (curved @ by_load[..., None])[..., 0]
-    along = (slope * by_load).sum(axis=2)
-    bent = (rotated * by_load).sum(axis=2)
-    traced = trace @ rates
-    by_distance = value * first + 2 * along * second - bent * third - 2 * traced * second
-    by_rate = np.einsum("ij,ija->a", by_distance, apart**2)
-    by_rate += 4 * np.einsum("ij,ija->a", first, slope * apart)
-    by_rate -= 4 * np.einsum("ij,ija->a", second, rotated * apart)
-    by_rate -= 2 * np.einsum("ij,ija->a", first, trace)
-    itself = value * values + 2 * along * first - bent * second - 2 * traced * first
-    return by_rate, float(itself.sum())
+    n, places = len(own), own.places
+    whole = np.zeros((n, places, n, places))
+    known = np.flatnonzero(own.known)
+    whole.reshape(n * places, n * places)[np.ix_(known, known)] = sensitivity
+    one, other = np.triu_indices(n, 1)
+    itself = np.einsum("ipiq->pq", whole)
+    itself[np.diag_indices(places)] *= 1 + nugget
+    pairs = np.concatenate((2 * whole[one, :, other], itself[None]))
+    joined, sign = joins(own.loads, places, places)
+    shape = (int(joined.max()) + 1, joined.size)
+    gather = csr_array((sign.ravel(), (joined.ravel(), np.arange(joined.size))), shape=shape)
+    apart = np.concatenate((own.x[one] - own.x[other], np.zeros((1, own.loads))))
+    return gather @ pairs.reshape(len(pairs), -1).T, np.ascontiguousarray(apart.T)
+
+
+def _by_rates(
+    parts: Floats, apart: Floats, rates: Floats, order: int, smoothness: int
+) -> Floats:
+    """Return sums of parts (k, p) times a term's derivatives by its rates, shape (loads,).
+
+    The derivative by t_a of D_K m(q) is D_K (d_a^2 m'(q)): by the product rule
+    d_a^2 D_K m' + 2 k_a d_a D_(K - a) m' + k_a (k_a - 1) D_(K - a - a) m', k_a how often K has a.
+    """
+    listed = indices(len(rates), order)
+    lower = dict(zip(listed, derivatives_of_term(apart, rates, order, smoothness, 1), strict=True))
+    whole = sum(part * lower[index] for part, index in zip(parts, listed, strict=True))
+    once, twice = np.zeros_like(apart), np.zeros(len(rates))
+    for part, index in zip(parts, listed, strict=True):
+        for load in set(index):
+            rest, count = list(index), index.count(load)
+            rest.remove(load)
+            once[load] += count * part * lower[tuple(rest)]
+            if count > 1:
+                rest.remove(load)
+                twice[load] += count * (count - 1) * (part @ lower[tuple(rest)])
+    return (apart**2 * whole + 2 * apart * once).sum(axis=1) + twice
 
 
 def maximise(
@@ -209,7 +205,7 @@ def maximise(
     """Return the most likely hyperparameters, from two starts or from those before."""
     starts, bounds = _starts(equations, before, settings), _bounds(equations, settings)
     found = _best(starts, bounds, equations, shares, settings)
-    return Hyperparameters.of_logarithms(found, equations.groups)
+    return _hyperparameters(found, equations)
 
 
 def maximise_with_noise(
@@ -227,11 +223,17 @@ def maximise_with_noise(
         np.append(start, settings.ratio_start) for start in _starts(equations, before, settings)
     ]
     found = _best(starts, bounds, equations, shares, settings)
-    return Hyperparameters.of_logarithms(found[: equations.places], equations.groups)
+    return _hyperparameters(found, equations)
+
+
+def _hyperparameters(logarithms: Floats, equations: Equations) -> Hyperparameters:
+    own = logarithms[: equations.loads + equations.weights]
+    return Hyperparameters.of_logarithms(own, equations.groups, equations.smoothness)
 
 
 def _bounds(equations: Equations, settings: KrigingSettings) -> list[tuple[float, float]]:
-    return [settings.theta_bounds] * equations.x.shape[1] + [settings.weight_bounds]
+    weights = [settings.weight_bounds] * equations.weights
+    return [settings.theta_bounds] * equations.loads + weights
 
 
 def _starts(
@@ -240,8 +242,8 @@ def _starts(
     """Return where the search begins: the logarithms of the hyperparameters."""
     if before is not None:
         return [np.clip(before.logarithms, *np.array(_bounds(equations, settings)).T)]
-    loads = equations.x.shape[1]
-    return [np.array([theta] * loads + [settings.weight_start]) for theta in settings.theta_starts]
+    weights = [0.0] * (equations.weights - 1) + [settings.weight_start]
+    return [np.array([theta] * equations.loads + weights) for theta in settings.theta_starts]
 
 
 def _best(

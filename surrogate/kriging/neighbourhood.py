@@ -8,7 +8,7 @@ are made before any query; a wrench takes that of its nearest row.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 from ..table.rows import Floats
 from .correlation import (
     Hyperparameters,
+    Mask,
     covariance,
     mean_terms,
     numbers,
@@ -41,8 +42,8 @@ class Finder:
     rows : ndarray of int
         The rows among which it looks.
     hyperparameters : Hyperparameters
-    most_rows, most_equations : int
-        What a neighbourhood may hold.
+    limits : tuple of int
+        What a neighbourhood may hold: rows, equations, and rows with their second derivatives.
     """
 
     def __init__(
@@ -50,12 +51,12 @@ class Finder:
         equations: Equations,
         rows: Places,
         hyperparameters: Hyperparameters,
-        most_rows: int,
-        most_equations: int,
+        limits: tuple[int, int, int],
     ) -> None:
         self.rows = rows
         self.size = equations.known[rows].sum(axis=1)
-        self.most_rows, self.most_equations = most_rows, most_equations
+        self.plain_size = equations.known[rows, : 1 + equations.loads].sum(axis=1)
+        self.most_rows, self.most_equations, self.most_bent = limits
         all_first = np.roll(hyperparameters.groups, 1, axis=0)
         self.roots = np.sqrt(hyperparameters.inverse_squares) * all_first
         self.trees = [KDTree(equations.x[rows] * root) for root in self.roots]
@@ -121,7 +122,15 @@ class Finder:
     def _first(self, near: Places) -> Places:
         """Return the rows of a list of places, each once, that the limits allow."""
         near = near[: self.most_rows]
-        return self.rows[near[np.cumsum(self.size[near]) <= self.most_equations]]
+        size = np.append(self.size[near[: self.most_bent]], self.plain_size[near[self.most_bent :]])
+        return self.rows[near[np.cumsum(size) <= self.most_equations]]
+
+
+def neighbours_known(equations: Equations, members: Places, most_bent: int) -> Mask:
+    """Return which readings count of the rows of a neighbourhood, nearest first, shape (k, p)."""
+    known = equations.known[members]
+    known[most_bent:, 1 + equations.loads :] = False
+    return known
 
 
 @dataclass(frozen=True)
@@ -133,7 +142,7 @@ class LocalFactor:
     members : ndarray of int, shape (k,)
         Rows of the table.
     places : ndarray of int, shape (e,)
-        Its equations: seven times the row, plus 0 for the value or 1 to 6 for a slope.
+        Its equations: the readings of all rows before, and which one of the row.
     T : ndarray, shape (e, e)
         Inverse of the lower Cholesky factor.
     TF : ndarray, shape (e, 7)
@@ -195,7 +204,8 @@ def local_factor(
     table : ndarray, shape (a, a), dimensionless, optional
         The covariance of all a equations of the table, where it is at hand.
     """
-    own = equations.take(members)
+    known = neighbours_known(equations, members, settings.deviation_bent)
+    own = replace(equations.take(members), known=known)
     places = (members[:, None] * own.places + np.arange(own.places))[own.known]
     if table is None:
         matrix = covariance(own.x, own.known, own.x, own.known, hyperparameters)
@@ -205,10 +215,10 @@ def local_factor(
     matrix[np.diag_indices_from(matrix)] += diagonal_added(
         own, noise[members], nugget, hyperparameters
     )
-    prior = np.tile(hyperparameters.prior, (len(own), 1))[own.known]
+    prior = np.tile(hyperparameters.prior(own.places), (len(own), 1))[own.known]
     T, used = inverse_factor(matrix, nugget, settings.nugget_limit, prior)
     TF = T @ mean_terms(own.x, own.known)
-    return LocalFactor(members, places, T, TF, used * float(hyperparameters.prior[0]))
+    return LocalFactor(members, places, T, TF, used * float(prior[0]))
 
 
 @dataclass(frozen=True)
@@ -236,7 +246,7 @@ def deviations(
     `across` (m, 7 n) is the covariance of their values with all places of all rows.
     """
     terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
-    squared, prior = np.empty(len(x)), float(hyperparameters.prior[0])
+    squared, prior = np.empty(len(x)), float(hyperparameters.prior(1)[0])
     place = np.searchsorted(share.factor.rows, share.finder.nearest(x))
     for anchor in np.unique(place):
         queries, local = np.flatnonzero(place == anchor), share.around[anchor]
@@ -257,8 +267,9 @@ def neighbourhoods_of(
     settings: KrigingSettings,
 ) -> Neighbourhoods:
     """Return the neighbourhoods of a factor's rows."""
-    limits = settings.deviation_rows, settings.deviation_solves * equations.places
-    finder = Finder(equations, factor.rows, hyperparameters, *limits)
+    equations_most = settings.deviation_solves * (1 + equations.loads)
+    limits = settings.deviation_rows, equations_most, settings.deviation_bent
+    finder = Finder(equations, factor.rows, hyperparameters, limits)
     noise = noise_of(equations, factor)
     around = tuple(
         local_factor(equations, noise, hyperparameters, members, factor.nugget, settings, table)

@@ -7,10 +7,12 @@ as much as the rotation.
 
 from __future__ import annotations
 
+from itertools import combinations_with_replacement, permutations
 from math import factorial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .space import PER_INTERFACE, Floats, Space
 
@@ -68,11 +70,30 @@ def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
     return total
 
 
-def load_change(wrench: Floats, displacement: Floats, compliance: Floats, space: Space) -> Floats:
-    """Return dq/dw along the equilibria of n rows, shape (n, I, I), SI.
+class LoadChange(NamedTuple):
+    """How q changes along the equilibria of n rows, SI: with y = (u, r), q(w, y).
 
-    With y = (u, r) and q(w, r): dq/dw = B + S C, B = dq/dw at fixed r = diag(1, J^T), S = dq/dy at
-    fixed w = diag(0, d(J^T M)/dr), C = dy/dw. Further inputs are entries of q as they are. A locked
+    Attributes
+    ----------
+    along : ndarray, shape (n, I, I)
+        [q, w]: dq/dw = B + S C, C = dy/dw.
+    by_motion : ndarray, shape (n, I, O)
+        S = dq/dy at fixed w = diag(0, d(J^T M)/dr).
+    bend : ndarray, shape (n, I, I, I)
+        [q, w, w]: the second derivatives by w, less S d2y/dw2.
+    """
+
+    along: Floats
+    by_motion: Floats
+    bend: Floats
+
+
+def load_change(
+    wrench: Floats, displacement: Floats, compliance: Floats, space: Space
+) -> LoadChange:
+    """Return how q changes along the equilibria of n rows.
+
+    B = dq/dw at fixed r = diag(1, J^T). Further inputs are entries of q as they are. A locked
     freedom, whose load moves nothing, takes no part: the solver leaves out what acts on it.
 
     Parameters
@@ -82,20 +103,28 @@ def load_change(wrench: Floats, displacement: Floats, compliance: Floats, space:
     compliance : ndarray, shape (n, O, I), SI
         Tangents by (F, M) of the rows; the result is NaN where one is.
     """
-    free = np.any(compliance != 0, axis=1)
+    free, inputs = np.any(compliance != 0, axis=1), len(space.inputs)
     acting = np.where(free, wrench, 0.0)
-    by_load = np.broadcast_to(np.eye(len(space.inputs)), (*free.shape, len(space.inputs))).copy()
+    by_load = np.broadcast_to(np.eye(inputs), (*free.shape, inputs)).copy()
     by_motion = np.zeros_like(np.swapaxes(compliance, 1, 2))
+    bend = np.zeros((*free.shape, inputs, inputs))
     for first in range(PER_INTERFACE // 2, len(space.outputs), PER_INTERFACE):
-        own = slice(first, first + 3)
+        own, turned = slice(first, first + 3), compliance[:, first : first + 3]
         # [n, k, i] is J^T's column k: J itself; its slope times the moment is S.
         unit = moment_map(displacement[:, None, own], np.eye(3))
         by_load[:, own, own] = np.swapaxes(unit.value, 1, 2)
         by_motion[:, own, own] = np.einsum("nk,nkia->nia", acting[:, own], unit.by_rotation)
+        second = np.einsum("nk,nkiab->niab", acting[:, own], unit.second)
+        bend[:, own] += np.einsum("niab,nav,nbw->nivw", second, turned, turned, optimize=True)
+        mixed = np.zeros_like(bend[:, own])
+        mixed[:, :, own] = np.einsum("nkia,naw->nikw", unit.by_rotation, turned)
+        bend[:, own] += mixed + np.swapaxes(mixed, 2, 3)
     held = np.logical_not(free)
     locked = held[:, :, None] | held[:, None, :]
-    by_load = np.where(locked, np.eye(len(space.inputs)), by_load)
-    return by_load + np.where(held[:, :, None], 0.0, by_motion) @ compliance
+    by_load = np.where(locked, np.eye(inputs), by_load)
+    by_motion = np.where(held[:, :, None], 0.0, by_motion)
+    bend = np.where(held[:, :, None, None] | locked[:, None], 0.0, bend)
+    return LoadChange(by_load + by_motion @ compliance, by_motion, bend)
 
 
 def symmetric_tangents(
@@ -111,7 +140,43 @@ def symmetric_tangents(
     wrench, displacement, compliance, space
         As `load_change` takes them.
     """
-    change = load_change(wrench, displacement, compliance, space)
+    change = load_change(wrench, displacement, compliance, space).along
     with np.errstate(invalid="ignore"):  # NaN stays NaN
         change[np.linalg.det(change) == 0] = np.nan
         return compliance @ np.linalg.inv(change)
+
+
+def second_derivatives(
+    wrench: Floats, displacement: Floats, compliance: Floats, curvature: Floats, space: Space
+) -> Floats:
+    """Return the second derivatives of the displacements by (F, M), shape (n, O, I, I), SI.
+
+    With T the third derivatives of the complementary energy, C_q the tangent by q, and q_v the
+    change of q with w_v: d2y/dw2 = T[q_v, q_w] + C_q d2q/dw2, and d2q/dw2 = bend + S d2y/dw2. NaN
+    where a row has no curvature.
+
+    Parameters
+    ----------
+    wrench, displacement, compliance, space
+        As `load_change` takes them.
+    curvature : ndarray, shape (n, p), SI
+        T[a, b, c] of each row, a <= b <= c, as `Rows.curvature`.
+    """
+    inputs, outputs = len(space.inputs), len(space.outputs)
+    change = load_change(wrench, displacement, compliance, space)
+    third = curvature[:, _places(inputs)][:, :outputs]
+    by_loads = symmetric_tangents(wrench, displacement, compliance, space)
+    found = np.einsum("noab,nav,nbw->novw", third, change.along, change.along, optimize=True)
+    found += np.einsum("noa,navw->novw", by_loads, change.bend)
+    # Solved for d2y/dw2, which S gives a part of.
+    left = np.eye(outputs) - by_loads @ change.by_motion
+    return np.linalg.solve(left, found.reshape(len(found), outputs, -1)).reshape(found.shape)
+
+
+def _places(inputs: int) -> NDArray[np.intp]:
+    """Return where T[a, b, c] stands among the numbers of a row, shape (I, I, I)."""
+    found = np.zeros((inputs,) * 3, dtype=np.intp)
+    for place, index in enumerate(combinations_with_replacement(range(inputs), 3)):
+        for order in permutations(index):
+            found[order] = place
+    return found
