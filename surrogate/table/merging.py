@@ -31,9 +31,9 @@ class Merged(NamedTuple):
     Attributes
     ----------
     rows : Rows
-        Displacement and tangent are the mean of the merged rows, the uncertainty is their largest
-        or half the spread of their displacements; the number, the wrench and the source are those
-        of one of them.
+        Displacement, tangent and curvature are the mean of the merged rows, the uncertainty is
+        their largest or half the spread of their displacements; the number, the wrench and the
+        source are those of one of them.
     members : tuple of tuple of int
         The numbers (`seq`) of the rows behind each.
     within : ndarray of bool, shape (n,)
@@ -77,6 +77,7 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     members = list(zip(rows.seq[by_seq[starts]].tolist(), strict=True))
     found = rows.take(first)
     several = np.flatnonzero(sizes > 1)
+    curvature = rows.curvature[first]  # of the first ones alone it may be unknown
     if len(several):  # what the means are written to
         own = {name: np.array(getattr(found, name)) for name in ("uncertainty", "compliance")}
         found = replace(found, **own)
@@ -84,6 +85,8 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
         group = by_seq[starts[place] : starts[place] + sizes[place]]
         members[place] = tuple(rows.seq[group].tolist())
         _put_mean(found, place, rows.take(group))
+        curvature[place] = _mean_known(rows.curvature[group])
+    found = replace(found, curvature=curvature)
     return Merged(found, tuple(members), within[first], owner)
 
 
@@ -146,9 +149,12 @@ def _put_mean(into: Rows, place: int, merged: Rows) -> None:
     into.displacement[place] = merged.displacement.mean(axis=0)
     stored = np.nan_to_num(merged.uncertainty).max(axis=0)
     into.uncertainty[place] = np.maximum(np.ptp(merged.displacement, axis=0) / 2, stored)
-    has_tangent = np.isfinite(merged.compliance).all(axis=(1, 2))
-    into.compliance[place] = (
-        merged.compliance[has_tangent].mean(axis=0) if has_tangent.any() else np.nan
-    )
+    into.compliance[place] = _mean_known(merged.compliance)
     measured = merged.source != "fea"  # solves repeat exactly; a merged row does only if all do
     into.source[place] = merged.source[measured][0] if measured.any() else "fea"
+
+
+def _mean_known(values: Floats) -> Floats:
+    """Return the mean of the entries, (n, ...) -> (...), that are known; NaN if none is."""
+    known = values[np.isfinite(values).all(axis=tuple(range(1, values.ndim)))]
+    return known.mean(axis=0) if len(known) else np.full(values.shape[1:], np.nan)

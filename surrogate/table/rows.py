@@ -153,6 +153,10 @@ class Rows:
         NaN where an output was not measured; each row holds at least one.
     compliance : ndarray, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
         Tangent d(displacement)/d(wrench) at the row; NaN where unknown.
+    curvature : ndarray, shape (n, p), or (n, 0) where no row brings one
+        Third derivatives of the complementary energy by the loads (F, mu), m or rad over two of
+        their units: those of `combinations_with_replacement(range(inputs), 3)` in this order,
+        `Space.curvatures` of them; NaN in rows without.
     uncertainty : ndarray, shape (n, 6), m and rad
         95 % half width of the row itself; NaN or 0 where unknown.
     source, fingerprint : ndarray of str, shape (n,)
@@ -162,13 +166,14 @@ class Rows:
     ------
     RowError
         If the columns differ in length, a wrench is not finite, a displacement infinite or all
-        NaN.
+        NaN, or a curvature partly known or infinite.
     """
 
     seq: NDArray[np.int64]
     wrench: Floats
     displacement: Floats
     compliance: Floats
+    curvature: Floats
     uncertainty: Floats
     source: NDArray[np.str_]
     fingerprint: NDArray[np.str_]
@@ -176,10 +181,14 @@ class Rows:
 
     def __post_init__(self) -> None:
         n, inputs, outputs = len(self.seq), len(self.space.inputs), len(self.space.outputs)
+        absent = np.isnan(self.curvature)
+        if absent.all():
+            object.__setattr__(self, "curvature", np.empty((n, 0)))
         shapes = {
             "wrench": (n, inputs),
             "displacement": (n, outputs),
             "compliance": (n, outputs, inputs),
+            "curvature": (n, 0 if absent.all() else self.space.curvatures),
             "uncertainty": (n, outputs),
             "source": (n,),
             "fingerprint": (n,),
@@ -189,6 +198,12 @@ class Rows:
                 raise RowError(
                     f"rows: {name} has shape {np.shape(getattr(self, name))}, not {shape}"
                 )
+        broken = ~np.isfinite(self.curvature).all(axis=1) & ~absent.all(axis=1)
+        if broken.any():
+            raise RowError(
+                f"row {self.seq[np.argmax(broken)]}: curvature is not {absent.shape[1]} finite "
+                "numbers; a row has all of them or none (NaN)"
+            )
         unmeasured = np.isnan(self.displacement)
         self._refuse(~np.isfinite(self.wrench), self.space.input_names, "is not a finite number")
         self._refuse(np.isinf(self.displacement), self.space.output_names, "is not a finite number")
@@ -243,6 +258,7 @@ class Rows:
         unknown: dict[str, tuple[Any, Any]] = {
             "seq": (np.arange(1, n + 1), np.int64),
             "compliance": (unknown_column(n, outputs, inputs), float),
+            "curvature": (np.empty((n, 0)), float),
             "uncertainty": (unknown_column(n, outputs), float),
             "source": (np.full(n, "", dtype=object), str),
             "fingerprint": (np.full(n, "", dtype=object), str),
@@ -278,6 +294,7 @@ class Rows:
             space,
             seq=np.array([record["seq"] for record in found], dtype=np.int64),
             compliance=_column(found, "compliance", (outputs, inputs)),
+            curvature=curvature_column([record.get("curvature") for record in found], space),
             uncertainty=_column(found, "uncertainty", (outputs,)),
             source=[str(record.get("source") or "") for record in found],
             fingerprint=[str(record.get("fingerprint") or "") for record in found],
@@ -289,6 +306,7 @@ _COLUMNS = (
     "wrench",
     "displacement",
     "compliance",
+    "curvature",
     "uncertainty",
     "source",
     "fingerprint",
@@ -320,14 +338,20 @@ def joined(parts: Sequence[Rows]) -> Rows:
     some = [part for part in parts if len(part)]
     if len(some) < 2:
         return some[0] if some else parts[0]
-    columns = (_joined([getattr(part, name) for part in some]) for name in _COLUMNS)
+    columns = (joined_columns([getattr(part, name) for part in some]) for name in _COLUMNS)
     return Rows(*columns, space=some[0].space)
 
 
-def _joined(columns: list[NDArray[Any]]) -> NDArray[Any]:
+def joined_columns(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return columns of one kind, shape (n, ...) each, one below the other, in their units.
+
+    NaN stands for a curvature, (n, p), that some of them have and others, (n, 0), have not.
+    """
     if all(_is_unknown(column) for column in columns):
         return unknown_column(sum(map(len, columns)), *columns[0].shape[1:])
-    return np.concatenate(columns)
+    width = max(column.shape[1:] for column in columns)
+    same = (one if one.shape[1:] == width else unknown_column(len(one), *width) for one in columns)
+    return np.concatenate(list(same))
 
 
 def _frozen(array: Floats) -> Floats:
@@ -345,6 +369,23 @@ def _column(records: list[Mapping[str, Any]], name: str, shape: tuple[int, ...])
         if record.get(name) is not None:
             column[place] = np.asarray(record[name], dtype=float).reshape(shape)
     return column
+
+
+def curvature_column(values: Sequence[Sequence[float] | None], space: Space) -> Floats:
+    """Return `Rows.curvature`, SI, of those of n rows, None where a row has none.
+
+    Raises
+    ------
+    RowError
+        If one has another number of entries than the space's.
+    """
+    wrong = next((v for v in values if v is not None and np.shape(v) != (space.curvatures,)), None)
+    if wrong is not None:
+        raise RowError(f"curvature has shape {np.shape(wrong)}, not ({space.curvatures},)")
+    if all(value is None for value in values):
+        return np.empty((len(values), 0))
+    blank = (np.nan,) * space.curvatures
+    return np.array([blank if value is None else value for value in values], dtype=float)
 
 
 def why_beyond(load_range: LoadRange, wrench: Floats) -> str:

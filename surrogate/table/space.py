@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import chain, combinations
+from math import comb
 from typing import Any, Literal
 
 import numpy as np
@@ -115,6 +116,11 @@ class Space:
     def several(self) -> tuple[str, ...]:
         """The names of the interfaces; none where there is one."""
         return self.interfaces if len(self.interfaces) > 1 else ()
+
+    @property
+    def curvatures(self) -> int:
+        """How many third derivatives by k inputs differ, k (k + 1) (k + 2) / 6: 56 of six."""
+        return comb(len(self.inputs) + 2, 3)
 
     @cached_property
     def zero(self) -> Floats:
