@@ -170,12 +170,9 @@ def packed_columns(
     wrench, displacement, uncertainty, compliance = columns
     count = len(wrench)
     wrenches, moves = _bytes(wrench), _bytes(displacement)
-    flat = compliance.reshape(count, -1) if count else compliance.reshape(0, 1)
     bars = _known(uncertainty, np.asarray(np.isfinite(uncertainty).any(axis=1)))
-    tangents = _known(flat, np.asarray(np.isfinite(flat).all(axis=1)))
-    thirds: list[bytes | None] = [None] * count
-    if curvature is not None and curvature.size:
-        thirds = _known(curvature, np.asarray(np.isfinite(curvature).all(axis=1)))
+    tangents = _whole(compliance, count)
+    thirds = _whole(curvature, count)
     name, lengths = _part(component.encode()), _Lengths()
     of_load, of_move = (_length(8 * column.shape[1]) for column in (wrench, displacement))
     made = []
@@ -226,3 +223,11 @@ def _known(column: np.ndarray, known: np.ndarray) -> list[bytes | None]:
     if not known.any():
         return [None] * len(column)
     return [one if there else None for one, there in zip(_bytes(column), known, strict=True)]
+
+
+def _whole(column: np.ndarray | None, count: int) -> list[bytes | None]:
+    """Return the bytes of those rows that have all numbers of a column, (count, ...) or None."""
+    if column is None or not column.size:
+        return [None] * count
+    flat = column.reshape(count, -1)
+    return _known(flat, np.asarray(np.isfinite(flat).all(axis=1)))
