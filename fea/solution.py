@@ -73,6 +73,11 @@ class Solution:
     state
         Where the equations were left, to start a nearby solve from; None for a linear solve and a
         deck.
+    curvature
+        Shape (p,), p = k (k + 1) (k + 2) / 6: third derivatives of the complementary energy by the
+        loads (F, mu), m or rad over two of their units, in the order of
+        combinations_with_replacement(range(k), 3). mu = J(r)^T M works on the rotation vector r.
+        None for a linear solve, a deck, and more than 8 inputs.
     """
 
     wrench: Array
@@ -87,6 +92,7 @@ class Solution:
     notes: tuple[str, ...] = ()
     tangents: Array | None = None
     state: CoupledState | None = None
+    curvature: Array | None = None
 
 
 Loads = Sequence[float] | Array | Mapping[str, float | Sequence[float] | Array]
