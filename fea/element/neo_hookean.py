@@ -35,6 +35,8 @@ from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness, projected_gram
 
 Array = np.ndarray
 
+_STEP = 1e-30  # of complex steps: its square vanishes beside any strain
+
 
 @dataclass(frozen=True, eq=False)
 class NeoHookeanStiffness(Stiffness):
@@ -50,7 +52,7 @@ class NeoHookeanStiffness(Stiffness):
 class _State(DenseState):
     def __init__(self, cells: NeoHookeanStiffness, part: Which, displacement: Array) -> None:
         super().__init__(cells.gradients, part, displacement)
-        self._cells, self._part = cells, part
+        self._cells, self._part, self._displacement = cells, part, displacement
         self.shear = cells.shear[part, None]
         self.first_lame = cells.first_lame[part, None]
         self.modes = cells.modes_of(part)
@@ -85,6 +87,15 @@ class _State(DenseState):
     def weighted_change(self, strain: Array) -> Array:
         growth = self.J * np.sum(self.inverse * strain, axis=(-2, -1))
         return self._at_pressure(strain) + _times(self._pressure(growth) * self.J, self.inverse)
+
+    def third_of_law(self, fields: Array, strain: Array) -> Array:
+        """Return the integral of E_a : dC[c] : E_b, exact to roundoff by complex steps."""
+        found, rows = [], strain.reshape(len(strain), -1)
+        for field in fields:
+            ahead = _State(self._cells, self._part, self._displacement + 1j * _STEP * field)
+            change = np.imag(ahead.weighted_change(strain)) / _STEP
+            found.append(rows @ change.reshape(rows.shape).T)
+        return np.stack(found, axis=2)
 
     def _pressure(self, growth: Array) -> Array:
         """Return the pressure of J - 1, shape (..., cells, points), times the weights."""
