@@ -103,10 +103,8 @@ class CellState(ABC):
         They are the integral of E_a : C : E_b + S : E_ab, see `third`.
         """
         dF, dE, wdS = self.changes(fields)
-        count = len(fields)
-        rows = np.moveaxis(dF.reshape(*self.F.shape[:2], count, 3, 3), 2, 0).reshape(count, -1)
-        pushed = np.moveaxis((dF @ self.wS).reshape(*self.F.shape[:2], count, 3, 3), 2, 0)
-        return dE.reshape(count, -1) @ wdS.reshape(count, -1).T + rows @ pushed.reshape(count, -1).T
+        own = dE.reshape(len(fields), -1) @ wdS.reshape(len(fields), -1).T
+        return own + _by_field(dF) @ _by_field(dF @ self.wS).T
 
     def third(self, fields: Array) -> Array:
         """Return the energy's third derivatives along k fields: (k, k, k), J.
@@ -116,13 +114,9 @@ class CellState(ABC):
         E_ab : C : E_c + E_bc : C : E_a + E_ca : C : E_b, and of the law's own part.
         """
         dF, dE, wdS = self.changes(fields)
-        count, (cells, points) = len(fields), self.F.shape[:2]
-        beside = wdS.transpose(1, 2, 3, 0, 4).reshape(cells, points, 3, 3 * count)
-        pushed = (dF @ beside).reshape(cells, points, count, 3, count, 3)  # grad a (C : E_c)
-        pushed = pushed.transpose(2, 4, 0, 1, 3, 5).reshape(count * count, -1)
-        rows = np.moveaxis(dF.reshape(cells, points, count, 3, 3), 2, 0).reshape(count, -1)
-        product = (pushed @ rows.T).reshape(count, count, count)
-        return every_place(product.swapaxes(1, 2)) + self.third_of_law(fields, dE)
+        rows = _by_field(dF)
+        products = [_by_field(dF @ own) @ rows.T for own in wdS]  # grad a (C : E_c) : grad b
+        return every_place(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
 
     def third_of_law(self, fields: Array, strain: Array) -> Array:
         """Return what C's change adds to `third`, J: shape (k, k, k), or 0 of a constant C.
@@ -176,6 +170,12 @@ def _each_transposed(below: Array) -> Array:
     """Transpose each of the 3x3 matrices that stand one below the other: (..., 3 k, 3)."""
     each = below.reshape(*below.shape[:2], below.shape[2] // 3, 3, 3)
     return each.swapaxes(3, 4).reshape(below.shape)
+
+
+def _by_field(below: Array) -> Array:
+    """Return 3x3 matrices that stand one below the other, (..., 3 k, 3), by number: (k, m)."""
+    each = below.reshape(-1, below.shape[-2] // 3, 9)
+    return np.ascontiguousarray(each.swapaxes(0, 1)).reshape(each.shape[1], -1)
 
 
 ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
