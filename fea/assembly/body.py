@@ -67,7 +67,7 @@ class ElasticBody:
         """Whether the temperature is an input."""
         return self.parts[0].expansion is not None
 
-    def at(self, temperature: float, finite: bool = True) -> ElasticBody:
+    def at(self, temperature: complex, finite: bool = True) -> ElasticBody:
         """Return the body at a temperature, K from the reference; see `CellStiffness.at`."""
         if not self.expands:
             return self

@@ -57,7 +57,7 @@ class CellStiffness(ABC):
         """Return the thermal strain of a few cells, (cells, points or 1, 3, 3); None for none."""
         return None if self.thermal is None else self.thermal[part]
 
-    def at(self, temperature: float, finite: bool) -> CellStiffness:
+    def at(self, temperature: complex, finite: bool) -> CellStiffness:
         """Return these cells at a temperature, K from the reference.
 
         To first order, or with `finite` as F = F_e (I + A) with the elastic energy per heated

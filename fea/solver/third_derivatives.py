@@ -30,10 +30,11 @@ At fixed displacements energy and forces are polynomials of the temperature but 
 Those of second order do not do: in a slender part 0.999 of a derivative cancels against others.
 """
 
-_SLOPE, _BEND, _JERK = (
-    np.array([(1, -8, 0, 8, -1), (-1, 16, -30, 16, -1), (-6, 12, 0, -12, 6)]) / 12
-)
-"""Weights of differences of first to third order, from two steps below to two above."""
+_BEND, _JERK = np.array([(-1, 16, -30, 16, -1), (-6, 12, 0, -12, 6)]) / 12
+"""Weights of differences of second and third order, from two steps below to two above."""
+
+_COMPLEX_STEP = 1e-30
+"""Step of complex differences, K: exact to roundoff, as its square vanishes in any strain."""
 
 
 def packed(tensor: Array) -> Array:
@@ -103,13 +104,13 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
 def _of_heat(system: System, balance: Balance, fields: Array, place: int) -> Array:
     """Return the strain energy's derivatives by the temperature, input number `place`."""
     nodes, temperature = balance.state.nodes, system.temperature(balance.wrench)
-    bodies = [system.body.at(temperature + step * _WARMER) for step in range(-2, 3)]
-    forces, energies, _ = zip(*(body.forces(nodes) for body in bodies), strict=True)
+    steps = _WARMER * np.arange(-2, 3)
+    near = [system.body.at(temperature + step).forces(nodes) for step in steps]
+    forces, energies, _ = zip(*near, strict=True)
+    ahead = system.body.at(temperature + 1j * _COMPLEX_STEP).second(nodes, fields)
     once = np.zeros((fields.shape[2],) * 3)
     twice = np.zeros_like(once)
-    for weight, body in zip(_SLOPE / _WARMER, bodies, strict=True):
-        if weight:
-            once[:, :, place] += weight * body.second(nodes, fields)
+    once[:, :, place] = np.imag(ahead) / _COMPLEX_STEP
     bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
     twice[place, place] = contract(bend[:, :, None], fields)[0]
     found = every_place(once + twice)

@@ -44,7 +44,7 @@ def asymmetry(solver, inputs):
     return np.abs((own - own.T) / np.outer(size, size)).max()
 
 
-def error(solver, inputs, direction, scale, step, doublings=2):
+def error(solver, inputs, direction, scale, step, doublings=2, repeats=1):
     """Return the tensor's largest error along a direction, relative to its largest entry.
 
     Reference: central differences of tangents, each in its own (F, mu), from steps of 1, 2, 4 and
@@ -56,10 +56,14 @@ def error(solver, inputs, direction, scale, step, doublings=2):
     own = per_load(solver, balance, tangent)
     rate = rates_of(solver, balance, tangent) @ _acting(solver, direction)
 
+    def mean(inputs):
+        near = inputs + 1e-7 * scale * np.arange(repeats)[:, None]
+        return np.mean(
+            [per_load(solver, *state_of(solver, one, balance.state)) for one in near], axis=0
+        )
+
     def difference(h):
-        ends = (inputs + sign * h * direction for sign in (1, -1))
-        above, below = (per_load(solver, *state_of(solver, end, balance.state)) for end in ends)
-        return (above - below) / (2 * h)
+        return (mean(inputs + h * direction) - mean(inputs - h * direction)) / (2 * h)
 
     raw = [difference(2**times * step) for times in range(doublings + 1)]
     once = [fine + (fine - coarse) / 3 for fine, coarse in pairwise(raw)]

@@ -49,6 +49,8 @@ HEAT = {"temperature": {"range": [-40, 120], "reference": 20}}
 PULL = {"acceleration": {"range": [20, 20, 20]}}
 SPRING = (np.diag([1e5, 2e5, 3e5, 2e3, 3e3, 1e3]) + 200.0).tolist()
 BUSHING = {"group": "z0", "coupling": "distributed", "stiffness": SPRING, "axes": TURN.tolist()}
+SLIDING = {"group": "x0", "directions": ["x"]}  # a symmetry plane
+GUIDED = ["ux", "ry", "rz"]
 
 
 def tall(law="isotropic", poisson=0.3, **options):
@@ -57,13 +59,13 @@ def tall(law="isotropic", poisson=0.3, **options):
     return replace(part, materials=(replace(part.materials[0], law=law, poisson_ratio=poisson),))
 
 
-def post(material=SOFT, supports=None, inputs=None, **interface):
+def post(material=SOFT, supports=None, inputs=None, gravity=None, **interface):
     mesh = box("hex20", (2, 2, 4), (0.1, 0.06, 0.4))
     table = TABLE | {
         "supports": supports or {"fixed": ["z0"]},
         "material": [material],
         "interface": {"section": "z1", "coupling": "rigid"} | interface,
-        "analysis": {"nonlinear": True},
+        "analysis": {"nonlinear": True} | ({"gravity": gravity} if gravity else {}),
         "range": {"force": [300, 300, 3e3], "moment": [50, 50, 30]},
     }
     return build(bundle_of(table | ({"inputs": inputs} if inputs else {}), "."), mesh)
@@ -90,6 +92,12 @@ OTHERS = {
         locked=["ux"],
     ),
     "acceleration": lambda: post(inputs=PULL),
+    "sliding, own weight": lambda: post(
+        supports={"fixed": ["z0"], "sliding": [SLIDING]},
+        gravity=[3, 4, -9],
+        locked=GUIDED,
+        point=[0.0, 0.03, 0.4],
+    ),
 }
 
 
