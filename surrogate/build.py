@@ -143,7 +143,8 @@ def build(
 def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
     """Return which outputs the same rows have, and those rows, 0 in the place of all others.
 
-    Their slopes are 0 too: slopes of a displacement that is not there would contradict it.
+    Their slopes are 0 too, and there are no third derivatives: those of a displacement that is not
+    there would contradict it.
     """
     if not rows.partial:
         return [(tuple(range(rows.displacement.shape[1])), rows)]
@@ -159,7 +160,12 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
             own = np.isin(every, outputs)
             moved = np.where(own, some.displacement, 0.0)
             slopes = np.where(own[:, None] | ~_sloped(some), some.compliance, 0.0)
-            parts.append((tuple(outputs), replace(some, displacement=moved, compliance=slopes)))
+            changed = {
+                "displacement": moved,
+                "compliance": slopes,
+                "curvature": np.empty((len(some), 0)),
+            }
+            parts.append((tuple(outputs), replace(some, **changed)))
     return parts
 
 

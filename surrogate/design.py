@@ -28,7 +28,7 @@ from .build import AnyTable
 from .solves_needed import estimate_of_solves
 from .surrogate import Surrogate
 from .table.axes import AXES
-from .table.rows import CLEAN, Floats, LoadRange, Tolerance
+from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
 from .table.spread import spread_wrenches
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
@@ -50,8 +50,9 @@ CORNERS = np.concatenate((_SIGNS, _SIGNS[:, [0, 0, 1]] * _SIGNS[:, [1, 2, 2]]), 
 # How far out they are: with 15 solves of `plate_thin` the worst output's error is 0.13 to 0.16 % of
 # its range at 0.8, 0.22 to 0.25 % at 1, and 0.18 to 0.30 % without corners; at 54 all are alike.
 OUT = 0.8
-# Wrenches of the first design: two for each load and three more, 15 of six loads.
-A_LOAD, FURTHER = 2, 3
+# Wrenches of the first design: two for each load and three more, 15 of six loads; of solves that
+# bring second derivatives one for each load, 9 of six loads: no load and eight corners.
+A_LOAD, A_LOAD_BENT, FURTHER = 2, 1, 3
 _FAR = 2.0**62  # steps from no load, of what an int64 holds: no wrench of a query is out there
 
 
@@ -81,10 +82,14 @@ class Known:
         return np.array(fresh).reshape(-1, len(self.scale))
 
 
-def first_count(span: LoadRange) -> int:
-    """Return how many wrenches the first design of a span has; one where no load varies."""
+def first_count(span: LoadRange, rows: Rows) -> int:
+    """Return how many wrenches the first design of a span has; one where no load varies.
+
+    Fewer as long as all `rows` of the table bring second derivatives.
+    """
     vary = int((span.high > span.low).sum())
-    return A_LOAD * vary + FURTHER if vary else 1
+    bent = not len(rows) or (rows.curvature.shape[1] and np.isfinite(rows.curvature).all())
+    return (A_LOAD_BENT if bent else A_LOAD) * vary + FURTHER if vary else 1
 
 
 def first_design(span: LoadRange, known: Known, count: int) -> Floats:
@@ -158,7 +163,7 @@ def next_wrenches(
         return _linear_design(surrogate, known, budget, span)
     if not (span.high > span.low).any():
         return _one_wrench(span, known, budget)
-    left = first_count(span) - len(surrogate.used) - len(known.pending)
+    left = first_count(span, surrogate.used) - len(surrogate.used) - len(known.pending)
     if left > 0:
         more = first_design(span, known, min(budget, left))
         return _first(

@@ -27,10 +27,10 @@ Mask = NDArray[np.bool_]
 Index = tuple[int, ...]
 """The loads of a derivative, ascending: () is the value, (0, 0) twice by the first."""
 
-# p of Matern p + 1/2 where rows bring slopes at most, and where some bring second derivatives. With
-# these, 60 random solves of `plate_thin`, the worst output's error is 0.035, 0.022 and 0.018 % of its
-# range with 7/2, 9/2 and 11/2, with 15 solves 0.20, 0.24 and 0.26 %; with slopes alone 7/2 is best
-# of 15 solves. Responses of solves are smooth: contact and friction are no part of them.
+# The p of Matern p + 1/2 where rows bring slopes at most, and where some bring second derivatives.
+# With these, 60 random solves of `plate_thin`, the worst output's error is 0.035, 0.022 and 0.018 %
+# of its range with 7/2, 9/2 and 11/2, with 15 solves 0.20, 0.24 and 0.26 %; with slopes alone 7/2
+# is best of 15 solves. Responses of solves are smooth: contact and friction are no part of them.
 SLOPES_SMOOTHNESS, SECOND_SMOOTHNESS = 3, 4
 
 NUMBERS = 4_000_000  # of derivatives of pairs of rows at once: 32 MB
@@ -216,9 +216,7 @@ def derivatives(apart: Floats, hyperparameters: Hyperparameters, order: int) -> 
     return out.T
 
 
-def block(
-    x: Floats, v: Floats, hyperparameters: Hyperparameters, here: int, there: int
-) -> Floats:
+def block(x: Floats, v: Floats, hyperparameters: Hyperparameters, here: int, there: int) -> Floats:
     """Return the covariance of rows at x (n, 6) and v (m, 6), shape (n, here, m, there).
 
     `here` and `there` are how many readings each row brings: see `places_of`.

@@ -163,7 +163,7 @@ class Equations:
 
     @property
     def smoothness(self) -> int:
-        """p of the correlation Matern p + 1/2: see `correlation.smoothness_of`."""
+        """The p of the correlation Matern p + 1/2."""
         return SECOND_SMOOTHNESS if self.places > 1 + self.loads else SLOPES_SMOOTHNESS
 
     @property

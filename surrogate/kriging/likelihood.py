@@ -147,9 +147,7 @@ def _contracted(
     return np.append(by_rate * hyperparameters.inverse_squares, by_weight)
 
 
-def _by_derivative(
-    sensitivity: Floats, own: Equations, nugget: float
-) -> tuple[Floats, Floats]:
+def _by_derivative(sensitivity: Floats, own: Equations, nugget: float) -> tuple[Floats, Floats]:
     """Return a symmetric matrix's sums by the derivatives that its entries stand with.
 
     Returns
@@ -173,9 +171,7 @@ def _by_derivative(
     return gather @ pairs.reshape(len(pairs), -1).T, np.ascontiguousarray(apart.T)
 
 
-def _by_rates(
-    parts: Floats, apart: Floats, rates: Floats, order: int, smoothness: int
-) -> Floats:
+def _by_rates(parts: Floats, apart: Floats, rates: Floats, order: int, smoothness: int) -> Floats:
     """Return sums of parts (k, p) times a term's derivatives by its rates, shape (loads,).
 
     The derivative by t_a of D_K m(q) is D_K (d_a^2 m'(q)): by the product rule

@@ -128,7 +128,7 @@ def first_solves(table: AnyTable, span: LoadRange) -> int:
         return 1
     none = span.low[None][:0]
     known = Known(table.load_range, none, none)
-    return len(first_design(span, known, first_count(span)))
+    return len(first_design(span, known, first_count(span, table.rows)))
 
 
 def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:

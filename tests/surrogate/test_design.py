@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import wrenchbook.surrogate.kriging.calibration as calibration
+from tests.surrogate.energies import part, stiffening
 from tests.surrogate.kriging.responses import solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smooth, table
@@ -21,18 +22,32 @@ from wrenchbook.surrogate.table.axes import clean_rows
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 EMPTY = build(Rows.empty(), RANGE)
-FIRST = next_wrenches(EMPTY, 100).wrenches
+FIRST = first_design(RANGE, Known(RANGE, np.empty((0, 6)), np.empty((0, 6))), 15)
+BENT = part(stiffening, 1)
 FILLED = build(solved(coupled, FIRST / HIGH), RANGE)
 
 
 def test_the_first_design_is_no_load_then_corners_then_an_even_spread() -> None:
     scaled = FIRST / HIGH
-    assert len(scaled) == 15
     assert not scaled[0].any()
     np.testing.assert_allclose(np.abs(scaled[1:9]), 0.8)
     assert (np.abs(scaled) <= 1).all()
     assert len(np.unique(scaled, axis=0)) == 15
     assert not clean_rows(Rows.of(FIRST[1:], FIRST[1:]), RANGE).any()
+
+
+def test_solves_that_bring_second_derivatives_have_a_first_design_of_nine() -> None:
+    first = next_wrenches(EMPTY, 100)
+    np.testing.assert_array_equal(first.wrenches, FIRST[:9])
+    rows = BENT.rows(first.wrenches / HIGH)
+    assert next_wrenches(build(rows, RANGE), 6).stage == "refine"
+
+
+def test_solves_without_second_derivatives_have_a_first_design_of_fifteen() -> None:
+    rows = solved(coupled, FIRST[:9] / HIGH)
+    further = next_wrenches(build(rows, RANGE), 100)
+    assert further.stage == "first"
+    np.testing.assert_array_equal(further.wrenches, FIRST[9:])
 
 
 def test_the_corners_keep_the_effects_of_the_loads_apart() -> None:
@@ -81,7 +96,7 @@ def test_loads_that_a_scene_does_not_have_stay_at_rest_and_shorten_the_first_des
     high = np.array([0, 0, 5000.0, 0, 0, 200.0])
     scene = LoadRange(-high, high)
     first = next_wrenches(EMPTY, 100, span=scene).wrenches
-    assert len(first) == 7
+    assert len(first) == 5
     assert (first[:, [0, 1, 3, 4]] == 0).all()
     asked = next_wrenches(FILLED, 12, span=scene)
     assert asked.stage == "refine"
