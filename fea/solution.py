@@ -70,9 +70,19 @@ class Solution:
         What an engineer should know about how the answer was found.
     tangents
         Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck.
+    curvature
+        Shape (p,), p = k (k + 1) (k + 2) / 6: third derivatives of the complementary energy by the
+        loads (F, mu) and further inputs, which are the second ones of the displacements by them;
+        m and rad over the units of two inputs (`fea.solver.third_derivatives`). Entries of locked
+        freedoms are zero. None for a linear solve, a deck, or more than eight inputs.
     state
         Where the equations were left, to start a nearby solve from; None for a linear solve and a
         deck.
+    curvature
+        Shape (p,), p = k (k + 1) (k + 2) / 6: third derivatives of the complementary energy by the
+        loads (F, mu), m or rad over two of their units, in the order of
+        combinations_with_replacement(range(k), 3). mu = J(r)^T M works on the rotation vector r.
+        None for a linear solve, a deck, and more than 8 inputs.
     """
 
     wrench: Array
@@ -86,7 +96,9 @@ class Solution:
     nodes: Array
     notes: tuple[str, ...] = ()
     tangents: Array | None = None
+    curvature: Array | None = None
     state: CoupledState | None = None
+    curvature: Array | None = None
 
 
 Loads = Sequence[float] | Array | Mapping[str, float | Sequence[float] | Array]

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import ROUNDOFF
-from wrenchbook.fea.assembly.linearisation import Balance
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState
 from wrenchbook.fea.coupling.coupling import largest_rotation
@@ -33,6 +33,7 @@ from wrenchbook.fea.solver.craig_bampton import CraigBampton, craig_bampton
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath, hang
 from wrenchbook.fea.solver.newton import Equilibrium
+from wrenchbook.fea.solver.third_derivatives import MOST_INPUTS, packed, third_derivatives
 from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.solver.warm_start import WarmFolder
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
@@ -346,6 +347,7 @@ class Solver:
             nodes=nodes @ self.component.axes,
             notes=self.notes,
             tangents=self._in_mesh_axes(linear.fields),
+            curvature=self._curvature(self._system.balance_at_rest, self._system.undeformed),
         )
 
     def _solve_nonlinear(
@@ -385,8 +387,14 @@ class Solver:
             nodes=balance.state.nodes @ self.component.axes,
             notes=self.notes,
             tangents=self._in_mesh_axes(found.tangent.nodal_response),
+            curvature=self._curvature(balance, found.tangent),
             state=balance.state,
         )
+
+    def _curvature(self, balance: Balance, tangent: Linearisation) -> Array | None:
+        if not self.component.analysis.nonlinear or self._system.inputs > MOST_INPUTS:
+            return None
+        return packed(third_derivatives(self._system, balance, tangent))
 
     def _in_mesh_axes(self, fields: Array) -> Array:
         return np.einsum("ji,njk->nik", self.component.axes, fields)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from functools import cached_property
 from itertools import pairwise
@@ -67,7 +67,7 @@ class ElasticBody:
         """Whether the temperature is an input."""
         return self.parts[0].expansion is not None
 
-    def at(self, temperature: float, finite: bool = True) -> ElasticBody:
+    def at(self, temperature: complex, finite: bool = True) -> ElasticBody:
         """Return the body at a temperature, K from the reference; see `CellStiffness.at`."""
         if not self.expands:
             return self
@@ -219,6 +219,41 @@ class ElasticBody:
                 total += part.strain_energy_products(moved, first)
         return total
 
+    def second(self, displacement: Array, fields: Array) -> Array:
+        """Return the strain energy's second derivatives along fields, (k, k), J; see `third`."""
+        return self._integral(CellStiffness.second, displacement, fields)
+
+    def third(self, displacement: Array, fields: Array) -> Array:
+        """Return the strain energy's third derivatives along fields.
+
+        Parameters
+        ----------
+        displacement
+            Shape (n, 3), m.
+        fields
+            Shape (n, 3, k), m.
+
+        Returns
+        -------
+        Array
+            Shape (k, k, k), J.
+        """
+        return self._integral(CellStiffness.third, displacement, fields)
+
+    def _integral(
+        self,
+        derivatives: Callable[[CellStiffness, Array, Array, int], Array],
+        displacement: Array,
+        fields: Array,
+    ) -> Array:
+        total = 0.0
+        for part, nodes in zip(self.parts, self.cells, strict=True):
+            for first in range(0, len(nodes), _FIELDS_AT_A_TIME):
+                own = nodes[first : first + _FIELDS_AT_A_TIME]
+                moved = np.moveaxis(gather(fields, own), -1, 0)
+                total = total + derivatives(part, gather(displacement, own), moved, first)
+        return np.asarray(total)
+
     def _sum(self, forces: Array, nodes: Array) -> Array:
         unknowns = np.moveaxis(unknowns_of(nodes), 2, 1)
         total = np.bincount(unknowns.ravel(), forces.ravel(), minlength=3 * self.size)
@@ -291,6 +326,8 @@ class Tangent:
 
     def times(self, fields: Array, nodes: Array) -> Array:
         """Multiply by displacement fields that are zero at all but the given nodes.
+
+        Of other fields the product is right at the given nodes alone.
 
         Parameters
         ----------

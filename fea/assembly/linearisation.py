@@ -194,7 +194,7 @@ class Linearisation:
         The inputs are those of `Balance.wrench`.
         """
         nodal, border = np.zeros((self._body.size, 3, self._coupling.freedoms)), self.wrench_columns
-        further = self._further
+        further = self.further
         if not further.shape[2]:
             return nodal, border
         released = self._body.movable.released(further)
@@ -202,7 +202,7 @@ class Linearisation:
         return np.concatenate([nodal, released], axis=2), border
 
     @cached_property
-    def _further(self) -> Array:
+    def further(self) -> Array:
         """Change of nodal forces with the inputs behind the loads, (n, 3, k - 6 i), N/K and kg."""
         if not self._body.expands:
             return self._pull
@@ -218,7 +218,7 @@ class Linearisation:
     def border_response(self) -> Array:
         """Change of the border per change of the inputs, shape (border, k), m/N and its like."""
         loads = self.wrench_columns
-        if self._further.shape[2]:
+        if self.further.shape[2]:
             loads = self.load_columns[1].copy()
             loads[:, self._coupling.freedoms :] -= contract(self._columns, self._alone)
         return self._solve_border(loads)
@@ -227,7 +227,7 @@ class Linearisation:
     def nodal_response(self) -> Array:
         """Change of all nodes per change of the inputs, shape (n, 3, k), m per unit of each."""
         moved = (self.border.ties - self._solved) @ self.border_response
-        if self._further.shape[2]:
+        if self.further.shape[2]:
             moved[:, :, self._coupling.freedoms :] += self._alone
         return moved
 
@@ -239,7 +239,7 @@ class Linearisation:
         """
         nodal, border = self.load_columns
         rates = border.T @ (self.border_response @ change)
-        if self._further.shape[2]:
+        if self.further.shape[2]:
             rates += contract(nodal, (self.nodal_response @ change)[:, :, None])[:, 0]
         return rates
 

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wrenchbook.fea.coupling.rotation import rotation_derivatives
+from wrenchbook.fea.element.cell_state import every_place
 from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
@@ -109,6 +111,29 @@ class SectionCoupling(ABC):
         Shape (6 + multipliers, 6), dimensionless; rows of constraints are zero.
         """
 
+    @abstractmethod
+    def arm_moments(
+        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return N, 3x3: the coupling's energy is linear in the rotation matrix R, and R : N in it.
+
+        Parameters
+        ----------
+        state
+            The configuration.
+        forces
+            Shapes (s, 3), N, and (s, 3, k): internal nodal forces, and their change with k inputs.
+        fields
+            Shape (s, 3, k), m per unit of each: the nodes' change with the inputs.
+        border
+            Shape (6 + multipliers, k): the border's change with them.
+
+        Returns
+        -------
+        moments, changes, second
+            Shapes (3, 3), (3, 3, k) and (3, 3, k, k), N·m: N and its derivatives along the inputs.
+        """
+
 
 class _Seat(NamedTuple):
     """One section's place in the body and in the border.
@@ -127,9 +152,9 @@ class _Seat(NamedTuple):
     spring: Array | None
 
     def inwards(self, field: Array) -> Array:
-        """Take a nodal field (n, 3) of the body to the section: (s, 3), in its interface's axes."""
+        """Take a nodal field (n, 3, ...) of the body to the section: (s, 3, ...), in its axes."""
         own = field[self.nodes]
-        return own if self.turn is None else own @ self.turn.T
+        return own if self.turn is None else np.einsum("ij,sj...->si...", self.turn, own)
 
     def outwards(self, field: Array) -> Array:
         """Turn a field of the section, (s, 3) or (s, 3, k), into the body's axes."""
@@ -322,6 +347,37 @@ class Coupling:
                 columns[seat.border, seat.freedoms] = seat.section.wrench_columns(own)[seat.chosen]
         return columns
 
+    def third(
+        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+    ) -> Array:
+        """Return the third derivatives of the couplings' energies along the inputs.
+
+        Those of the springs, which are quadratic, are zero.
+
+        Parameters
+        ----------
+        state
+            The configuration.
+        forces
+            Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their change
+            with the inputs at the nodes that are `tied`.
+        fields, border
+            Shapes (n, 3, k), m per unit of each input, and (border, k): change with the inputs.
+
+        Returns
+        -------
+        Array
+            Shape (k, k, k), J over the units of three inputs.
+        """
+        total = np.zeros((border.shape[1],) * 3)
+        for seat, own in self._parts(state):
+            moved = np.zeros((PER_INTERFACE + seat.section.multipliers, border.shape[1]))
+            moved[seat.chosen] = border[seat.border]
+            acting = seat.inwards(forces[0]), seat.inwards(forces[1])
+            moments = seat.section.arm_moments(own, acting, seat.inwards(fields), moved)
+            total += _third_of_rotation(own.interface[3:], moved[3:6], *moments)
+        return total
+
     def displacement_rows(self, border: Array) -> Array:
         """Pick the interface displacements out of border unknowns: (border, k) -> (6 i, k).
 
@@ -341,3 +397,15 @@ class Coupling:
         """Return copies of the motions and multipliers of interfaces and bushings, six of each."""
         multipliers, sprung = np.split(state.multipliers, [self.freedoms + self._sprung])
         return np.append(state.interface, sprung), multipliers.copy()
+
+
+def _third_of_rotation(
+    vector: Array, turned: Array, moments: Array, changes: Array, second: Array
+) -> Array:
+    """Return the third derivatives of R(r) : N, shape (k, k, k), along changes of r, (3, k)."""
+    _, *slopes = rotation_derivatives(vector)
+    once = np.einsum("ixy,xybc,ia->bca", slopes[0], second, turned)
+    twice = np.einsum("ijxy,xyc,ia,jb->abc", slopes[1], changes, turned, turned, optimize=True)
+    arms = np.einsum("ijkxy,xy->ijk", slopes[2], moments)
+    thrice = np.einsum("ijk,ia,jb,kc->abc", arms, turned, turned, turned, optimize=True)
+    return thrice + every_place(once + twice)

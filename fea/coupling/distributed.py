@@ -86,6 +86,24 @@ class Distributed(SectionCoupling):
         columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T
         return columns
 
+    def arm_moments(
+        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return -l c^T - [m]x Q, 3x3 and N·m, Q = sum w (x + u) rho^T, and its derivatives.
+
+        Those along k inputs come from the fields, (s, 3, k), m, and the border, (12, k).
+        """
+        force, moment = border[6:9], skew(border[9:].T)
+        own = skew(state.multipliers[3:])
+        arms = self._weights[:, None] * self._arms
+        places = (self.places + state.nodes).T @ arms
+        moved = np.einsum("sik,sj->kij", fields, arms)
+        moments = -np.outer(state.multipliers[:3], self._centre) - own @ places
+        changes = -force.T[:, :, None] * self._centre - moment @ places - own @ moved
+        second = moment[:, None] @ moved
+        second = -(second + second.swapaxes(0, 1))
+        return moments, np.moveaxis(changes, 0, 2), np.moveaxis(second, (0, 1), (2, 3))
+
     def _fill(self, block: Array, own: _Turned) -> None:
         """Write the border's own derivatives, less those of the spin itself."""
         centre = skew(own.centre) @ own.spin

@@ -63,5 +63,16 @@ class Rigid(SectionCoupling):
         columns[3:, 3:] = spin_per_vector(state.interface[3:]).T
         return columns
 
+    def arm_moments(
+        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return sum f x^T, 3x3 and N·m, and its derivatives along k inputs.
+
+        The forces f have shapes (s, 3), N, and (s, 3, k). The second is zero: the body's own third
+        derivatives have it.
+        """
+        moments, changes = (np.einsum("si...,sj->ij...", own, self.places) for own in forces)
+        return moments, changes, np.zeros((3, 3, border.shape[1], border.shape[1]))
+
     def _turned(self, state: CoupledState) -> Array:
         return self.places + self.places @ rotation_less_identity(state.interface[3:]).T

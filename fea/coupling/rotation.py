@@ -6,6 +6,8 @@ import numpy as np
 
 Array = np.ndarray
 
+_DERIVATIVE_TERMS = 30
+"""Terms of exp: at 2 rad, the most that Newton's method lets pass, 2^26 / 26! is below 1e-18."""
 _SERIES_TERMS = 12
 _SERIES_LIMIT = 1.0  # of the squared angle; the series is exact to roundoff below it
 
@@ -55,6 +57,26 @@ def spin_slope(vector: Array, moment: Array) -> Array:
         shifted[axis] += 1j * step
         columns.append(np.imag(spin_per_vector(shifted).T @ moment) / step)
     return np.stack(columns, axis=1)
+
+
+def rotation_derivatives(vector: Array) -> list[Array]:
+    """Return exp([r]x) and its first three derivatives by r, 1/rad and so on.
+
+    Shapes (3, 3), (3, 3, 3), (3, 3, 3, 3) and (3, 3, 3, 3, 3), the matrix last. They are the series
+    sum P_n with P_n = [r]x P_{n-1} / n, differentiated by the product rule.
+    """
+    X, units = skew(vector), skew(np.eye(3))
+    terms = [np.eye(3), *(np.zeros((3,) * (order + 2)) for order in (1, 2, 3))]
+    sums = [term.copy() for term in terms]
+    for n in range(1, _DERIVATIVE_TERMS):
+        for order in (3, 2, 1, 0):
+            term = X @ terms[order]
+            if order:
+                inner = units.reshape(3, *[1] * (order - 1), 3, 3) @ terms[order - 1]
+                term += sum(np.moveaxis(inner, 0, place) for place in range(order))
+            terms[order] = term / n
+            sums[order] += terms[order]
+    return sums
 
 
 def rotation_vector(matrix: Array) -> Array:

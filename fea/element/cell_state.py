@@ -77,19 +77,61 @@ class CellState(ABC):
     def tangent(self, out: Array) -> None:
         """Write the tangent stiffness, shape (cells, size, size), N/m."""
 
-    def cauchy(self, fields: Array) -> tuple[Array, Array]:
-        """Return Cauchy stresses, Pa, and their changes with fields, m, shape (k, ...).
+    def changes(self, fields: Array) -> tuple[Array, Array, Array]:
+        """Return what fields, m, shape (k, cells, 3, nodes), change.
 
         All fields' 3x3 matrices stand one below the other, so that each product is one for all.
+
+        Returns
+        -------
+        dF
+            Shape (cells, points, 3 k, 3): the deformation gradient, dimensionless.
+        dE, wdS
+            Shape (k, cells, points, 3, 3): the strain, dimensionless, and `wS`, Pa times m^3.
         """
+        cells, count = len(self.slopes), len(fields)
+        below = fields.swapaxes(0, 1).reshape(cells, 1, 3 * count, fields.shape[3])
+        dF = below @ self.slopes.swapaxes(2, 3)
+        half = _each_transposed(dF) @ self.F
+        strain = 0.5 * (half + _each_transposed(half))
+        dE = np.moveaxis(strain.reshape(*self.F.shape[:2], count, 3, 3), 2, 0)
+        return dF, dE, self.weighted_change(dE)
+
+    def second(self, fields: Array) -> Array:
+        """Return the energy's second derivatives along fields, (k, cells, 3, nodes), m: (k, k), J.
+
+        They are the integral of E_a : C : E_b + S : E_ab, see `third`.
+        """
+        dF, dE, wdS = self.changes(fields)
+        own = dE.reshape(len(fields), -1) @ wdS.reshape(len(fields), -1).T
+        return own + _by_field(dF) @ _by_field(dF @ self.wS).T
+
+    def third(self, fields: Array) -> Array:
+        """Return the energy's third derivatives along k fields: (k, k, k), J.
+
+        The fields have shape (k, cells, 3, nodes), m. With E_a = sym(F^T grad a) and
+        E_ab = sym(grad a^T grad b) the derivatives are the integral of
+        E_ab : C : E_c + E_bc : C : E_a + E_ca : C : E_b, and of the law's own part.
+        """
+        dF, dE, wdS = self.changes(fields)
+        rows = _by_field(dF)
+        products = [_by_field(dF @ own) @ rows.T for own in wdS]  # grad a (C : E_c) : grad b
+        return every_place(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
+
+    def third_of_law(self, fields: Array, strain: Array) -> Array:
+        """Return what C's change adds to `third`, J: shape (k, k, k), or 0 of a constant C.
+
+        `strain` has shape (k, cells, points, 3, 3), dimensionless: that of the fields.
+        """
+        return np.zeros((len(fields),) * 3)
+
+    def cauchy(self, fields: Array) -> tuple[Array, Array]:
+        """Return Cauchy stresses, Pa, and their changes with fields, m, shape (k, ...)."""
         F_T, shape = self.F.swapaxes(2, 3), (*self.F.shape[:2], len(fields))
         scale = (1.0 / (np.linalg.det(self.F) * self.weights))[..., None, None]
         stress = self.F @ self.wS @ F_T * scale
-        below = fields.swapaxes(0, 1).reshape(shape[0], 1, 3 * len(fields), fields.shape[3])
-        dF = below @ self.slopes.swapaxes(2, 3)
-        half = _each_transposed(dF) @ self.F
-        strain = (0.5 * (half + _each_transposed(half))).reshape(*shape, 3, 3)
-        wdS = np.moveaxis(self.weighted_change(np.moveaxis(strain, 2, 0)), 0, 2)
+        dF, _, changes = self.changes(fields)
+        wdS = np.moveaxis(changes, 0, 2)
         FdS = _each_transposed(wdS.reshape(dF.shape) @ F_T)
         one_side = (dF @ self.wS + 0.5 * FdS) @ F_T
         growth = dF.reshape(*shape, 9) @ np.linalg.inv(F_T).reshape(*shape[:2], 9, 1)
@@ -116,10 +158,24 @@ def green_strain(H: Array) -> Array:
     return 0.5 * (H + H.swapaxes(-1, -2) + H.swapaxes(-1, -2) @ H)
 
 
+def every_place(product: Array) -> Array:
+    """Sum products symmetric in their first two indices over the third's three places: (k, k, k).
+
+    The unit stays what it is.
+    """
+    return product + product.swapaxes(1, 2) + product.swapaxes(0, 2)
+
+
 def _each_transposed(below: Array) -> Array:
     """Transpose each of the 3x3 matrices that stand one below the other: (..., 3 k, 3)."""
     each = below.reshape(*below.shape[:2], below.shape[2] // 3, 3, 3)
     return each.swapaxes(3, 4).reshape(below.shape)
+
+
+def _by_field(below: Array) -> Array:
+    """Return 3x3 matrices that stand one below the other, (..., 3 k, 3), by number: (k, m)."""
+    each = below.reshape(-1, below.shape[-2] // 3, 9)
+    return np.ascontiguousarray(each.swapaxes(0, 1)).reshape(each.shape[1], -1)
 
 
 ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)

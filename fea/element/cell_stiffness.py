@@ -8,7 +8,7 @@ is in the state that a kind of cells makes of a displacement: `CellState`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -57,7 +57,7 @@ class CellStiffness(ABC):
         """Return the thermal strain of a few cells, (cells, points or 1, 3, 3); None for none."""
         return None if self.thermal is None else self.thermal[part]
 
-    def at(self, temperature: float, finite: bool) -> CellStiffness:
+    def at(self, temperature: complex, finite: bool) -> CellStiffness:
         """Return these cells at a temperature, K from the reference.
 
         To first order, or with `finite` as F = F_e (I + A) with the elastic energy per heated
@@ -206,6 +206,40 @@ class CellStiffness(ABC):
             strain, stress = self._small_strain(fields[:, part], own)
             total += strain.reshape(count, -1) @ stress.reshape(count, -1).T
         return total
+
+    def second(self, displacement: Array, fields: Array, first: int = 0) -> Array:
+        """Return the energy's second derivatives along fields, (k, k), J; see `third`."""
+        return self._sum(CellState.second, displacement, fields, first)
+
+    def third(self, displacement: Array, fields: Array, first: int = 0) -> Array:
+        """Return the energy's third derivatives along fields; see `CellState.third`.
+
+        Parameters
+        ----------
+        displacement
+            Shape (cells, 3, nodes), m: of the cells from `first` on.
+        fields
+            Shape (k, cells, 3, nodes), m.
+
+        Returns
+        -------
+        Array
+            Shape (k, k, k), J.
+        """
+        return self._sum(CellState.third, displacement, fields, first)
+
+    def _sum(
+        self,
+        derivatives: Callable[[CellState, Array], Array],
+        displacement: Array,
+        fields: Array,
+        first: int,
+    ) -> Array:
+        total = 0.0
+        for part in self._parts(fields.shape[1]):
+            own = slice(first + part.start, first + part.stop)
+            total = total + derivatives(self.state(own, displacement[part]), fields[:, part])
+        return np.asarray(total)
 
     def small_stresses(self, fields: Array) -> Array:
         """Return the stresses of several small displacement fields at the quadrature points.

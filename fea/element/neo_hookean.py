@@ -11,6 +11,12 @@ at small strains: with C = I + 2 E
 
     S = 2 mu J^(-2/3) C^-1 dev(E) + p J C^-1,        p = kappa (J - 1).
 
+Third derivatives along strains E_a: with X_a = C^-1 E_a, t_a = tr X_a, p_ab = tr(X_a X_b) and
+q_abc = tr(X_a X_b X_c), ln J has t_a, -2 p_ab and 8 q_abc; so J has J_a = J t_a,
+J_ab = J (t_a t_b - 2 p_ab), J_abc = J (t_a t_b t_c - 2 sum p_ab t_c + 8 q_abc), J^(-2/3) likewise
+with ln J times -2/3, and tr C has 2 tr E_a alone. W's are those of its two products, with
+sum J_ab kappa J_c + p J_abc of the second.
+
 Cells that project (`fea.element.pressure_projection`) take the projection of J - 1 in lambda's part
 of kappa = lambda + 2 mu/3, as isotropic cells do with tr(E): the mean dilatation of Simo, Taylor
 and Pister (1985) with a linear pressure.
@@ -29,6 +35,7 @@ from wrenchbook.fea.element.cell_state import (
     CellState,
     DenseState,
     Which,
+    every_place,
     green_strain,
 )
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness, projected_gram, weighted
@@ -85,6 +92,21 @@ class _State(DenseState):
     def weighted_change(self, strain: Array) -> Array:
         growth = self.J * np.sum(self.inverse * strain, axis=(-2, -1))
         return self._at_pressure(strain) + _times(self._pressure(growth) * self.J, self.inverse)
+
+    def third_of_law(self, fields: Array, strain: Array) -> Array:
+        """Return the third derivatives of W along strains, see the module: shape (k, k, k), J."""
+        count, X = len(fields), self.inverse @ strain
+        rows = X.swapaxes(-1, -2).reshape(count, -1)
+        XX = X[:, None] @ X
+        t, s, p = (np.trace(own, axis1=-2, axis2=-1) for own in (X, strain, XX))
+        third = self.scale * (1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1))  # tr C / 3
+        pressed, P = self.pressure * self.J, self.J * self._pressure(self.J * t)
+        along = (pressed - 4.0 / 9.0 * third) / 3.0 * t + 4.0 / 9.0 * self.scale * s + P
+        twice = 4.0 / 3.0 * (self.scale * s - third * t) - 2.0 * (pressed * t + P)
+        alone = _times(8.0 * (pressed - third), XX).reshape(count, count, -1) @ rows.T
+        pairs = np.stack([t[:, None] * t, p]).reshape(2, count, count, -1)
+        sums = pairs @ np.stack([along, twice]).reshape(2, 1, count, -1).swapaxes(-1, -2)
+        return alone + every_place(np.asarray(sums.sum(axis=0)))
 
     def _pressure(self, growth: Array) -> Array:
         """Return the pressure of J - 1, shape (..., cells, points), times the weights."""

@@ -163,6 +163,7 @@ def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
                 note=tuple(note.strip() for note in notes),
                 fingerprint=tuple(str(text).strip() for text in rows.fingerprint),
                 row=np.arange(1, len(rows) + 1) + report.read,
+                curvature=rows.curvature,
             )
             good = np.ones(len(piece), dtype=bool)
             for at, key, message in (*_number_problems(piece, columns), *_text_problems(piece)):
@@ -242,6 +243,7 @@ def _mat_columns(path: Path) -> Iterator[tuple[list[str], list[Array]]]:
 
 def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> bytes:
     """Return the content of the file of a table; `seq` are the rows' numbers in the ledger."""
+    curvature = getattr(table, "curvature", None)
     rows = Rows.of(
         table.wrench,
         table.displacement,
@@ -251,6 +253,7 @@ def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> byte
         compliance=table.compliance,
         source=list(table.source),
         fingerprint=list(getattr(table, "fingerprint", ())),
+        **({} if curvature is None else {"curvature": curvature}),
     )
     with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:
         path = Path(folder) / "table.h5"

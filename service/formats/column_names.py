@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
-from itertools import product
+from itertools import combinations_with_replacement, product
 from typing import Any, Protocol
 
 import numpy as np
@@ -95,8 +95,11 @@ class Columns:
         All inputs; of them the loads, and the others.
     displacement, uncertainty, compliance : tuple of str
         The outputs, the 95 % half width of each, the tangent of each over each input.
+    curvature : tuple of str
+        Third derivatives of the complementary energy e, in the order of `Rows.curvature`, always
+        in SI: ``d3e/dfx/dfx/dmz [J/(N*N*N*m)]``, where m stands for mu.
     numbers : tuple of str
-        All of these.
+        All of these without `curvature`.
     most : int
         Columns that a file may have.
     """
@@ -112,9 +115,13 @@ class Columns:
         self._tangents = {f"d{output}/d{one}": (output, one) for output, one in pairs}
         self.compliance = tuple(self._tangents)
         self.numbers = (*self.wrench, *self.displacement, *self.uncertainty, *self.compliance)
-        self.most = max(MOST_COLUMNS, 2 * len(self.numbers))
+        triples = combinations_with_replacement(self.wrench, 3)
+        self._curvatures = {"/d".join(("d3e", *inputs)): inputs for inputs in triples}
+        self.curvature = tuple(self._curvatures)
+        self.most = max(MOST_COLUMNS, 2 * len(self.numbers) + len(self.curvature))
         # The columns that have one spelling.
-        self._exact = {name.lower(): name for name in (*TEXTS, *self.compliance, *scalars)}
+        single = *TEXTS, *self.compliance, *self.curvature, *scalars
+        self._exact = {name.lower(): name for name in single}
         self._quantities = {name: further_quantity(name, unit) for name, unit in scalars.items()}
         self._quantities[TIME_COLUMN] = TIME
         fronts = sorted(filter(None, space.interfaces), key=len, reverse=True)
@@ -173,6 +180,10 @@ class Columns:
         """Return the factor from a unit of the column `name` to that of the table; UnitError."""
         if name in TEXTS:
             return Decimal(1)
+        if name in self._curvatures:
+            if unit != self.unit_of_curvature(name):
+                raise UnitError(f"[{unit}] is not SI; write {self.examples(name)}")
+            return Decimal(1)
         if name not in self._tangents:
             return si_factor(unit, self.quantity(name))
         upper, _, lower = unit.partition("/")
@@ -182,6 +193,10 @@ class Columns:
             example = self.examples(name)
             raise UnitError(f"[{unit}] is not a unit over a unit; write for example {example}")
         return quotient(si_factor(upper.strip(), output), si_factor(lower, load))
+
+    def unit_of_curvature(self, name: str) -> str:
+        """Return the unit of a column of `curvature`: ``J/(N*N*N*m)``."""
+        return over("J", "*".join(self.quantity(one).si for one in self._curvatures[name]))
 
     def zero(self, name: str, unit: str) -> Decimal:
         """Return the zero of a unit in that of the table: 273.15 of degC in K; mostly 0."""
@@ -193,6 +208,8 @@ class Columns:
         if name in self._tangents:
             output, load = self.tangent(name)
             return f"{name} [{over(output.si, load.si)}]"
+        if name in self._curvatures:
+            return f"{name} [{self.unit_of_curvature(name)}]"
         return ", ".join(f"{name} [{unit}]" for unit in self.quantity(name).examples[:3])
 
 
@@ -237,7 +254,8 @@ def _columns(name: str) -> set[tuple[str, Decimal]]:
 class WritableRows(Protocol):
     """Rows that can be written: a `ParsedTable`, the rows of a surrogate, any of this form.
 
-    ``note``, ``fingerprint``, ``seq``, ``when`` and ``who``, one a row, are optional.
+    ``curvature``, and ``note``, ``fingerprint``, ``seq``, ``when`` and ``who`` of each row, are
+    optional.
     """
 
     @property
@@ -283,7 +301,9 @@ class NumberColumn:
 
     def values(self, rows: WritableRows) -> np.ndarray:
         """Return the column, shape (n,), SI, NaN where unknown."""
-        block = getattr(rows, self.block)
+        block = getattr(rows, self.block, None)
+        if block is None or not block.size:  # a curvature that no row brings
+            return np.full(len(rows.wrench), np.nan)
         return block.reshape(len(block), int(np.prod(block.shape[1:])))[:, self.index]
 
     def digits(self, rows: WritableRows) -> list[str]:
@@ -317,12 +337,13 @@ def layout(
     *,
     origin: bool = False,
     space: Space = DEFAULT,
+    curvature: bool = False,
 ) -> Layout:
     """Return the columns of an export.
 
     Parameters
     ----------
-    uncertainty, compliance : bool
+    uncertainty, compliance, curvature : bool
         Whether any row has one.
     texts : iterable of str
         Of ``source``, ``note`` and ``fingerprint``.
@@ -342,6 +363,7 @@ def layout(
     blocks = [("wrench", columns.wrench), ("displacement", columns.displacement)]
     blocks += [("uncertainty", columns.uncertainty)] if uncertainty else []
     blocks += [("compliance", columns.compliance)] if compliance else []
+    blocks += [("curvature", columns.curvature)] if curvature else []
     numbers = tuple(
         NumberColumn(name, block, index, *_export_unit(name, columns, chosen))
         for block, names in blocks
@@ -358,6 +380,8 @@ def _export_unit(
     def unit_of(quantity: Quantity) -> tuple[str, Decimal]:
         return chosen.get(quantity, (quantity.si, Decimal(1)))
 
+    if name in columns.curvature:
+        return columns.unit_of_curvature(name), Decimal(1)
     if name not in columns.compliance:
         return unit_of(columns.quantity(name))
     (upper, above), (lower, below) = map(unit_of, columns.tangent(name))

@@ -4,7 +4,8 @@ Objects of columns, a list of them or one a line, are read by `json_records`.
 
 A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
 numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
-of ux uy uz rx ry rz, over fx fy fz mx my mz), ``source``, ``note`` and ``fingerprint``. Always SI.
+of ux uy uz rx ry rz, over fx fy fz mx my mz), ``curvature`` (third derivatives of the complementary
+energy, in the order of `Rows.curvature`), ``source``, ``note`` and ``fingerprint``. Always SI.
 Rows of several interfaces or further inputs have as many numbers as ``inputs`` and ``outputs``
 name; without these two the order is the component's.
 An export also has ``component``, ``table_version`` and the number of each row in the ledger,
@@ -37,11 +38,13 @@ from wrenchbook.service.formats.table_rows import (
     number_word,
 )
 from wrenchbook.service.formats.units import vanished
+from wrenchbook.surrogate.table.rows import curvature_column
 
 PIECE = 20_000  # rows at once
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
-_ROW_KEYS = ("wrench", "displacement", "uncertainty", "compliance", *TEXTS, *ORIGIN)
+_NUMBERS = ("wrench", "displacement", "uncertainty", "compliance", "curvature")
+_ROW_KEYS = (*_NUMBERS, *TEXTS, *ORIGIN)
 
 
 def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -139,6 +142,7 @@ class _JsonRows:
         self._columns = columns
         self._row: list[int] = []
         self._numbers: list[list[float]] = []  # as many a row as `Columns.numbers`
+        self._curvatures: list[list[float] | None] = []
         self._texts: list[list[str]] = []
         self._at = 0
 
@@ -155,10 +159,12 @@ class _JsonRows:
         numbers += self._required(row, "displacement", self._columns.displacement)
         numbers += self._uncertainty(row.get("uncertainty"))
         numbers += self._tangent(row.get("compliance"))
+        curvature = self._curvature(row.get("curvature"))
         texts = [self._text(row, key) for key in TEXTS]
         if len(self.mistakes) == before:
             self._row.append(at)
             self._numbers.append(numbers)
+            self._curvatures.append(curvature)
             self._texts.append(texts)
 
     def table(self, options: Options, report: ReadReport) -> ParsedTable:
@@ -177,6 +183,7 @@ class _JsonRows:
             note=note,
             fingerprint=fingerprint,
             row=np.array(self._row, dtype=np.int64),
+            curvature=curvature_column(self._curvatures, self._columns.space),
         )
         return good_rows(piece, np.ones(len(piece), dtype=bool), options, report)
 
@@ -224,6 +231,15 @@ class _JsonRows:
             return []
         numbers = (self._finite(f"compliance[{at}]", line) for at, line in enumerate(lines))
         return [number for line in numbers for number in line]
+
+    def _curvature(self, values: Any) -> list[float] | None:
+        count = len(self._columns.curvature)
+        if values is None:
+            return None
+        if not _are(values, count):
+            self._refuse("curvature", f"is not a list of {count} numbers; a row has all or none")
+            return None
+        return self._finite("curvature", values)
 
     def _finite(self, key: str, values: list[Any], nulls: bool = False) -> list[float]:
         """Return finite numbers, with NaN for null where that is allowed."""
@@ -286,14 +302,21 @@ def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:
     for row, bounds in zip(rows, table.uncertainty.tolist(), strict=True):
         if not all(map(math.isnan, bounds)):
             row["uncertainty"] = _nulls(bounds)
-    for row, tangent in zip(rows, table.compliance.tolist(), strict=True):
-        if not math.isnan(tangent[0][0]):
-            row["compliance"] = tangent
+    for name in ("compliance", "curvature"):
+        for at, numbers in _known_of(getattr(table, name, None)):
+            rows[at][name] = numbers
     for name in (*TEXTS, "when", "who"):
         for row, text in zip(rows, getattr(table, name, ()), strict=False):
             if text:
                 row[name] = str(text)
     return rows
+
+
+def _known_of(column: Array | None) -> Iterator[tuple[int, list[Any]]]:
+    """Yield place and numbers of those rows of a column, (n, ...), that have them all."""
+    if column is not None and column.size:
+        known = np.isfinite(column).all(axis=tuple(range(1, column.ndim)))
+        yield from ((at, column[at].tolist()) for at in np.flatnonzero(known).tolist())
 
 
 def _nulls(values: list[float]) -> list[float | None]:

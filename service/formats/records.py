@@ -189,22 +189,25 @@ class _Conversion:
         options, names = self._options, self._names
         wrench = self._block(names.wrench, missing=0.0)
         displacement = self._block(names.displacement, missing=np.nan)
-        uncertainty = self._block(names.uncertainty, missing=np.nan)
-        compliance = self._block(names.compliance, missing=np.nan)
+        uncertainty, compliance, curvature = map(
+            self._known, (names.uncertainty, names.compliance, names.curvature)
+        )
         time = self._times() if options.role != "table" else None
         self._check_status()
         if options.role != "loads":
             self._check_measured(displacement)
-        self._check_tangents(compliance)
+        self._check_whole(compliance, names.compliance, "tangents")
+        self._check_whole(curvature, names.curvature, "third derivatives")
         texts = [self._texts(name) for name in TEXTS]
         piece = ParsedTable(
             wrench,
             displacement,
-            self._known(uncertainty, names.uncertainty, len(names.displacement)),
-            self._known(compliance, names.compliance, len(names.displacement), len(names.wrench)),
+            uncertainty,
+            compliance.reshape(len(self._line), len(names.displacement), len(names.wrench)),
             *texts,
             row=np.array(self._line, dtype=np.int64),
             time=time,
+            curvature=curvature if any(curvature.strides) else None,
         )
         return good_rows(piece, self._good, options, report)
 
@@ -216,11 +219,11 @@ class _Conversion:
                 block[:, index] = self._numbers(self._header.columns[name])
         return block
 
-    def _known(self, block: Array, names: tuple[str, ...], *shape: int) -> Array:
-        """Return a block; one of no memory if the file has none of its columns."""
+    def _known(self, names: tuple[str, ...]) -> Array:
+        """Return a block, NaN where unknown; of no memory if the file has none of its columns."""
         if any(name in self._header.columns for name in names):
-            return block.reshape(-1, *shape)
-        return unknown_column(len(block), *shape)
+            return self._block(names, missing=np.nan)
+        return unknown_column(len(self._line), len(names))
 
     def _numbers(self, column: HeaderColumn) -> Array:
         """Convert a column at once if all cells are finite numbers, else cell by cell."""
@@ -287,13 +290,12 @@ class _Conversion:
                 message = "no displacement is given; a row needs at least one"
                 self._refuse(at, labels[0] if labels else "displacement", message)
 
-    def _check_tangents(self, compliance: Array) -> None:
-        missing = np.isnan(compliance)
+    def _check_whole(self, block: Array, names: tuple[str, ...], what: str) -> None:
+        missing = np.isnan(block)
         for at in np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1)).tolist():
             if self._good[at]:
-                name = self._names.compliance[int(np.argmax(missing[at]))]
-                count = missing.shape[1]
-                self._refuse(at, name, f"is missing; a row has all {count} tangents or none")
+                name = names[int(np.argmax(missing[at]))]
+                self._refuse(at, name, f"is missing; a row has all {len(names)} {what} or none")
 
     def _texts(self, name: str) -> tuple[str, ...]:
         """Return a column of texts; empty ones if the file has none."""

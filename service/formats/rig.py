@@ -156,6 +156,8 @@ def _problems(piece: ParsedTable, rig: Rig) -> Iterator[Problem]:
     """Yield the rows that are of the interface already, and those that cannot be moved to it."""
     missing = np.isnan(piece.displacement)
     tangents = np.asarray(np.isfinite(piece.compliance).any(axis=(1, 2)))
+    if piece.curvature is not None:
+        tangents |= np.isfinite(piece.curvature).any(axis=1)
     loose = np.asarray(missing[:, 3:].any(axis=1) & ~missing[:, :3].all(axis=1))
     loose &= rig.displacement_point.any()
     lost = np.asarray(np.isnan(_product(piece.displacement, rig.turn)).all(axis=1))

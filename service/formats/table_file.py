@@ -315,8 +315,12 @@ def _preview(piece: ParsedTable, count: int) -> list[dict[str, Any]]:
 
 def _part(piece: ParsedTable) -> Part:
     """Return a piece as a part, without unknown columns; equal texts are one text."""
-    numbers = {name: getattr(piece, name) for name in _NUMBERS}
-    arrays = {name: column for name, column in numbers.items() if any(column.strides)}
+    numbers = {name: getattr(piece, name) for name in (*_NUMBERS, "curvature")}
+    arrays = {
+        name: column
+        for name, column in numbers.items()
+        if column is not None and column.size and any(column.strides)
+    }
     texts = {name: getattr(piece, name) for name in _TEXTS}
     packed = {name: one[0] if len(set(one)) == 1 else list(one) for name, one in texts.items()}
     return Part({"n": len(piece), **packed}, arrays | {"row": piece.row.astype(np.int64)})
@@ -334,4 +338,5 @@ def _piece(part: Part) -> ParsedTable:
     texts = ((one,) * count if isinstance(one, str) else tuple(one) for one in packed)
     source, note, fingerprint = texts
     numbers = wrench, displacement, uncertainty, compliance
-    return ParsedTable(*numbers, source, note, fingerprint, part.arrays["row"])
+    rest = source, note, fingerprint, part.arrays["row"]
+    return ParsedTable(*numbers, *rest, curvature=part.arrays.get("curvature"))

@@ -62,6 +62,8 @@ class ParsedTable:
         Shape (n,), the place of each row: see `FileMistake.row`.
     time : numpy.ndarray or None
         Shape (n,), s; of logs that are joined by it.
+    curvature : numpy.ndarray or None
+        As `Rows.curvature`; None if no row has one.
     """
 
     wrench: Array
@@ -73,6 +75,7 @@ class ParsedTable:
     fingerprint: tuple[str, ...]
     row: Array
     time: Array | None = None
+    curvature: Array | None = None
 
     def __len__(self) -> int:
         return len(self.wrench)
@@ -93,6 +96,7 @@ class ParsedTable:
             fingerprint=tuple(self.fingerprint[place] for place in places),
             row=self.row[which],
             time=None if self.time is None else self.time[which],
+            curvature=None if self.curvature is None else self.curvature[which],
         )
 
 

@@ -28,6 +28,9 @@ class TableRow(TypedDict):
             text("tangent d(displacement)/d(wrench), a line an output, m and rad over N and N·m"),
         ]
     ]
+    curvature: NotRequired[
+        Annotated[list[float], text("third derivatives of the complementary energy by (F, mu), SI")]
+    ]
     source: NotRequired[Annotated[str, text("fea, measured ...")]]
     note: NotRequired[str]
     fingerprint: NotRequired[Annotated[str, text("the setup that was solved")]]

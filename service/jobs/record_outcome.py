@@ -75,12 +75,12 @@ def settle(
 
 def _commit(ledger: Ledger, job: JobRecord, folder: Path, outcome: dict[str, Any]) -> None:
     try:
-        displacement, compliance = outcome["displacement"], outcome.get("compliance")
         ledger.commit(
             job.id,
             job.attempt,
-            displacement,
-            compliance=compliance,
+            outcome["displacement"],
+            compliance=outcome.get("compliance"),
+            curvature=outcome.get("curvature"),
             origin=_origin(job, outcome),
             seconds=solver_seconds(folder),
         )

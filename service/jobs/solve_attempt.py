@@ -134,8 +134,9 @@ def solve_ready(
     with contextlib.suppress(OSError):  # a full disk; the outcome holds them too
         for note in solution.notes:
             print(note)
-    numbers = ("displacement", "compliance", "strain_energy", "work", "seconds", "unknowns")
-    result = {name: getattr(solution, name) for name in (*numbers, "history", "notes")}
+    tensors = ("displacement", "compliance", "curvature")
+    numbers = ("strain_energy", "work", "seconds", "unknowns", "history", "notes")
+    result = {name: getattr(solution, name) for name in (*tensors, *numbers)}
     if spec.estimate:
         report(1.0, "estimating the error of the mesh")
         result["solver_error"] = _own_error(ready)
@@ -216,6 +217,8 @@ def _checked(numbers: Mapping[str, Any]) -> dict[str, Any]:
     compliance = outcome.get("compliance")
     if compliance is not None and any(None in line for line in compliance):
         outcome["compliance"] = None
+    if None in (outcome.get("curvature") or ()):
+        outcome["curvature"] = None
     return outcome
 
 

@@ -156,6 +156,7 @@ class Ledger(jobs.Jobs, TableRows, ImportTable, Recordings):
         displacement: Sequence[float],
         *,
         compliance: Sequence[Sequence[float]] | None = None,
+        curvature: Sequence[float] | None = None,
         uncertainty: Sequence[float] | None = None,
         source: str = "fea",
         origin: str = "",
@@ -178,7 +179,15 @@ class Ledger(jobs.Jobs, TableRows, ImportTable, Recordings):
             if job.row is not None:
                 return rows.get(db, job.row)
             states.check_attempt(job, attempt)
-            new = NewRow(job.wrench, displacement, source, compliance, uncertainty, origin)
+            new = NewRow(
+                job.wrench,
+                displacement,
+                source,
+                compliance,
+                uncertainty,
+                origin,
+                curvature=curvature,
+            )
             now = time.time()
             row = rows.add(db, job.component, job.fingerprint, new, job.id, now)
             job = jobs.save(db, states.committed(job, row.seq, now, seconds))

@@ -60,6 +60,19 @@ def unpack_matrix(packed: bytes, rows: int) -> Matrix:
     return tuple(flat[start : start + width] for start in range(0, len(flat), width))
 
 
+def pack_curvature(values: Sequence[float], inputs: int) -> bytes:
+    """Return the bytes of the third derivatives by so many inputs.
+
+    Raises
+    ------
+    ValueError
+        If they are not k (k + 1) (k + 2) / 6 finite numbers of k inputs.
+    """
+    if len(values) != (count := math.comb(inputs + 2, 3)):
+        raise ValueError(f"curvature needs {count} numbers for {inputs} inputs, got {len(values)}")
+    return pack_vector(values, "curvature")
+
+
 def content_key(*parts: bytes) -> bytes:
     """Return 16 bytes that are the same only for the same parts."""
     digest = blake2b(digest_size=16)
@@ -69,9 +82,12 @@ def content_key(*parts: bytes) -> bytes:
     return digest.digest()
 
 
-def seal(key: bytes, compliance: bytes | None, origin: str) -> bytes:
-    """Return 16 bytes over what a row's key leaves out."""
-    return content_key(key, compliance or b"", origin.encode())
+def seal(
+    key: bytes, compliance: bytes | None, origin: str, curvature: bytes | None = None
+) -> bytes:
+    """Return 16 bytes over what a row's key leaves out; rows of old ledgers have no curvature."""
+    parts = key, compliance or b"", origin.encode()
+    return content_key(*parts, *(() if curvature is None else (curvature,)))
 
 
 def row_values(
@@ -86,6 +102,7 @@ def row_values(
     measured = job is None and row.source != "fea"
     displacement = pack_vector(row.displacement, "displacement", partial=measured)
     compliance = None if row.compliance is None else pack_matrix(row.compliance)
+    curvature = None if row.curvature is None else pack_curvature(row.curvature, len(row.wrench))
     # An output whose uncertainty is not known is NaN, which is not 0: exact.
     uncertainty = (
         None
@@ -94,8 +111,8 @@ def row_values(
     )
     content = (component, fingerprint, row.source, wrench, displacement)
     key = row_key(*content, uncertainty)
-    mark = seal(key, compliance, row.origin)
-    return (*content, compliance, uncertainty, job, now, row.origin, key, mark)
+    mark = seal(key, compliance, row.origin, curvature)
+    return (*content, compliance, curvature, uncertainty, job, now, row.origin, key, mark)
 
 
 def row_key(
@@ -107,8 +124,8 @@ def row_key(
     uncertainty: bytes | None,
 ) -> bytes:
     """Return the content key of a row."""
-    # The compliance is left out: a table exported to CSV comes back without it and is still the
-    # same row.
+    # Compliance and curvature are left out: a table comes back from a file without them and is
+    # still the same row.
     words = (component.encode(), fingerprint.encode(), source.encode())
     return content_key(*words, wrench, displacement, uncertainty or b"")
 
@@ -133,6 +150,7 @@ def packed_columns(
     columns: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     texts: tuple[Sequence[str], Sequence[str], Sequence[str]],
     now: float,
+    curvature: np.ndarray | None = None,
 ) -> list[PackedRow]:
     """Return rows as `rows.add_hidden` inserts them: the same bytes as one by one.
 
@@ -146,13 +164,15 @@ def packed_columns(
         Source, fingerprint and note of each row.
     now : float
         Time of the import, seconds since the epoch.
+    curvature : ndarray, optional
+        Shape (n, p), as `Rows.curvature`: NaN where not known; None or (n, 0) if no row has one.
     """
     wrench, displacement, uncertainty, compliance = columns
     count = len(wrench)
     wrenches, moves = _bytes(wrench), _bytes(displacement)
-    flat = compliance.reshape(count, -1) if count else compliance.reshape(0, 1)
     bars = _known(uncertainty, np.asarray(np.isfinite(uncertainty).any(axis=1)))
-    tangents = _known(flat, np.asarray(np.isfinite(flat).all(axis=1)))
+    tangents = _whole(compliance, count)
+    thirds = _whole(curvature, count)
     name, lengths = _part(component.encode()), _Lengths()
     of_load, of_move = (_length(8 * column.shape[1]) for column in (wrench, displacement))
     made = []
@@ -164,11 +184,10 @@ def packed_columns(
         digest.update(of_load + load + of_move + move)
         digest.update(of_move + bar if bar else _NONE)
         key = digest.digest()
-        tangent = tangents[place]
-        mark = seal(key, tangent, note)
-        made.append(
-            (component, fingerprint, source, load, move, tangent, bar, None, now, note, key, mark)
-        )
+        derivatives = tangents[place], thirds[place]
+        mark = seal(key, derivatives[0], note, derivatives[1])
+        content = component, fingerprint, source, load, move
+        made.append((*content, *derivatives, bar, None, now, note, key, mark))
     return made
 
 
@@ -204,3 +223,11 @@ def _known(column: np.ndarray, known: np.ndarray) -> list[bytes | None]:
     if not known.any():
         return [None] * len(column)
     return [one if there else None for one, there in zip(_bytes(column), known, strict=True)]
+
+
+def _whole(column: np.ndarray | None, count: int) -> list[bytes | None]:
+    """Return the bytes of those rows that have all numbers of a column, (count, ...) or None."""
+    if column is None or not column.size:
+        return [None] * count
+    flat = column.reshape(count, -1)
+    return _known(flat, np.asarray(np.isfinite(flat).all(axis=1)))

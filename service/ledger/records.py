@@ -128,6 +128,8 @@ class NewRow:
         Free note, such as the file name and line.
     fingerprint : str or None
         The setup that was solved; None: the one of the call.
+    curvature : sequence of 56 floats, or None
+        Third derivatives of the complementary energy by the loads, as `Rows.curvature` has them.
     """
 
     wrench: Sequence[float]
@@ -137,6 +139,7 @@ class NewRow:
     uncertainty: Sequence[float] | None = None
     origin: str = ""
     fingerprint: str | None = None
+    curvature: Sequence[float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +157,7 @@ class LedgerRow:
     job: int | None
     created: float
     origin: str
+    curvature: Vector | None = None
 
 
 class RowEdit(NamedTuple):

@@ -27,8 +27,8 @@ from wrenchbook.service.ledger.records import (
 from wrenchbook.service.ledger.schema import Connection
 
 COLUMNS = (
-    "seq, component, fingerprint, source, wrench, displacement, compliance, uncertainty, "
-    "job, created, origin, key, seal"
+    "seq, component, fingerprint, source, wrench, displacement, compliance, curvature, "
+    "uncertainty, job, created, origin, key, seal"
 )
 _CONTENT = COLUMNS.removeprefix("seq, ")
 _PLACES = ", ".join("?" for _ in _CONTENT.split(","))
@@ -251,10 +251,10 @@ def sound(records: Iterable[Sequence[Any]]) -> tuple[list[LedgerRow], list[int]]
 
 
 def _row(seq: int, *fields: Any) -> LedgerRow:
-    component, fingerprint, source, wrench, displacement, compliance, uncertainty = fields[:7]
-    job, created, origin, key, mark = fields[7:]
+    component, fingerprint, source, wrench, displacement = fields[:5]
+    compliance, curvature, uncertainty, job, created, origin, key, mark = fields[5:]
     written = row_key(component, fingerprint, source, wrench, displacement, uncertainty)
-    if written != key or seal(key, compliance, origin) != mark:
+    if written != key or seal(key, compliance, origin, curvature) != mark:
         raise ValueError(f"row {seq} is not as it was written")
     moved = unpack_vector(displacement)
     return LedgerRow(
@@ -269,4 +269,5 @@ def _row(seq: int, *fields: Any) -> LedgerRow:
         job,
         created,
         origin,
+        None if curvature is None else unpack_vector(curvature),
     )

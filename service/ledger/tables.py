@@ -37,13 +37,13 @@ class TableAt:
     version : int
         The number of the newest change in it.
     known : tuple of bool
-        Whether any row has an uncertainty, tangents, a note, a fingerprint.
+        Whether any row has an uncertainty, tangents, a curvature, a note, a fingerprint.
     lots : iterator of lists of LedgerRow
         Its rows, at most `MOST_CHANGES` at a time.
     """
 
     version: int
-    known: tuple[bool, bool, bool, bool]
+    known: tuple[bool, ...]
     lots: Iterator[list[LedgerRow]]
 
 
@@ -292,10 +292,11 @@ class TableRows(Database):
         self.notify(Change(component, rows=1))
 
 
-def _known_blocks(db: Connection, component: str, until: int) -> tuple[bool, bool, bool, bool]:
-    uncertainty, compliance, note, fingerprint = db.execute(
-        "SELECT max(uncertainty IS NOT NULL), max(compliance IS NOT NULL), max(origin <> ''),"
-        f" max(fingerprint <> '') FROM rows WHERE component = ? AND seq <= ? AND {SHOWN}",
+def _known_blocks(db: Connection, component: str, until: int) -> tuple[bool, ...]:
+    found = db.execute(
+        "SELECT max(uncertainty IS NOT NULL), max(compliance IS NOT NULL),"
+        " max(curvature IS NOT NULL), max(origin <> ''), max(fingerprint <> '')"
+        f" FROM rows WHERE component = ? AND seq <= ? AND {SHOWN}",
         (component, until),
     ).fetchone()
-    return bool(uncertainty), bool(compliance), bool(note), bool(fingerprint)
+    return tuple(map(bool, found))

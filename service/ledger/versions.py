@@ -188,4 +188,9 @@ SCRIPTS = (
         WHERE name = 'extremes';
     PRAGMA writable_schema = RESET
     """,
+    # Third derivatives of solved rows, k (k + 1) (k + 2) / 6 of k inputs; rows before have none.
+    """
+    ALTER TABLE rows ADD COLUMN curvature BLOB CHECK (length(curvature) * 6
+        = length(wrench) * (length(wrench) / 8 + 1) * (length(wrench) / 8 + 2))
+    """,
 )

@@ -121,10 +121,11 @@ def _about(component: Component, table: TableAt) -> dict[str, str]:
 
 
 def _layout(component: Component, table: TableAt, units: Mapping[str, str]) -> Layout:
-    uncertainty, compliance, note, fingerprint = table.known
+    uncertainty, compliance, curvature, note, fingerprint = table.known
     present = {"source": True, "note": note, "fingerprint": fingerprint}
     texts = [name for name, known in present.items() if known]
-    return layout(uncertainty, compliance, texts, units, origin=True, space=component.space)
+    more: dict[str, Any] = {"origin": True, "space": component.space, "curvature": curvature}
+    return layout(uncertainty, compliance, texts, units, **more)
 
 
 def _csv(

@@ -221,6 +221,7 @@ class TableFiles:
 def new_row(rows: Rows, place: int) -> NewRow:
     """Return a row of a table file as the ledger takes it."""
     compliance, uncertainty = rows.compliance[place], rows.uncertainty[place]
+    curvature = rows.curvature[place]
     return NewRow(
         wrench=rows.wrench[place].tolist(),
         displacement=rows.displacement[place].tolist(),
@@ -229,4 +230,5 @@ def new_row(rows: Rows, place: int) -> NewRow:
         uncertainty=uncertainty.tolist() if np.isfinite(uncertainty).any() else None,
         origin="table file",
         fingerprint=str(rows.fingerprint[place]),
+        curvature=curvature.tolist() if np.isfinite(curvature).any() else None,
     )

@@ -139,6 +139,6 @@ def copy_rows(ledger: Ledger, source: Component, target: Component, about: About
                 rows = export_rows(source.space, own_rows(source, lot), ())
                 columns = rows.wrench, rows.displacement, rows.uncertainty, rows.compliance
                 texts = rows.source, rows.fingerprint, rows.note
-                yield packed_columns(target.name, columns, texts, time.time())
+                yield packed_columns(target.name, columns, texts, time.time(), rows.curvature)
 
         return ledger.import_rows(target.name, blocks(), about)[0]

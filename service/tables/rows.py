@@ -30,7 +30,7 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
-from wrenchbook.surrogate.table.rows import Floats, Rows
+from wrenchbook.surrogate.table.rows import Floats, Rows, curvature_column, joined_columns
 from wrenchbook.surrogate.table.space import Space
 
 CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
@@ -49,6 +49,8 @@ class ExportRows:
         NaN where not measured, not known.
     compliance : ndarray, shape (n, outputs, inputs), m and rad over N and N·m
         NaN where not known.
+    curvature : ndarray, shape (n, p) or (n, 0), SI
+        As `Rows.curvature`.
     source, note, fingerprint : list of str
     when, who : list of str
         When each came, UTC, and its sender; ``who`` is empty for a solve.
@@ -59,6 +61,7 @@ class ExportRows:
     displacement: np.ndarray
     uncertainty: np.ndarray
     compliance: np.ndarray
+    curvature: np.ndarray
     source: list[str]
     note: list[str]
     fingerprint: list[str]
@@ -79,6 +82,7 @@ def export_rows(
         displacement=np.array([row.displacement for row in rows]).reshape(-1, m),
         uncertainty=np.array([row.uncertainty or unknown for row in rows]).reshape(-1, m),
         compliance=np.array([row.compliance or no_tangent for row in rows]).reshape(-1, m, n),
+        curvature=curvature_column([row.curvature for row in rows], space),
         source=[row.source for row in rows],
         note=[row.origin for row in rows],
         fingerprint=[row.fingerprint for row in rows],
@@ -93,7 +97,7 @@ def joined_rows(pieces: Sequence[ExportRows]) -> ExportRows:
     for column in (field.name for field in fields(ExportRows)):
         parts = [getattr(piece, column) for piece in pieces]
         if isinstance(parts[0], np.ndarray):
-            columns[column] = np.concatenate(parts)
+            columns[column] = joined_columns(parts)
         else:
             columns[column] = [value for part in parts for value in part]
     return ExportRows(**columns)
@@ -135,7 +139,7 @@ def packed_pieces(component: Component, pieces: Iterator[ParsedTable]) -> Iterat
         columns = piece.wrench, piece.displacement, piece.uncertainty, piece.compliance
         sources = [source or MEASURED for source in piece.source]
         texts = sources, piece.fingerprint, piece.note
-        yield packed_columns(component.name, columns, texts, now)
+        yield packed_columns(component.name, columns, texts, now, piece.curvature)
 
 
 def _who(seq: int, firsts: list[int], spans: Sequence[tuple[int, int, ImportRecord]]) -> str:
@@ -156,6 +160,7 @@ def table_rows(component: Component, rows: Iterable[LedgerRow]) -> Rows:
             "wrench": row.wrench,
             "displacement": row.displacement,
             "compliance": row.compliance,
+            "curvature": row.curvature,
             "uncertainty": row.uncertainty,
             "source": row.source,
             "fingerprint": row.fingerprint,

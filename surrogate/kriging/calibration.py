@@ -96,7 +96,7 @@ class Level(NamedTuple):
     sigma : ndarray, shape (k,), process deviations
         As an answer at the row would have it.
     places : int
-        Values and slopes that a row can bring.
+        Values and slopes of a row.
     outputs : int
         Of the table, all of which the confidence is for.
     """
@@ -335,7 +335,8 @@ def _level(
     errors = _of_the_mean(errors, out.variances[known_rows], own_noise)
     by_value = np.abs(errors) / sigma[:, None]
     sizes = np.where((own_noise > 0)[:, None], by_value, out.sizes[known_rows])
-    return Level(labels[known_rows], errors, sizes, sigma, *equations.data.shape[1:])
+    outputs = equations.data.shape[2]
+    return Level(labels[known_rows], errors, sizes, sigma, 1 + equations.loads, outputs)
 
 
 def _of_the_mean(errors: Floats, variances: Floats, noise: Floats) -> Floats:

@@ -44,6 +44,7 @@ _UNITS = {
     "displacement": ", ".join(OUTPUT_UNITS),
     "uncertainty": ", ".join(OUTPUT_UNITS) + " (95 % half width; NaN: unknown)",
     "compliance": "displacement unit over wrench unit (NaN: unknown)",
+    "curvature": "displacement unit over two units of (F, mu) (NaN: unknown)",
 }
 
 
@@ -161,7 +162,9 @@ def _write_rows(file: h5py.File, rows: Rows) -> None:
     group = file.create_group("rows")
     _write_column(group, "seq", rows.seq)
     for name, units in _UNITS.items():
-        _write_column(group, name, getattr(rows, name)).attrs["units"] = units
+        column = getattr(rows, name)
+        if name != "curvature" or column.size:  # as in files of versions without it
+            _write_column(group, name, column).attrs["units"] = units
     for name in ("source", "fingerprint"):
         # Of one length, so that the checksum is over the words and not over where they are.
         words = np.char.encode(getattr(rows, name).astype(str), "utf-8")
@@ -258,7 +261,9 @@ def _words(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
 
 def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
     words = {name: _words(file, f"rows/{name}", some) for name in ("source", "fingerprint")}
-    numbers = {name: _numbers(file, f"rows/{name}", some) for name in ("seq", *_UNITS)}
+    names = [name for name in _UNITS if name != "curvature" or "rows/curvature" in file]
+    numbers = {name: _numbers(file, f"rows/{name}", some) for name in ("seq", *names)}
+    numbers.setdefault("curvature", np.empty((len(numbers["seq"]), 0)))
     for name in ("uncertainty", "compliance"):
         if np.isnan(numbers[name]).all():
             numbers[name] = unknown_column(*numbers[name].shape)

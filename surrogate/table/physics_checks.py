@@ -16,11 +16,15 @@ from scipy.spatial import KDTree
 from .axes import CLEAN
 from .compliance import ComplianceFit
 from .rows import Floats, LoadRange, Rows, Tolerance
+from .second_derivatives import symmetric_tangents
 from .space import Space
 
 # Shares of an output's largest value: what passes for zero, for equal, for linear.
 ZERO, LINEAR = 1e-3, 1e-2
 ASYMMETRY = 5e-2  # turning loads make tangents unsymmetric by as much as the rotation
+# Of a solve's tangent by (F, mu): at the ends of their ranges the shipped components' are symmetric
+# to 2e-11, but a linear deck's compliance may be off its solves by this much (fea/deck/solving.py).
+SOLVED_ASYMMETRY = 1e-5
 NEGATIVE = 1e-6
 TANGENT = 0.5  # part of the step between neighbours that their mean tangent may miss
 NEAR = 1.0  # half load ranges: over longer steps a tangent changes by more than `TANGENT`
@@ -102,17 +106,32 @@ def _asymmetry(energies: Floats) -> Floats:
     return apart / np.maximum(largest, np.finfo(float).tiny)
 
 
+def _solved_asymmetry(rows: Rows, load_range: LoadRange) -> Floats:
+    """Return the asymmetry of solves' tangents by the loads that are an energy's, (n,).
+
+    Those are (F, mu) of a nonlinear solve and (F, M) of a linear one, in which rotations are small
+    and mu is M. A row does not tell which it is; a wrong tangent is symmetric in neither.
+    """
+    turned = symmetric_tangents(rows.wrench, rows.displacement, rows.compliance, load_range.space)
+    found = (_asymmetry(_energies(one, load_range)) for one in (rows.compliance, turned))
+    return np.fmin(*found)
+
+
 def _symmetric(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
     energies = _energies(fit.matrix, load_range)
     known = fit.known[: len(energies)]
     asymmetry = float(_asymmetry(np.where(np.outer(known, known), energies, 0.0)))
-    there = np.isfinite(rows.compliance).all(axis=(1, 2))
+    there, solved = np.isfinite(rows.compliance).all(axis=(1, 2)), rows.source == "fea"
     wrong = np.zeros(len(rows), dtype=bool)
     wrong[there] = _asymmetry(_energies(rows.compliance[there], load_range)) > ASYMMETRY
+    solves = _solved_asymmetry(rows.take(there & solved), load_range)
+    wrong[there & solved] = solves > SOLVED_ASYMMETRY
     return {
         "ok": bool(asymmetry <= ASYMMETRY and not wrong.any()),
         "asymmetry": asymmetry,
         "allowed": ASYMMETRY,
+        "asymmetry_of_solves": float(solves.max()) if len(solves) else None,
+        "allowed_of_solves": SOLVED_ASYMMETRY,
         "rows": _named(rows, wrong),
     }
 

@@ -58,12 +58,13 @@ def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
     total = MomentMap(*map(np.copy, term))
     for order in range(1, TERMS):
         value, first, second = term
-        bent = -np.einsum("iak,...kb->...iab", _CROSS, first)
+        bent = -(_CROSS.reshape(9, 3) @ first).reshape(second.shape)  # [i, a, b]: -e_a x v_,b
         term = MomentMap(
-            np.einsum("...ik,...k->...i", cross, value),
-            np.einsum("...ik,...ka->...ia", cross, first)
-            - np.einsum("iak,...k->...ia", _CROSS, value),
-            np.einsum("...ik,...kab->...iab", cross, second) + bent + np.swapaxes(bent, -1, -2),
+            (cross @ value[..., None])[..., 0],
+            cross @ first - np.einsum("iak,...k->...ia", _CROSS, value),
+            (cross @ second.reshape(*lead, 3, 9)).reshape(second.shape)
+            + bent
+            + np.swapaxes(bent, -1, -2),
         )
         for whole, part in zip(total, term, strict=True):
             whole += part / factorial(order + 1)

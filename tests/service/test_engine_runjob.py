@@ -139,8 +139,8 @@ def test_a_solver_that_cannot_be_found_is_named(folder, monkeypatch, name):
 def embedded(monkeypatch, fingerprint, fields=None):
     """Put stand-ins in the place of the finite-element room; `fields` is what a solve leaves."""
     solution = types.SimpleNamespace(
-        displacement=np.arange(6.0), compliance=np.eye(6), strain_energy=1.0, work=2.0,
-        seconds=0.1, unknowns=30, history=(), notes=("a note",),
+        displacement=np.arange(6.0), compliance=np.eye(6), curvature=None, strain_energy=1.0,
+        work=2.0, seconds=0.1, unknowns=30, history=(), notes=("a note",),
     )  # fmt: skip
     bundle = types.SimpleNamespace(fingerprint=fingerprint)
     reading = types.SimpleNamespace(read_bundle=lambda folder: bundle)

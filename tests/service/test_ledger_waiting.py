@@ -70,5 +70,5 @@ def test_each_part_of_an_import_is_on_the_disk_before_the_next_begins(path, monk
 
 
 def _row(number):
-    content = ("rig", "", "measured", b"%048d" % number, b"0" * 48, None, None, None, 0.0, "")
+    content = ("rig", "", "measured", b"%048d" % number, b"0" * 48, None, None, None, None, 0.0, "")
     return (*content, b"%016d" % number, b"0" * 16)

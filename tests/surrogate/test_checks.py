@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
+from tests.surrogate.tables.write import HERE
 from tests.surrogate.test_space import range_of
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.compliance import fit_compliance
 from wrenchbook.surrogate.table.conflicts import conflicts
 from wrenchbook.surrogate.table.physics_checks import check_physics
-from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import Input, space_of
 from wrenchbook.surrogate.table.spread import spread_wrenches
 
@@ -79,6 +80,25 @@ def test_tangents_that_are_unsymmetric_negative_or_lead_elsewhere_are_named() ->
     assert 6 in told["symmetric"]["rows"]
     assert told["positive"]["rows"] == [10]
     assert 10 in told["tangents"]["rows"]
+
+
+@pytest.mark.parametrize("source", ["fea", "measured"])
+def test_a_tangent_a_thousandth_off_symmetry_is_named_if_it_is_a_solves(source: str) -> None:
+    tangents = TANGENTS.copy()
+    tangents[5, 0, 1] += 1e-3 * np.abs(MATRIX[0, 0] * HIGH[0] / HIGH[1])
+    told = checks(LINEAR, compliance=tangents, source=[source] * len(SCALED))["checks"]
+    assert told["symmetric"]["rows"] == ([6] if source == "fea" else [])
+
+
+def test_nonlinear_solves_are_symmetric_by_the_loads_of_the_energy() -> None:
+    with np.load(HERE / "plate_thin.npz") as file:
+        tangents, span = file["compliance"], LoadRange(file["low"], file["high"])
+        places = slice(len(tangents))
+        about = {"compliance": tangents, "source": ["fea"] * len(tangents)}
+        rows = Rows.of(file["wrench"][places], file["displacement"][places], **about)
+    told = check_physics(rows, span, fit_compliance(rows, span, linear=False))["checks"]
+    assert told["symmetric"]["asymmetry_of_solves"] < 1e-8  # 4e-3 by force and moment
+    assert told["symmetric"]["rows"] == []
 
 
 def test_rows_too_far_apart_for_their_tangents_are_not_called_broken() -> None:

@@ -35,6 +35,18 @@ def test_merging_rows_without_tangents_makes_none_up():
     assert np.isnan(merged.rows.uncertainty[[0, 2, 3]]).all()
 
 
+@pytest.mark.parametrize("known", [[1], [0, 1]])
+def test_merged_rows_have_the_mean_of_the_third_derivatives_they_bring(known):
+    wrenches = np.zeros((4, 6))
+    wrenches[:, 0] = [1.0, 1.0, 2.0, 3.0]
+    thirds = np.full((4, 56), np.nan)
+    thirds[known] = np.arange(len(known))[:, None] + np.arange(56.0)
+    rows = Rows.of(wrenches, 1e-6 * wrenches, curvature=thirds)
+    merged = merge(rows, LoadRange(-5 * np.ones(6), 5 * np.ones(6))).rows
+    assert merged.curvature[0].tolist() == thirds[known].mean(axis=0).tolist()
+    assert np.isnan(merged.curvature[1:]).all()
+
+
 def test_a_column_nobody_knows_takes_no_memory_however_rows_are_picked_and_joined():
     rows = Rows.of(np.eye(6), np.eye(6))
     both = rows.take([0, 2, 4]) + rows.take(np.arange(6) > 3)

@@ -60,3 +60,44 @@ def test_a_tolerance_is_above_zero() -> None:
         Tolerance(0.0, 1e-4)
     with pytest.raises(RowError):
         Tolerance(1e-4, float("nan"))
+
+
+THIRDS = np.arange(112.0).reshape(2, 56)
+
+
+def test_rows_joined_with_others_keep_their_third_derivatives() -> None:
+    known, bare = (
+        Rows.of(np.eye(6)[:2], np.eye(6)[:2], curvature=THIRDS),
+        Rows.of([[0] * 6], [[0] * 6]),
+    )
+    both = bare + known
+    assert np.isnan(both.curvature[0]).all()
+    assert both.curvature[1:].tobytes() == THIRDS.tobytes()
+
+
+def test_rows_without_third_derivatives_take_no_memory_for_them() -> None:
+    known, bare = (
+        Rows.of(np.eye(6)[:2], np.eye(6)[:2], curvature=THIRDS),
+        Rows.of([[0] * 6], [[0] * 6]),
+    )
+    assert (known + bare).take([2]).curvature.shape == (1, 0)
+    assert known.take(np.zeros(2, dtype=bool)).curvature.shape == (0, 0)
+
+
+def test_a_record_brings_its_third_derivatives() -> None:
+    rows = Rows.from_records([RECORD, {**RECORD, "seq": 8, "curvature": THIRDS[0].tolist()}])
+    assert np.isnan(rows.curvature[0]).all()
+    assert rows.curvature[1].tolist() == THIRDS[0].tolist()
+
+
+def test_third_derivatives_of_another_number_are_refused() -> None:
+    with pytest.raises(RowError, match=r"curvature has shape \(55,\), not \(56,\)"):
+        Rows.from_records([{**RECORD, "curvature": [0.0] * 55}])
+
+
+@pytest.mark.parametrize("wrong", [np.inf, np.nan])
+def test_an_infinite_or_missing_third_derivative_is_refused_by_row(wrong: float) -> None:
+    thirds = THIRDS.copy()
+    thirds[1, 7] = wrong
+    with pytest.raises(RowError, match="row 2: curvature is not 56 finite numbers"):
+        Rows.of(np.eye(6)[:2], np.eye(6)[:2], curvature=thirds)

@@ -78,10 +78,9 @@ def test_a_tangent_by_force_and_moment_becomes_that_by_the_loads_of_an_energy(sp
 
 
 def test_solved_tangents_become_symmetric() -> None:
-    known = np.load(HERE / "plate_thin.npz")
-    tangents = known["compliance"]
-    wrench, moved = (known[name][: len(tangents)] for name in ("wrench", "displacement"))
-    size = np.abs(known["high"])
+    with np.load(HERE / "plate_thin.npz") as known:
+        tangents, size = known["compliance"], np.abs(known["high"])
+        wrench, moved = (known[name][: len(tangents)] for name in ("wrench", "displacement"))
     energies = symmetric_tangents(wrench, moved, tangents, DEFAULT) * size[:, None] * size
     apart = np.abs(energies - np.swapaxes(energies, 1, 2)).max(axis=(1, 2))
     assert (apart / np.abs(energies).max(axis=(1, 2))).max() < 1e-8  # 4e-3 by (F, M)

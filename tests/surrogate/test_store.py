@@ -54,6 +54,32 @@ def test_what_is_written_is_read_back(rows: Rows, last_seq: int, title: str) -> 
     np.testing.assert_array_equal(about.load_range.high, HIGH)
 
 
+def test_third_derivatives_of_some_rows_are_read_back_to_the_bit(tmp_path: Path) -> None:
+    curvature = np.random.default_rng(1).normal(size=(3, 56)) * 1e-12
+    curvature[1] = np.nan
+    rows = Rows.of(np.eye(6)[:3], np.eye(6)[:3], curvature=curvature)
+    write_table(tmp_path / "plate.h5", rows, META)
+    found, _ = read_table(tmp_path / "plate.h5")
+    assert found.curvature.tobytes() == curvature.tobytes()
+
+
+def test_a_file_has_no_third_derivatives_where_no_row_brings_one(tmp_path: Path) -> None:
+    write_table(tmp_path / "plate.h5", table(smooth, clean_wrenches(10, 1)), META)
+    with h5py.File(tmp_path / "plate.h5") as file:
+        assert "rows/curvature" not in file
+    found, _ = read_table(tmp_path / "plate.h5")
+    assert found.curvature.shape == (len(found), 0)
+
+
+def test_a_file_with_another_number_of_third_derivatives_is_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "plate.h5", "w") as file:
+        store._write_meta(file, META)
+        store._write_rows(file, table(smooth, clean_wrenches(10, 1)))
+        file["rows/curvature"] = np.zeros((10, 55))
+    with pytest.raises(TableFileError, match=r"curvature has shape \(\d+, 55\)"):
+        read_table(tmp_path / "plate.h5")
+
+
 def test_a_table_says_its_units_and_its_contract(tmp_path: Path) -> None:
     write_table(tmp_path / "plate.h5", table(smooth, clean_wrenches(10, 1)), META)
     with h5py.File(tmp_path / "plate.h5") as file:

@@ -82,6 +82,7 @@ def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, 
         "displacement": _nulls(row.displacement),
         "uncertainty": _nulls(row.uncertainty) if row.uncertainty else None,
         "compliance": row.compliance,
+        "curvature": row.curvature,
         "source": row.source,
         "withdrawn": workspace.ledger.is_withdrawn(seq),
         "provenance": {

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from wrenchbook.fea.coupling.rotation import (
     rotation,
+    rotation_derivatives,
     rotation_less_identity,
     rotation_vector,
     spin_per_vector,
@@ -46,3 +47,15 @@ def test_the_slope_of_the_transposed_jacobian_matches_finite_differences(vector)
         change = step * np.eye(3)[axis]
         ahead, behind = (spin_per_vector(vector + s * change).T @ moment for s in (1, -1))
         np.testing.assert_allclose(slope[:, axis], (ahead - behind) / (2 * step), atol=1e-9)
+
+
+@pytest.mark.parametrize("vector", VECTORS)
+def test_the_derivatives_of_a_rotation_are_those_of_its_differences(vector):
+    step, vector = 1e-4, np.array(vector, dtype=float)
+    own = rotation_derivatives(vector)
+    np.testing.assert_allclose(own[0], rotation(vector), atol=1e-14)
+    for axis in range(3):
+        ends = [rotation_derivatives(vector + sign * step * np.eye(3)[axis]) for sign in (1, -1)]
+        for order in range(3):
+            difference = (ends[0][order] - ends[1][order]) / (2 * step)
+            np.testing.assert_allclose(own[order + 1][axis], difference, atol=1e-8)

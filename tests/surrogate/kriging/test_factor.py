@@ -43,7 +43,7 @@ def _answer(equations: Equations, factor: KrigingFactor, row: int) -> tuple[np.n
     told = mean_terms(here.x, value) @ factor.coefficients + across @ factor.weights
     reduced = across @ factor.T.T
     loose = mean_terms(here.x, value) - reduced @ factor.TF
-    variance = HELD.prior[0] - reduced @ reduced.T + loose @ factor.mean_covariance @ loose.T
+    variance = HELD.prior(1)[0] - reduced @ reduced.T + loose @ factor.mean_covariance @ loose.T
     return told[0], float(variance[0, 0])
 
 

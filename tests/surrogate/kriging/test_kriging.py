@@ -42,7 +42,7 @@ def test_answers_and_derivatives_at_rows_are_the_rows(kriging: Kriging) -> None:
     displacement, bar = kriging.answer_many(ROWS.wrench)
     derivative = kriging.derivatives(ROWS.wrench)
     size = _size(ROWS)
-    nugget = kriging.settings.nugget * kriging.hyperparameters.prior[0]
+    nugget = kriging.settings.nugget * kriging.hyperparameters.prior(1)[0]
     allowed = np.sqrt(nugget) * kriging.inside.deviation * kriging.scaling.spread
     assert (allowed / size).max() < 2e-4
     assert (np.abs(displacement - ROWS.displacement) <= allowed).all()

@@ -1,0 +1,118 @@
+"""Second derivatives of the displacements at a state: third ones of the complementary energy.
+
+They need no further solve: first-order fields give an energy's third derivatives (the 2n + 1
+theorem). fea/README.md derives the formula.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
+from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.coupling import Coupling
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE
+from wrenchbook.fea.coupling.rotation import spin_per_vector, spin_slope
+from wrenchbook.fea.element.cell_state import every_place
+
+Array = np.ndarray
+
+MOST_INPUTS = 8
+"""Inputs up to which a row of third derivatives is kept: 120 numbers; of twelve it is 364."""
+
+_WARMER = 5.0
+"""Step of differences by temperature, K.
+
+At fixed displacements energy and forces are polynomials of the temperature but for factors of
+1 + 1e-5 / K and powers of these, so differences of fourth order leave out 1e-13 of a derivative.
+Those of second order do not do: in a slender part 0.999 of a derivative cancels against others.
+"""
+
+_BEND, _JERK = np.array([(-1, 16, -30, 16, -1), (-6, 12, 0, -12, 6)]) / 12
+"""Weights of differences of second and third order, from two steps below to two above."""
+
+_COMPLEX_STEP = 1e-30
+"""Step of complex differences, K: exact to roundoff, as its square vanishes in any strain."""
+
+
+def packed(tensor: Array) -> Array:
+    """Return the entries a <= b <= c of a symmetric tensor (k, k, k), in its unit: shape (p,).
+
+    p = k (k + 1) (k + 2) / 6, in the order of `itertools.combinations_with_replacement`.
+    """
+    places = np.array(list(combinations_with_replacement(range(len(tensor)), 3)))
+    return tensor[tuple(places.T)]
+
+
+def load_rates(coupling: Coupling, balance: Balance, compliance: Array) -> Array:
+    """Return the change of the loads of the energy, (F, mu), with the inputs, shape (k, k).
+
+    mu = J(r)^T M works on the rotation vector r; J is the left Jacobian, M the moment. Further
+    inputs are loads as they are. Rows and columns of locked freedoms are those of the identity.
+    `compliance` has shape (6 i, k), m and rad over the inputs' units.
+    """
+    rates = np.eye(len(balance.wrench))
+    for first in range(PER_INTERFACE // 2, len(compliance), PER_INTERFACE):
+        own = slice(first, first + PER_INTERFACE // 2)
+        vector = balance.state.interface[own]
+        rates[own, own] = spin_per_vector(vector).T
+        rates[own] += spin_slope(vector, balance.wrench[own]) @ compliance[own]
+    locked = np.setdiff1d(np.arange(coupling.freedoms), coupling.active)
+    rates[locked], rates[:, locked] = 0.0, 0.0
+    rates[locked, locked] = 1.0
+    return rates
+
+
+def third_derivatives(system: System, balance: Balance, tangent: Linearisation) -> Array:
+    """Return the third derivatives of the complementary energy by the loads (F, mu).
+
+    Parameters
+    ----------
+    system
+        The equations.
+    balance, tangent
+        A state in balance, and the tangent there.
+
+    Returns
+    -------
+    Array
+        Shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
+        where one is that of a locked freedom.
+    """
+    state, inputs, coupling = balance.state, balance.wrench, system.coupling
+    active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))
+    tensor = np.zeros((len(inputs),) * 3)
+    if not active.size:
+        return tensor
+    rates = load_rates(coupling, balance, tangent.compliance)[np.ix_(active, active)]
+    per_load = np.linalg.inv(rates)
+    fields = tangent.nodal_response[:, :, active] @ per_load
+    border = tangent.border_response[:, active] @ per_load
+    body = system.body.at(system.temperature(inputs))
+    changes = tangent.tangent.times(fields, coupling.tied)
+    changes[:, :, coupling.active.size :] -= tangent.further
+    own = body.third(state.nodes, fields)
+    own += coupling.third(state, (balance.forces, changes), fields, border)
+    if body.expands:
+        own += _of_heat(system, balance, fields, coupling.active.size)
+    tensor[np.ix_(active, active, active)] = -own
+    return tensor
+
+
+def _of_heat(system: System, balance: Balance, fields: Array, place: int) -> Array:
+    """Return the strain energy's derivatives by the temperature, input number `place`."""
+    nodes, temperature = balance.state.nodes, system.temperature(balance.wrench)
+    steps = _WARMER * np.arange(-2, 3)
+    near = [system.body.at(temperature + step).forces(nodes) for step in steps]
+    forces, energies, _ = zip(*near, strict=True)
+    ahead = system.body.at(temperature + 1j * _COMPLEX_STEP).second(nodes, fields)
+    once = np.zeros((fields.shape[2],) * 3)
+    twice = np.zeros_like(once)
+    once[:, :, place] = np.imag(ahead) / _COMPLEX_STEP
+    bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
+    twice[place, place] = contract(bend[:, :, None], fields)[0]
+    found = every_place(once + twice)
+    found[place, place, place] += _JERK @ energies / _WARMER**3
+    return found

@@ -1,0 +1,211 @@
+"""Third derivatives of a solved row, `curvature`, everywhere the row is kept and sent."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.service.table_files import read_csv, read_json, write_json
+from tests.service.test_durable_tables import Site
+from wrenchbook.service.formats import UnitError, layout, write_hdf5
+from wrenchbook.service.formats.column_names import columns_of
+from wrenchbook.service.formats.options import Options
+from wrenchbook.service.jobs import solve_attempt
+from wrenchbook.service.jobs.attempt import prepare, read_outcome, write_outcome
+from wrenchbook.service.jobs.record_outcome import settle, spec_of
+from wrenchbook.service.ledger import About, Ledger, NewRow, packed_columns, packing, schema
+from wrenchbook.service.ledger.packing import row_values
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
+from wrenchbook.service.tables.importing import ImportRequest, copy_rows, import_files
+from wrenchbook.service.tables.rows import export_rows
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.table.space import DEFAULT, Input, Space, space_of
+
+THIRDS = tuple(np.random.default_rng(4).normal(size=56) * 1e-12)
+ROW = NewRow((1.0, 0, 0, 0, 0, 2), (1e-6,) * 6, "measured", np.eye(6).tolist(), curvature=THIRDS)
+RANGE = LoadRange(-10 * np.ones(6), 10 * np.ones(6))
+WARM = space_of([""], [Input("temperature", "K", "scalar")])
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    yield ledger
+    ledger.close()
+
+
+def outcome_of(thirds):
+    tangent = np.eye(6).tolist()
+    return {"displacement": [1e-6] * 6, "compliance": tangent, "curvature": thirds}
+
+
+def component(name, tmp_path, load_range):
+    return Component(name, name, tmp_path, "", False, True, load_range, None, False)
+
+
+def test_a_ledger_that_is_opened_again_has_it_to_the_bit(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    ledger.insert_rows("plate", "f1", [ROW, replace(ROW, wrench=(3.0,) * 6, curvature=None)])
+    ledger.close()
+    again = Ledger(tmp_path / "ledger.sqlite")
+    assert [row.curvature for row in again.rows("plate")] == [THIRDS, None]
+    again.close()
+
+
+def test_an_older_ledger_has_none_and_takes_some(tmp_path):
+    path = tmp_path / "ledger.sqlite"
+    old = sqlite3.connect(path)
+    old.create_function("seal", 3, packing.seal)
+    for script in schema.SCRIPTS[:-1]:
+        old.executescript(script)
+    old.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
+    old.execute(f"PRAGMA user_version = {len(schema.SCRIPTS) - 1}")
+    values = list(row_values("plate", "f1", replace(ROW, curvature=None), None, 1.0))
+    del values[6]
+    old.execute(f"INSERT INTO rows VALUES (1, {', '.join('?' * 12)})", values)
+    old.commit()
+    old.close()
+    ledger = Ledger(path)
+    ledger.insert_rows("plate", "f1", [replace(ROW, wrench=(3.0,) * 6)])
+    assert [row.curvature for row in ledger.rows("plate")] == [None, THIRDS]
+    ledger.close()
+
+
+@pytest.mark.parametrize("wrong", [THIRDS[:-1], (*THIRDS[:-1], np.inf)])
+def test_a_ledger_refuses_another_number_of_entries_and_infinite_ones(ledger, wrong):
+    with pytest.raises(ValueError, match="curvature"):
+        ledger.insert_rows("plate", "f1", [replace(ROW, curvature=wrong)])
+
+
+def test_a_ledger_leaves_out_a_row_in_which_one_bit_of_it_has_flipped(ledger):
+    ledger.insert_rows("plate", "f1", [ROW])
+    with sqlite3.connect(ledger.path) as db:
+        (raw,) = db.execute("SELECT curvature FROM rows").fetchone()
+        db.execute("UPDATE rows SET curvature = ?", (raw[:-1] + bytes([raw[-1] ^ 1]),))
+    db.close()
+    assert ledger.rows("plate") == []
+    assert ledger.damaged == {1: "plate"}
+
+
+def test_rows_are_packed_by_columns_as_one_by_one():
+    thirds = np.array([THIRDS, [np.nan] * 56])
+    rows = [ROW, replace(ROW, curvature=None)]
+    columns = (
+        np.array([row.wrench for row in rows]),
+        np.array([row.displacement for row in rows]),
+        np.full((2, 6), np.nan),
+        np.array([row.compliance for row in rows]),
+    )
+    found = packed_columns("plate", columns, (["measured"] * 2, [""] * 2, [""] * 2), 5.0, thirds)
+    assert found == [row_values("plate", "", row, None, 5.0) for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("left", "expected"),
+    [(np.array(THIRDS), list(THIRDS)), (None, None), (np.full(56, np.nan), None)],
+)
+def test_a_solver_leaves_it_with_its_outcome_or_null(ledger, tmp_path, left, expected):
+    ledger.accept("bar", "f1", ROW.wrench)
+    spec = spec_of(ledger.claim("me"), "/anywhere")
+    prepare(tmp_path / "a", spec)
+    solve_attempt.main(tmp_path / "a", lambda spec, report: outcome_of(left))
+    outcome = read_outcome(tmp_path / "a", spec)
+    assert outcome is not None
+    assert outcome["curvature"] == expected
+
+
+@pytest.mark.parametrize(("thirds", "status"), [(THIRDS, "done"), (THIRDS[1:], "failed")])
+def test_the_outcome_of_a_job_becomes_a_row_with_it(ledger, tmp_path, thirds, status):
+    ledger.accept("bar", "f1", ROW.wrench)
+    job = ledger.claim("me")
+    prepare(tmp_path / "a", spec_of(job))
+    answer = {"status": "done", **outcome_of(list(thirds))}
+    write_outcome(tmp_path / "a", spec_of(job, "/anywhere"), answer)
+    settle(ledger, job, tmp_path / "a")
+    assert ledger.job(job.id).status == status
+    assert [row.curvature for row in ledger.rows("bar")] == [thirds] * (status == "done")
+
+
+def test_a_table_and_its_file_have_it(tmp_path):
+    site = Site(tmp_path)
+    site.open("rig")
+    site.ledger.insert_rows("rig", "", [ROW])
+    assert site.tables.catch_up("rig", 20)
+    assert site.tables.surrogate("rig").rows.curvature.tolist() == [list(THIRDS)]
+    site.close()
+    for path in tmp_path.glob("ledger.sqlite*"):
+        path.unlink()
+    site.open()
+    assert site.tables.catch_up("rig", 20)
+    assert [row.curvature for row in site.ledger.rows("rig")] == [THIRDS]
+    site.close()
+
+
+@pytest.mark.parametrize("space", [DEFAULT, WARM], ids=["default", "temperature"])
+@pytest.mark.parametrize("form", ["csv", "json", "hdf5", "xlsx", "parquet"])
+def test_an_exported_table_is_imported_with_it(ledger, tmp_path, form: ExportFormat, space: Space):
+    inputs = len(space.inputs)
+    own = LoadRange(-10 * np.ones(inputs), 10 * np.ones(inputs), space)
+    plate, copy = (component(name, tmp_path, own) for name in ("plate", "copy"))
+    thirds = tuple(np.random.default_rng(5).normal(size=space.curvatures) * 1e-12)
+    tangent = np.random.default_rng(6).normal(size=(6, inputs)) * 1e-6
+    row = replace(ROW, wrench=(1.0,) * inputs, compliance=tangent, curvature=thirds)
+    ledger.insert_rows("plate", "", [row, replace(row, wrench=(2.0,) * inputs, curvature=None)])
+    export_table(ledger, plate, ExportRequest(form, {}), tmp_path / "table")
+    options = Options(load_range=own)
+    reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportRequest(), About())
+    assert (reply["errors"], reply["inserted"]) == ([], 2)
+    assert [one.curvature for one in ledger.rows("copy")] == [thirds, None]
+
+
+def test_rows_copied_to_another_component_keep_it(ledger, tmp_path):
+    plate, copy = (component(name, tmp_path, RANGE) for name in ("plate", "copy"))
+    ledger.insert_rows("plate", "", [ROW])
+    copy_rows(ledger, plate, copy, About())
+    assert [row.curvature for row in ledger.rows("copy")] == [THIRDS]
+
+
+def test_an_export_of_rows_without_it_has_no_place_for_it(ledger):
+    ledger.insert_rows("plate", "", [replace(ROW, curvature=None)])
+    rows = export_rows(DEFAULT, ledger.rows("plate"), ())
+    assert rows.curvature.shape == (1, 0)
+    assert "curvature" not in write_json(rows)
+
+
+def test_a_json_table_refuses_another_number_of_entries():
+    row = {"wrench": [0] * 6, "displacement": [0] * 6, "curvature": [0.0] * 55}
+    (error,) = read_json(json.dumps({"rows": [row]})).errors
+    assert error.field == "curvature"
+    assert "is not a list of 56 numbers" in error.message
+
+
+def test_an_hdf5_table_that_holds_half_of_it_is_refused_by_row():
+    rows = Rows.of(np.eye(6), np.eye(6), curvature=np.ones((6, 56)))
+    rows.curvature[4, 3] = np.nan
+    with pytest.raises(ValueError, match="row 5: curvature is not 56 finite numbers"):
+        write_hdf5(rows, range(1, 7), TableMeta("plate", 9, RANGE))
+
+
+def test_a_column_table_with_some_of_it_is_refused():
+    header = "fx [N],ux [m],d3e/dfx/dfx/dfx [J/(N*N*N)]"
+    (error,) = read_csv(f"{header}\n1,0,1\n", missing_loads="zero").errors
+    assert error.field == "d3e/dfx/dfx/dfy"
+    assert error.message == "is missing; a row has all 56 third derivatives or none"
+
+
+def test_its_columns_are_in_si_whatever_units_an_export_has():
+    labels = layout(False, False, (), {"force": "lbf"}, curvature=True).labels()
+    assert labels[12] == "d3e/dfx/dfx/dfx [J/(N*N*N)]"
+    assert labels[-1] == "d3e/dmz/dmz/dmz [J/(N*m*N*m*N*m)]"
+
+
+def test_a_column_in_another_unit_says_which_it_is():
+    name = "d3e/dfx/dfx/dmz"
+    with pytest.raises(UnitError, match=r"write d3e/dfx/dfx/dmz \[J/\(N\*N\*N\*m\)\]"):
+        columns_of().factor(name, "mm/(lbf*lbf)")
