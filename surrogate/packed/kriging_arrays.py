@@ -26,11 +26,12 @@ Array = NDArray[np.generic]
 def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     """Yield the names and arrays of a kriging with one factor over all rows.
 
-    With n loads, m outputs, r rows of p readings padded to s, and t terms of the covariance: ``x``
-    (n, s), scaled loads; ``terms`` (t, n + 1), inverse squared lengths and weight; ``rates`` (n), inverse squared
-    lengths of the distance between rows; ``weights`` (m, p s), of the rows' values, slopes by one
-    load after another, and second derivatives by one pair after another where any row brings them;
-    ``smoothness`` (1), p of Matern p + 1/2, in tables with these only: without them it is 3; ``coefficients`` (n + 1, m), the mean; ``centre``, ``rate`` (n), of
+    With n loads, m outputs, r rows padded to s, and t terms of the covariance: ``x`` (n, s), scaled
+    loads; ``terms`` (t, n + 1), inverse squared lengths and weight; ``rates`` (n), inverse squared
+    lengths of the distance between rows; ``weights`` (m, p s), of the p readings of the rows:
+    values, slopes by one load after another and, where rows bring them, second derivatives by one
+    pair of loads after another; ``smoothness`` (1), of Matern smoothness + 1/2, only where rows
+    bring these: else it is 3; ``coefficients`` (n + 1, m), the mean; ``centre``, ``rate`` (n), of
     the scaled loads, 1/N and 1/(N·m); ``offset``, ``spread`` (m), m and rad; ``deviation``
     (m), the process', m and rad; ``lost`` (m), what sums lose to rounding, m and rad; ``floor``
     (1), the least error over an answer's size; ``tangent`` (m, n), SI, added to the derivative;
