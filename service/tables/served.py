@@ -184,9 +184,11 @@ class ServedTable:
         arrays = self.packed.arrays
         for group in range(len(self.packed.words["groups"])):
             if f"g{group}/kriging/rates" in arrays:
-                weight = float(arrays[f"g{group}/kriging/terms"][-1, -1])
+                weights = arrays[f"g{group}/kriging/terms"][:, -1]
                 groups = self.load_range.space.kriging_groups
-                return Hyperparameters(arrays[f"g{group}/kriging/rates"], weight, groups)
+                stated = arrays.get(f"g{group}/kriging/smoothness", [Hyperparameters.smoothness])
+                rates = arrays[f"g{group}/kriging/rates"]
+                return Hyperparameters(rates, weights, groups, int(stated[0]))
         return None
 
     def method_detail(self, method: str) -> str:

@@ -14,10 +14,10 @@ wb_work wb_work_of(const wb_table *t, void *scratch) {
     double *all = scratch;
     wb_work work;
     work.apart = all, all += n * stride;
-    work.flat = all, all += (n + 1) * stride;
+    work.flat = all, all += (size_t)t->most_flat;
     work.first = all, all += stride;
     work.second = all, all += stride;
-    work.wide = all, all += 2 * stride * (size_t)t->most_terms;
+    work.wide = all, all += 3 * stride * (size_t)t->most_terms;
     work.chosen = all, all += e;
     work.reduced = all;
     return work;
@@ -25,7 +25,7 @@ wb_work wb_work_of(const wb_table *t, void *scratch) {
 
 size_t wb_scratch(const wb_table *t) {
     size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride;
-    size_t rows = stride * (2 * n + 3 + 2 * (size_t)t->most_terms);
+    size_t rows = stride * (n + 2 + 3 * (size_t)t->most_terms) + (size_t)t->most_flat;
     return (rows + 2 * (size_t)t->most_padded + 1) * sizeof(double);
 }
 

@@ -64,9 +64,9 @@ static int check_header(const wb_header *head, uint64_t size, char *why, size_t 
     if (head->format > WB_FORMAT)
         return snprintf(why, most, "the table has format %u, this program reads format %u: use a "
                         "newer wrenchbook", (unsigned)head->format, (unsigned)WB_FORMAT), 0;
-    if (head->format < WB_FORMAT)
+    if (head->format < WB_OLDEST_FORMAT)
         return snprintf(why, most, "the table has format %u, which is older than format %u: write "
-                        "it again", (unsigned)head->format, (unsigned)WB_FORMAT), 0;
+                        "it again", (unsigned)head->format, (unsigned)WB_OLDEST_FORMAT), 0;
     if (head->size != size)
         return snprintf(why, most, "the table is damaged: %llu of its %llu bytes",
                         (unsigned long long)size, (unsigned long long)head->size), 0;

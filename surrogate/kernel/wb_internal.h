@@ -76,6 +76,7 @@ typedef struct {
 
 typedef struct {
     int stride, terms, shares; /* stride: rows, a multiple of WB_LANES */
+    int bent, readings; /* whether rows bring second derivatives; how many numbers one brings */
     const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
     const double *deviation, *lost, *floor, *tangent, *span;
     wb_share *share;
@@ -113,7 +114,7 @@ struct wb_table {
     const unsigned char *directory;
     uint64_t arrays;
     const char *json;
-    int inputs, outputs, groups, most_stride, most_terms, most_padded;
+    int inputs, outputs, groups, most_stride, most_flat, most_terms, most_padded;
     int vectors; /* triples of outputs whose length is limited */
     const int32_t *locked, *vector_first;
     const double *ends, *scale, *small, *tolerance, *limit, *vector_limit;

@@ -94,6 +94,17 @@ WB_VECTORS static int nearest(const wb_kriging *k, const wb_share *share, int in
     return 0; /* a place that is not a number */
 }
 
+/* Add slopes' part of one term's covariances: `second` is -2 times its derivative by q. */
+WB_VECTORS static void add_slopes(const double *term, int inputs, const double *restrict apart, int stride,
+                       const double *restrict second, double *restrict flat) {
+    for (int a = 0; a < inputs; a++) {
+        const double *restrict from = apart + (int64_t)a * stride;
+        double *restrict out = flat + (int64_t)(1 + a) * stride, rate = term[a];
+        if (!(rate > 0)) continue;
+        for (int row = 0; row < stride; row++) out[row] += rate * second[row] * from[row];
+    }
+}
+
 /* Add one term's covariances of a value with the rows' values and slopes to `flat` (1 + n, stride).
  * With 7/2 the correlation of Matern is (1 + a + 2/5 a^2 + a^3/15) exp(-a), a^2 = 7 q. */
 WB_VECTORS static void add_covariances(const double *term, int inputs, const double *restrict apart, int stride,
@@ -107,12 +118,35 @@ WB_VECTORS static void add_covariances(const double *term, int inputs, const dou
         flat[row] += (1 + a + 0.4 * a * a + a * a * a * (1.0 / 15)) * decay;
         second[row] = 1.4 * (1 + a + a * a * (1.0 / 3)) * decay;
     }
-    for (int a = 0; a < inputs; a++) {
-        const double *restrict from = apart + (int64_t)a * stride;
-        double *restrict out = flat + (int64_t)(1 + a) * stride, rate = term[a];
-        if (!(rate > 0)) continue;
-        for (int row = 0; row < stride; row++) out[row] += rate * second[row] * from[row];
+    add_slopes(term, inputs, apart, stride, second, flat);
+}
+
+/* The same with the rows' second derivatives, by 9/2: the correlation is
+ * (1 + a + 3/7 a^2 + 2/21 a^3 + a^4/105) exp(-a), a^2 = 9 q. `third` is 4 times its second derivative by q. */
+WB_VECTORS static void add_bent_covariances(const double *term, int inputs, const double *restrict apart,
+                                 int stride, double *restrict first, double *restrict second,
+                                 double *restrict third, double *restrict flat) {
+    double weight = term[inputs], *restrict out = flat + (int64_t)(1 + inputs) * stride;
+    memset(first, 0, (size_t)stride * sizeof(double));
+    add_distances(term, inputs, apart, stride, first);
+    for (int row = 0; row < stride; row++) {
+        double a = sqrt(9.0 * first[row]), decay = decay_of(a) * weight, square = a * a;
+        flat[row] += (1 + a + square * (3.0 / 7) + square * a * (2.0 / 21)
+                      + square * square * (1.0 / 105)) * decay;
+        second[row] = 9.0 / 7 * (1 + a + 0.4 * square + square * a * (1.0 / 15)) * decay;
+        third[row] = 81.0 / 35 * (1 + a + square * (1.0 / 3)) * decay;
     }
+    add_slopes(term, inputs, apart, stride, second, flat);
+    for (int a = 0; a < inputs; a++)
+        for (int b = a; b < inputs; b++, out += stride) {
+            const double *restrict one = apart + (int64_t)a * stride;
+            const double *restrict other = apart + (int64_t)b * stride;
+            double rate = term[a], both = term[a] * term[b];
+            if (!(both > 0)) continue;
+            for (int row = 0; row < stride; row++) out[row] += both * third[row] * one[row] * other[row];
+            if (a != b) continue;
+            for (int row = 0; row < stride; row++) out[row] -= rate * second[row];
+        }
 }
 
 /* A triangle times covariances: panels of WB_PANEL rows, each column after column. */
@@ -182,16 +216,21 @@ static void covary(const wb_table *t, const wb_kriging *k, wb_work *work, const 
                    double *at) {
     int n = t->inputs;
     scale_loads(k, n, wrench, at, work->apart);
-    memset(work->flat, 0, (size_t)((n + 1) * k->stride) * sizeof(double));
-    for (int term = 0; term < k->terms; term++)
-        add_covariances(k->term + (n + 1) * term, n, work->apart, k->stride, work->first,
-                        work->second, work->flat);
+    memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
+    for (int term = 0; term < k->terms; term++) {
+        const double *own = k->term + (n + 1) * term;
+        if (k->bent)
+            add_bent_covariances(own, n, work->apart, k->stride, work->first, work->second,
+                                 work->wide, work->flat);
+        else
+            add_covariances(own, n, work->apart, k->stride, work->first, work->second, work->flat);
+    }
 }
 
 /* The value of an output by these, over its spread. */
 static double value_of(const wb_table *t, const wb_kriging *k, const wb_work *work,
                        const double *at, int q) {
-    int n = t->inputs, m = t->outputs, count = (n + 1) * k->stride;
+    int n = t->inputs, m = t->outputs, count = k->readings * k->stride;
     double value = product(work->flat, k->weights + (int64_t)q * count, count);
     value += k->coefficients[q];
     for (int a = 0; a < n; a++) value += at[a] * k->coefficients[m * (1 + a) + q];
@@ -261,13 +300,19 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
     }
 }
 
-/* One term's correlation: its two derivatives by the squared distance. */
-WB_VECTORS static void bend(const double *term, int inputs, const double *restrict apart, int stride,
-                 double *restrict first, double *restrict second) {
+/* One term's correlation: its derivatives by the squared distance, two or, of 9/2, three. */
+WB_VECTORS static void bend(const double *term, int inputs, const double *restrict apart, int stride, int bent,
+                 double *restrict first, double *restrict second, double *restrict third) {
     double weight = term[inputs];
     memset(first, 0, (size_t)stride * sizeof(double));
     add_distances(term, inputs, apart, stride, first);
-    for (int row = 0; row < stride; row++) {
+    for (int row = 0; bent && row < stride; row++) {
+        double a = sqrt(9.0 * first[row]), decay = decay_of(a) * weight;
+        first[row] = -9.0 / 14 * (1 + a + 0.4 * a * a + a * a * a * (1.0 / 15)) * decay;
+        second[row] = 81.0 / 140 * (1 + a + a * a * (1.0 / 3)) * decay;
+        third[row] = -243.0 / 280 * (1 + a) * decay;
+    }
+    for (int row = 0; !bent && row < stride; row++) {
         double a = sqrt(7.0 * first[row]), decay = decay_of(a) * weight;
         first[row] = -0.7 * (1 + a + a * a * (1.0 / 3)) * decay;
         second[row] = 49.0 / 60 * (1 + a) * decay;
@@ -293,22 +338,65 @@ WB_VECTORS static void add_slope(const double *term, int inputs, const double *r
     }
 }
 
+/* Where a second derivative's covariances begin: the pairs of loads follow each other, a <= b. */
+static double *pair_of(double *flat, int inputs, int a, int b, int stride) {
+    int low = a < b ? a : b, high = a < b ? b : a;
+    return flat + (int64_t)(1 + inputs + low * inputs - low * (low - 1) / 2 + high - low) * stride;
+}
+
+/* Add factor * from * by to `out`. */
+static inline void add_product(double factor, const double *restrict from, const double *restrict by,
+                               int stride, double *restrict out) {
+    for (int row = 0; row < stride; row++) out[row] += factor * from[row] * by[row];
+}
+
+/* Add one term's covariances of the slope by load c with the rows' second derivatives. With s_a =
+ * t_a d_a that by loads a and b is 8 third s_a s_b s_c, and 4 second t_a times the s of the load
+ * that is left for each two of the three loads that are one. */
+WB_VECTORS static void add_bent_slope(const double *term, int inputs, const double *restrict apart, int stride,
+                           const double *second, const double *restrict third, int c,
+                           double *restrict spare, double *flat) {
+    const double *from = apart + (int64_t)c * stride;
+    if (!(term[c] > 0)) return;
+    for (int row = 0; row < stride; row++) spare[row] = 8 * term[c] * third[row] * from[row];
+    for (int a = 0; a < inputs; a++) {
+        const double *one = apart + (int64_t)a * stride;
+        double *restrict out = pair_of(flat, inputs, a, a, stride);
+        if (!(term[a] > 0)) continue;
+        add_product(4 * term[a] * term[c], second, from, stride, out);
+        for (int b = a; b < inputs; b++, out += stride) {
+            const double *restrict other = apart + (int64_t)b * stride;
+            double both = term[a] * term[b];
+            if (!(both > 0)) continue;
+            for (int row = 0; row < stride; row++) out[row] += both * spare[row] * one[row] * other[row];
+        }
+        out = pair_of(flat, inputs, a, c, stride);
+        add_product((a == c ? 8 : 4) * term[a] * term[c], second, one, stride, out);
+    }
+}
+
 /* du/dw (m, n), SI; by loads that take no part it is the rows' mean tangent. */
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative) {
-    int n = t->inputs, m = t->outputs, count = (n + 1) * k->stride;
+    int n = t->inputs, m = t->outputs, count = k->readings * k->stride;
     double at[WB_MOST];
     scale_loads(k, n, wrench, at, work->apart);
-    for (int term = 0; term < k->terms; term++)
-        bend(k->term + (n + 1) * term, n, work->apart, k->stride,
-             work->wide + (int64_t)2 * term * k->stride,
-             work->wide + (int64_t)(2 * term + 1) * k->stride);
+    for (int term = 0; term < k->terms; term++) {
+        double *first = work->wide + (int64_t)3 * term * k->stride;
+        bend(k->term + (n + 1) * term, n, work->apart, k->stride, k->bent, first,
+             first + k->stride, first + (int64_t)2 * k->stride);
+    }
     for (int a = 0; a < n; a++) {
         memset(work->flat, 0, (size_t)count * sizeof(double));
-        for (int term = 0; term < k->terms; term++)
-            add_slope(k->term + (n + 1) * term, n, work->apart, k->stride,
-                      work->wide + (int64_t)2 * term * k->stride,
-                      work->wide + (int64_t)(2 * term + 1) * k->stride, a, work->flat);
+        for (int term = 0; term < k->terms; term++) {
+            const double *own = k->term + (n + 1) * term;
+            const double *first = work->wide + (int64_t)3 * term * k->stride;
+            const double *second = first + k->stride, *third = second + k->stride;
+            add_slope(own, n, work->apart, k->stride, first, second, a, work->flat);
+            if (k->bent)
+                add_bent_slope(own, n, work->apart, k->stride, second, third, a, work->first,
+                               work->flat);
+        }
         for (int q = 0; q < m; q++) {
             double slope = product(work->flat, k->weights + (int64_t)q * count, count);
             slope += k->coefficients[m * (1 + a) + q];

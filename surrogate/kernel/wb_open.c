@@ -19,6 +19,8 @@ typedef struct {
     char bad[WB_NAME + 32];
 } reader;
 
+enum { BENT_SMOOTHNESS = 4 }; /* p of Matern p + 1/2 that wb_kriging.c has for second derivatives */
+
 static const size_t SIZE[5] = {0, 8, 4, 8, 1};
 
 static void fail(reader *r, const char *name) {
@@ -287,17 +289,17 @@ static void read_share(reader *r, const char *kriging, int number, const wb_krig
     share->reach = doubles(r, name[10], 1, (int64_t)1);
     if (*r->bad) return;
     within(r, name[1], share->number, k->stride, 0, share->count);
-    within(r, name[2], share->places, shape[0] * shape[1], 0, (n + 1) * k->stride);
+    within(r, name[2], share->places, shape[0] * shape[1], 0, (int64_t)k->readings * k->stride);
     if (share->padded > r->t->most_padded) r->t->most_padded = share->padded;
 }
 
 static void read_kriging(reader *r, const char *which, wb_kriging *k, wb_share **share) {
-    char name[15][48];
+    char name[16][48];
     static const char *const PARTS[] = {"x", "terms", "rates", "weights", "coefficients", "centre",
-                                        "rate", "offset", "spread", "deviation", "lost",
-                                        "floor", "tangent", "span", "shares"};
+                                        "rate", "offset", "spread", "deviation", "lost", "floor",
+                                        "tangent", "span", "shares", "smoothness"};
     int64_t n = r->t->inputs, m = r->t->outputs, shape[2] = {n, -1};
-    for (int part = 0; part < 15; part++)
+    for (int part = 0; part < 16; part++)
         snprintf(name[part], sizeof name[part], "%s/%s", which, PARTS[part]);
     k->x = take(r, name[0], WB_F8, 2, shape);
     if (*r->bad || shape[1] % WB_LANES || shape[1] < 1) {
@@ -308,7 +310,13 @@ static void read_kriging(reader *r, const char *which, wb_kriging *k, wb_share *
     k->terms = (int)length(r, name[1], WB_F8, 2);
     k->term = doubles(r, name[1], 2, (int64_t)k->terms, n + 1);
     k->rates = doubles(r, name[2], 1, n);
-    k->weights = doubles(r, name[3], 2, m, (n + 1) * k->stride);
+    k->bent = exists(r, name[15]);
+    k->readings = (int)(n + 1 + (k->bent ? n * (n + 1) / 2 : 0));
+    if (k->bent) {
+        const int32_t *smoothness = ints(r, name[15], 1);
+        if (smoothness) within(r, name[15], smoothness, 1, BENT_SMOOTHNESS, BENT_SMOOTHNESS + 1);
+    }
+    k->weights = doubles(r, name[3], 2, m, (int64_t)k->readings * k->stride);
     k->coefficients = doubles(r, name[4], 2, n + 1, m);
     k->centre = doubles(r, name[5], 1, n), k->rate = doubles(r, name[6], 1, n);
     k->offset = doubles(r, name[7], 1, m), k->spread = doubles(r, name[8], 1, m);
@@ -322,6 +330,8 @@ static void read_kriging(reader *r, const char *which, wb_kriging *k, wb_share *
     k->shares = *shares, k->share = *share, *share += k->shares;
     for (int s = 0; s < k->shares && !*r->bad; s++) read_share(r, which, s, k, &k->share[s]);
     if (k->stride > r->t->most_stride) r->t->most_stride = k->stride;
+    int flat = *r->bad ? 0 : k->readings * k->stride; /* a dimension of `weights` */
+    if (flat > r->t->most_flat) r->t->most_flat = flat;
     if (k->terms > r->t->most_terms) r->t->most_terms = k->terms;
 }
 

@@ -22,7 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC = b"\x89WBT\r\n\x1a\n"  # as PNG's: a transfer that changes line ends is noticed
-FORMAT = 1
+# Of files whose rows bring second derivatives, `SECOND`; others have the older one, which older
+# programs read, so that their downloads and models go on.
+FORMAT, OLDEST_FORMAT = 2, 1
+SECOND = "/smoothness"  # the end of an array's name that only format 2 has
 SUFFIX = ".wbt"
 ALIGNED = 64  # bytes: a cache line
 CHECKED = 24  # bytes: the checksum is of what follows it
@@ -114,8 +117,9 @@ def pieces(arrays: Mapping[str, NDArray[Any]], words: Mapping[str, Any]) -> list
     head = head.ljust(_aligned(_HEADER.itemsize + len(head)) - _HEADER.itemsize, b"\0")
     text_at = _HEADER.itemsize + directory.nbytes
     header = np.zeros(1, dtype=_HEADER)
+    number = FORMAT if any(name.endswith(SECOND) for name in names) else OLDEST_FORMAT
     header[0] = (
-        *(MAGIC, FORMAT, _BYTE_ORDER, 0, offset),
+        *(MAGIC, number, _BYTE_ORDER, 0, offset),
         *(_HEADER.itemsize, len(names), text_at, len(text) - 1),
     )
     checksum = zlib.crc32(header.tobytes()[CHECKED:])
@@ -207,10 +211,10 @@ def _check(head: bytes, size: int, rest: Iterator[bytes | memoryview]) -> None:
             f"the table has format {header['format']}, this program reads format {FORMAT}: use a "
             "newer wrenchbook"
         )
-    if header["format"] < FORMAT:
+    if header["format"] < OLDEST_FORMAT:
         raise PackedTableError(
-            f"the table has format {header['format']}, which is older than format {FORMAT}: write "
-            "it again"
+            f"the table has format {header['format']}, which is older than format {OLDEST_FORMAT}: "
+            "write it again"
         )
     if header["size"] != size:
         raise PackedTableError(f"the table is damaged: {size} of its {header['size']} bytes")

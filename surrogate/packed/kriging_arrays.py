@@ -28,8 +28,10 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
 
     With n loads, m outputs, r rows padded to s, and t terms of the covariance: ``x`` (n, s), scaled
     loads; ``terms`` (t, n + 1), inverse squared lengths and weight; ``rates`` (n), inverse squared
-    lengths of the distance between rows; ``weights`` (m, (n + 1) s), of the rows' values and slopes
-    by one load after another; ``coefficients`` (n + 1, m), the mean; ``centre``, ``rate`` (n), of
+    lengths of the distance between rows; ``weights`` (m, p s), of the p readings of the rows:
+    values, slopes by one load after another and, where rows bring them, second derivatives by one
+    pair of loads after another; ``smoothness`` (1), of Matern smoothness + 1/2, only where rows
+    bring these: else it is 3; ``coefficients`` (n + 1, m), the mean; ``centre``, ``rate`` (n), of
     the scaled loads, 1/N and 1/(N·m); ``offset``, ``spread`` (m), m and rad; ``deviation``
     (m), the process', m and rad; ``lost`` (m), what sums lose to rounding, m and rad; ``floor``
     (1), the least error over an answer's size; ``tangent`` (m, n), SI, added to the derivative;
@@ -48,6 +50,8 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", inside.hyperparameters.inverse_squares
     yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
+    if inside.equations.places > 1 + len(x):
+        yield "smoothness", np.array([inside.hyperparameters.smoothness], dtype=np.int32)
     yield "coefficients", inside.coefficients
     yield "centre", scaling.centre
     yield "rate", np.where(scaling.active, 1 / scaling.half, 0.0)
@@ -82,7 +86,7 @@ def _share_arrays(
     """Yield what gives sigma for the outputs of one factor.
 
     With k neighbourhoods of at most e equations: ``outputs`` (m), which; ``number`` (s), each row's
-    neighbourhood; ``places`` (k, e), where its equations stand among the (n + 1) s covariances;
+    neighbourhood; ``places`` (k, e), where its equations stand among the p s covariances;
     ``panels``; ``unsettled`` (k, n + 1, e), T times the mean's terms; ``least`` (s), the smallest
     sigma squared but for the mean's; ``penalty`` (s), 0, or infinite for a row without a
     neighbourhood; ``mean_covariance`` (n + 1, n + 1). All are dimensionless.
@@ -93,7 +97,7 @@ def _share_arrays(
     number, least = np.zeros(stride, dtype=np.int32), np.full(stride, np.inf)
     places = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
-    unsettled = np.zeros((count, places_of_row, padded))
+    unsettled = np.zeros((count, share.around[0].TF.shape[1], padded))
     for place, (row, local) in enumerate(zip(share.factor.rows, share.around, strict=True)):
         size = len(local.places)
         at_row, of_row = np.divmod(local.places, places_of_row)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,6 +58,21 @@ def solved(space: Space, wrenches: Floats) -> Rows:
     source = ["fea"] * len(wrenches)
     moved = own.moved(wrenches)
     return Rows.of(wrenches, moved, space, compliance=tangents, source=source)
+
+
+def solved_with_second(space: Space, wrenches: Floats) -> Rows:
+    """Solves whose displacements, 1e-9 m and rad, turn no moment: (F, mu) is (F, M)."""
+    random = np.random.default_rng(8)
+    n, m, size = len(space.inputs), len(space.outputs), 1e-9
+    along = 0.4 * random.normal(size=(8, n))
+    first = np.tanh(wrenches @ along.T)
+    second = 1 - first**2
+    moved = size * (wrenches + first @ along)[:, :m]
+    tangents = size * (np.eye(n) + np.einsum("kt,ta,tb->kab", second, along, along))[:, :m]
+    places = np.array(list(combinations_with_replacement(range(n), 3))).T
+    third = -2 * size * np.einsum("kt,tp->kp", first * second, along[:, places].prod(axis=1))
+    columns = {"compliance": tangents, "curvature": third, "source": ["fea"] * len(wrenches)}
+    return Rows.of(wrenches, moved, space, **columns)
 
 
 @pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)

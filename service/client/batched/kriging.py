@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
 
 PANEL = 16  # rows of a panel of a packed triangle: surrogate/packed/kriging_arrays.py
 TIE = 1e-10  # of squared distances: rows as near as this are equally near (wb_kriging.c)
-CHUNK = 1024  # wrenches at once: covariances and their slopes then stay in the processor's caches
+CHUNK = 1024  # wrenches at once, of values and slopes: covariances stay in the processor's caches
 BLOCK = 64  # wrenches of one neighbourhood that one product takes, at most
 LEAST = 1e-30  # of squared distances: the square root has a finite derivative from there on
 
@@ -41,15 +42,19 @@ class Kriging:
         # The table states what sums lose in float64; no error bar is below it.
         self.lost = own.put(arrays["lost"] * (own.rounding / float(np.finfo(float).eps)))
         self.floor, self.inputs, self.stride = float(arrays["floor"][0]), inputs, stride
+        self.bent = "smoothness" in arrays
+        self.pairs = list(combinations_with_replacement(range(inputs), 2))
+        readings = arrays["weights"].shape[1] // stride
+        self.chunk = max(CHUNK * (1 + inputs) // readings, 1)
         self.shares = [_share(own, arrays, k) for k in range(int(arrays["shares"][0]))]
 
     def values(self, w: Any) -> Any:
         """Return the outputs (k, m), m and rad, at inputs (k, n), SI."""
-        return self.own.chunks(lambda part: (self._values(part),), CHUNK, w)[0]
+        return self.own.chunks(lambda part: (self._values(part),), self.chunk, w)[0]
 
     def slopes(self, w: Any) -> Any:
         """Return the derivatives (k, m, n), SI, at inputs (k, n), SI."""
-        return self.own.chunks(lambda part: (self._slopes(part),), CHUNK, w)[0]
+        return self.own.chunks(lambda part: (self._slopes(part),), self.chunk, w)[0]
 
     def _values(self, w: Any) -> Any:
         at = self._scaled(w)
@@ -63,33 +68,42 @@ class Kriging:
         """Return outputs less `offset` over `spread`, (k, m), from covariances and scaled loads."""
         return flat @ self.weights + self.coefficients[0] + at @ self.coefficients[1:]
 
-    def _correlations(self, at: Any) -> tuple[list[Any], list[tuple[Any, Any, Any]]]:
+    def _correlations(self, at: Any) -> tuple[list[Any], list[tuple[Any, ...]]]:
         """Return distances (k, s) by each load and, by term, what Matern's correlation is made of.
 
         With c = (1 + a + 2/5 a^2 + a^3/15) exp(-a) and a^2 = 7 q these are c, -2 dc/dq and
-        4 d²c/dq², (k, s) each, dimensionless.
+        4 d²c/dq², (k, s) each, dimensionless. With second derivatives they are those of
+        c = (1 + a + 3/7 a^2 + 2/21 a^3 + a^4/105) exp(-a) and a^2 = 9 q, and -8 d³c/dq³.
         """
         xp, found = self.xp, []
         apart = [at[:, load, None] - self.x[load] for load in range(self.inputs)]
         for rates, prior in zip(self.rates.tolist(), self.priors.tolist(), strict=True):
             squares = [rate * d * d for rate, d in zip(rates, apart, strict=True) if rate > 0]
             q = sum(squares) if squares else xp.zeros_like(apart[0])
-            a = xp.sqrt(7.0 * xp.clip(q, LEAST, None))
+            a = xp.sqrt((9.0 if self.bent else 7.0) * xp.clip(q, LEAST, None))
             decay = xp.exp(-a) * prior
-            first = 1.4 * (1 + a + a * a * (1 / 3)) * decay
-            third = a * a * a * (1 / 15)
-            found.append(((1 + a + 0.4 * a * a + third) * decay, first, 49 / 15 * (1 + a) * decay))
+            two = (1 + a) * decay
+            three = (1 + a + a * a * (1 / 3)) * decay
+            four = (1 + a + 0.4 * a * a + a * a * a * (1 / 15)) * decay
+            if self.bent:
+                five = 1 + a + a * a * (3 / 7) + a * a * a * (2 / 21) + (a * a) * (a * a) / 105
+                found.append((five * decay, 9 / 7 * four, 81 / 35 * three, 243 / 35 * two))
+            else:
+                found.append((four, 1.4 * three, 49 / 15 * two))
         return apart, found
 
     def _covariances(self, at: Any) -> tuple[Any, list[Any]]:
-        """Return the covariances of a value with rows' values and slopes, (k, (n + 1) s).
+        """Return the covariances of a value with the p readings of rows, (k, p s).
 
         Also the distances by each load, (k, s) each; all are dimensionless.
         """
         apart, terms = self._correlations(at)
+        by_load = [self._sum(terms, 1, load) for load in range(self.inputs)]
         flat = [sum(term[0] for term in terms)]
-        for load, d in enumerate(apart):
-            flat.append(self._sum(terms, 1, load) * d)
+        flat += [one * d for one, d in zip(by_load, apart, strict=True)]
+        for a, b in self.pairs if self.bent else ():
+            second = self._sum(terms, 2, a, b) * apart[a] * apart[b]
+            flat.append(second - by_load[a] if a == b else second)
         return self.xp.concatenate(flat, axis=1), apart
 
     def _sum(self, terms: list[Any], which: int, *loads: int) -> Any:
@@ -103,14 +117,20 @@ class Kriging:
         apart, terms = self._correlations(at)
         loads = range(self.inputs)
         by_load = [self._sum(terms, 1, load) for load in loads]
-        pairs = [(a, b) for a in loads for b in loads[a:]]
-        bent = {(a, b): self._sum(terms, 2, a, b) * apart[a] * apart[b] for a, b in pairs}
+        both = {pair: self._sum(terms, 2, *pair) for pair in self.pairs}
+        both |= {(b, a): one for (a, b), one in both.items()}
         flat = []
-        for a in loads:
-            own = [-by_load[a] * apart[a]]
-            for b in loads:
-                second = bent[min(a, b), max(a, b)]
-                own.append(by_load[a] - second if a == b else -second)
+        for c in loads:
+            own = [-by_load[c] * apart[c]]
+            for a in loads:
+                second = both[a, c] * apart[a] * apart[c]
+                own.append(by_load[c] - second if a == c else -second)
+            for a, b in self.pairs if self.bent else ():
+                third = -self._sum(terms, 3, a, b, c) * apart[a] * apart[b] * apart[c]
+                # where two of the three loads are one
+                for one, other, left in ((a, b, c), (a, c, b), (b, c, a)):
+                    third = third + both[one, left] * apart[left] if one == other else third
+                own.append(third)
             flat.append(self.xp.concatenate(own, axis=1))
         normal = self.xp.stack(flat, axis=1) @ self.weights + self.coefficients[1:]
         slopes = self.xp.einsum("kaq,q,a->kqa", normal, self.spread, self.rate)

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
+from tests.surrogate.energies import PARTS, part
 from tests.surrogate.law import Law, build
 from tests.surrogate.law.whole_bars import whole_bars
+from tests.surrogate.responses import HIGH
 from tests.surrogate.softening import softening_table
 from wrenchbook.surrogate.build import AnyTable
 from wrenchbook.surrogate.kernel.binding import PackedTable
@@ -90,6 +92,13 @@ def tangent_rows(count: int) -> AnyTable:
     return measured(wrenches, compliance=tangents(wrenches))
 
 
+def bent(second: int) -> AnyTable:
+    """Solves of a made-up part, of which so many bring second derivatives."""
+    own, at = part(PARTS["stiffening"], 1), np.random.default_rng(2).uniform(-1, 1, (20, 6))
+    rows = own.rows(at[:second]) + own.rows(at[second:], second=False)
+    return build(rows, LoadRange(-1.1 * HIGH, 1.1 * HIGH))
+
+
 def repeated() -> AnyTable:
     """Rows of one wrench, and near each other, of several sources."""
     wrenches = np.concatenate((clean(12), full_wrenches(6), full_wrenches(6)))
@@ -107,6 +116,8 @@ KINDS = {
     "clean and full": lambda: measured(np.concatenate((clean(40), full_wrenches(30)))),
     "full": lambda: measured(full_wrenches(60)),
     "few with tangents": lambda: tangent_rows(6),
+    "second derivatives": lambda: bent(20),
+    "second derivatives of some": lambda: bent(8),
     "thin": lambda: measured(clean(5)),
     "planar": lambda: measured(grid((2, 3), 5)),
     "one force": lambda: measured(grid((2,), 7)),

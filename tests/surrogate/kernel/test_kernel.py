@@ -66,7 +66,7 @@ def test_the_order_and_the_company_of_wrenches_change_no_bit():
     assert same_bits([column[:7] for column in whole], packed.batch(asked[:7]))
 
 
-@pytest.mark.parametrize("kind", ["solved", "clean and full", "uncertain"])
+@pytest.mark.parametrize("kind", ["solved", "clean and full", "uncertain", "second derivatives"])
 def test_other_optimisation_and_vectors_change_no_bit(kind, tmp_path, monkeypatch):
     """As on a processor without AVX2, and by another compiler's choice of instructions."""
     sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
@@ -113,7 +113,9 @@ def test_without_a_kriging_the_bent_axes_answer_and_are_named():
     assert packed.answer([1.0] * 6, None, "kriging").method == "tangent"
 
 
-@pytest.mark.parametrize("kind", ["solved", "few with tangents", "linear", "clean and full"])
+@pytest.mark.parametrize(
+    "kind", ["solved", "few with tangents", "linear", "clean and full", "second derivatives"]
+)
 def test_the_inverse_of_a_displacement_is_its_wrench(kind):
     table, packed = table_of(kind), packed_of(kind)
     scale = table.load_range.scale

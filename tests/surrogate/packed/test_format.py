@@ -107,10 +107,10 @@ def test_a_truncated_or_a_longer_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "words"), [(2, "use a newer wrenchbook"), (0, "write it again")]
+    ("number", "words"), [(3, "use a newer wrenchbook"), (0, "write it again")]
 )
 def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch):
-    monkeypatch.setattr(packed_format, "FORMAT", number)
+    monkeypatch.setattr(packed_format, "OLDEST_FORMAT", number)
     content = b"".join(pack(table_of("linear")))
     monkeypatch.undo()
     (tmp_path / "plate.wbt").write_bytes(content)
@@ -124,13 +124,19 @@ def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch)
             opens(source)
 
 
+@pytest.mark.parametrize(("kind", "number"), [("solved", 1), ("second derivatives of some", 2)])
+def test_only_second_derivatives_need_the_newest_format(kind, number):
+    """Programs of version 0.2, which read format 1, read the tables that they can answer from."""
+    assert int.from_bytes(content_of(kind)[8:12], "little") == number
+
+
 OPTIONAL = re.compile(  # words are made of these, or there is no such part without them
     r"/(row/source|fit/rows|axes/member_first|axes/members|axes/span|cut\d\d/state|axes/vertex)$"
     r"|near/|space/range|(kriging|missed)/(x|span_loads)$"
 )
 
 
-@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full"])
+@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
 def test_a_table_without_one_of_its_arrays_is_refused_by_its_name(kind):
     found = read(bytes(content_of(kind)))
     for name in found.arrays:
@@ -140,7 +146,7 @@ def test_a_table_without_one_of_its_arrays_is_refused_by_its_name(kind):
                 PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
 
 
-@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full"])
+@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
 def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
     found = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 50)
@@ -150,13 +156,14 @@ def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
             try:
                 packed = PackedTable.from_bytes(changed)
                 packed.batch(asked)
-                packed.derivatives(asked[:10], None, "tangent")
+                for method in (None, "tangent"):
+                    packed.derivatives(asked[:10], None, method)
             except (PackedTableError, UnknownMethodError):
                 continue
 
 
-def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it():
-    kind = "clean and full"
+@pytest.mark.parametrize("kind", ["clean and full", "second derivatives"])
+def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it(kind):
     found = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 100)
     rng = np.random.default_rng(1)
@@ -173,7 +180,8 @@ def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it():
                 continue
             for method in ("additive", "tangent", "kriging", "nearest"):
                 packed.batch(asked, None, method)
-            packed.derivatives(asked[:50], None, "tangent")
+            for method in ("kriging", "tangent"):
+                packed.derivatives(asked[:50], None, method)
             packed.axis(0, 0, asked[0].tolist())
 
 
@@ -209,6 +217,13 @@ def test_parts_that_do_not_fit_together_are_refused(change):
     arrays = {name: np.array(array) for name, array in found.arrays.items()}
     change(arrays)
     with pytest.raises(PackedTableError, match="of another shape"):
+        PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
+
+
+def test_a_correlation_that_the_kernel_does_not_have_is_refused():
+    found = read(bytes(content_of("second derivatives")))
+    arrays = {**found.arrays, "g0/kriging/smoothness": np.array([3], dtype=np.int32)}
+    with pytest.raises(PackedTableError, match="kriging/smoothness"):
         PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
 
 
