@@ -218,6 +218,21 @@ def test_a_range_beyond_the_buckling_load_is_told_with_its_factor(bar):
     assert np.isfinite(found.deviation).all()
 
 
+@pytest.mark.parametrize(("pull", "solved"), [(1000.0, 1), (10.0, 2)])
+def test_opposite_corners_share_their_buckling_solve(bar, monkeypatch, pull, solved):
+    coarse, most = Solver(refined(bar.component.bundle, 0.5)), np.eye(6)[0]
+    calls, buckling = [], Solver.buckling
+
+    def counted(solver, wrench):
+        calls.append(wrench)
+        return buckling(solver, wrench)
+
+    monkeypatch.setattr(Solver, "buckling", counted)
+    found = beyond_linear(coarse, DeclaredRange(-1000.0 * most, pull * most))
+    assert len(calls) == solved
+    assert found.buckling == pytest.approx(6.9, rel=0.01)  # Euler's
+
+
 def test_what_the_estimate_fails_with_is_told_and_not_raised(bar, monkeypatch):
     def fails(_):
         raise MemoryError
