@@ -8,6 +8,7 @@ range. The wrench opposite is solved too, since what pulls stiffens and what pus
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,10 +71,10 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
         The range of its inputs, from where these have no effect.
     """
     compliance = solver.linear.compliance
-    nonlinear = replace(
+    other = copy(solver)  # shares the equations and the factor of the undeformed part
+    other.component = replace(
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
-    other = Solver(nonlinear)
     deviation, why = np.full(len(compliance), np.nan), ""
     corners, rest = _corners(compliance, loads), solver.component.at_rest
     factors = list(solver.buckling(corners[0] + rest))
