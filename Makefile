@@ -84,7 +84,7 @@ format: $(VENV)/.installed-dev  ## format the code by ruff
 NAME ?=
 bench: $(VENV)/.installed-dev  ## one benchmark: make bench NAME=kernel; without NAME their list
 	@if [ -z "$(NAME)" ]; then $(BIN)/python -m tests.benchmarks; else \
-		$(BIN)/python -m pytest -s -p no:cacheprovider --timeout 3600 tests/benchmarks/test_$(NAME).py; fi
+		$(BIN)/python -m pytest -s -p no:cacheprovider --timeout 3600 tests/benchmarks/test_$(subst -,_,$(NAME)).py; fi
 
 # 10,000 calls made up from the document, a million damaged files of each form: hours
 fuzz: $(VENV)/.installed-dev

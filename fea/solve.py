@@ -26,7 +26,7 @@ from wrenchbook.fea.inspection.warnings import warnings_of
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
 from wrenchbook.fea.recovery.stress import small_stress, stress_of
 from wrenchbook.fea.recovery.weight import material_of_parts
-from wrenchbook.fea.recovery.yielding import yielding
+from wrenchbook.fea.recovery.yielding import most_used, yielding
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.craig_bampton import CraigBampton, craig_bampton
@@ -313,10 +313,25 @@ class Solver:
             found = self._solve_linear(whole, acting)
         else:
             found = self._solve_nonlinear(whole, acting, progress, start)
-        found = self._as_it_yields(found)
+        if not self._stays_elastic(acting):
+            found = self._as_it_yields(found)
         if progress is not None:
             progress(1.0, "done")
         return replace(found, seconds=time.perf_counter() - started)
+
+    def _stays_elastic(self, acting: Array) -> bool:
+        """Tell by the loads alone whether nothing yields, without the stresses of an answer."""
+        if (
+            self.component.analysis.nonlinear
+            or self._system.weight is not None
+            or self.body.expands
+        ):
+            return False
+        return bool(np.abs(acting) @ self._most_used <= 1.0)
+
+    @cached_property
+    def _most_used(self) -> Array:
+        return most_used(self.component, self.body, self.linear.fields)
 
     def _as_it_yields(self, found: Solution) -> Solution:
         words = yielding(self.component, self._system.body, found)
@@ -346,7 +361,7 @@ class Solver:
             history=(),
             nodes=nodes @ self.component.axes,
             notes=self.notes,
-            tangents=self._in_mesh_axes(linear.fields),
+            tangents=self._linear_tangents,
             curvature=self._curvature(self._system.balance_at_rest, self._system.undeformed),
         )
 
@@ -395,6 +410,10 @@ class Solver:
         if not self.component.analysis.nonlinear or self._system.inputs > MOST_INPUTS:
             return None
         return packed(third_derivatives(self._system, balance, tangent))
+
+    @cached_property
+    def _linear_tangents(self) -> Array:
+        return self._in_mesh_axes(self.linear.fields)
 
     def _in_mesh_axes(self, fields: Array) -> Array:
         return np.einsum("ji,njk->nik", self.component.axes, fields)

@@ -18,6 +18,9 @@ WHERE = "tolerance"
 """Key of these warnings: the newest estimate replaces earlier ones."""
 
 _OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
+FINE = 0.01
+"""Of a compliance: what is asked of straight edges across round surfaces."""
+
 _WORTH_A_MESH = 30.0
 """Times smaller, beyond which cells are no remedy any more: that is 27,000 times as many."""
 
@@ -44,6 +47,15 @@ def over_tolerance(
     if solver_error.get("linearity") is not None:
         found += _of_linearity(np.array(solver_error["linearity"]), allowed)
     return found + _of_buckling(solver_error.get("buckling"))
+
+
+def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
+    """Return a warning where straight edges across round surfaces change more than `FINE`."""
+    own = solver_error.get("rounded")
+    if own is None or own["share"] <= FINE:
+        return []
+    remedy = "mesh in second order on the geometry, or more cells round; the error bar holds it"
+    return [BundleProblem("mesh.file", f"{own['basis']}: {remedy}")]
 
 
 def _of_mesh(errors: Array, allowed: Array, cell_size: float | None) -> list[BundleProblem]:

@@ -8,6 +8,7 @@ range. The wrench opposite is solved too, since what pulls stiffens and what pus
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,15 +71,17 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
         The range of its inputs, from where these have no effect.
     """
     compliance = solver.linear.compliance
-    nonlinear = replace(
+    other = copy(solver)  # shares the equations and the factor of the undeformed part
+    other.component = replace(
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
-    other = Solver(nonlinear)
     deviation, why = np.full(len(compliance), np.nan), ""
-    factors: list[float] = []
-    for corner in _corners(compliance, loads):
-        factors.append(solver.buckling(corner + solver.component.at_rest)[0])
-        found = _Corner(other, solver.linear, corner, factors[-1])
+    corners, rest = _corners(compliance, loads), solver.component.at_rest
+    factors = list(solver.buckling(corners[0] + rest))
+    if not np.allclose(corners[1], -corners[0]):
+        factors[1] = solver.buckling(corners[1] + rest)[0]
+    for corner, factor in zip(corners, tuple(factors), strict=True):
+        found = _Corner(other, solver.linear, corner, factor)
         deviation = np.fmax(deviation, found.deviation)
         factors += found.factors
         why = why or found.why

@@ -81,17 +81,20 @@ def _other_material(component: ComponentModel, deck: DeckContent, one: Any) -> I
     constants = deck.materials.get(one.material, {})
     for number in np.unique(np.concatenate([np.empty(0, dtype=int), *numbers])).tolist():
         material = component.bundle.materials[number]
-        for key in _COMPARED if material.law == "isotropic" else ():
-            own, factor = getattr(material, key), in_si(key, unit)
+        words = f'{one.where} gives "{one.region}" the material "{one.material}"'
+        if material.law == "orthotropic":
+            if "youngs_modulus" in constants:
+                yield f'{words}, which is isotropic; the component has law = "orthotropic"'
+            continue
+        for key in filter(constants.__contains__, _COMPARED):
+            own, other = getattr(material, key), constants[key] * in_si(key, unit)
             own = own[0] if isinstance(own, tuple) else own
-            if own is None or key not in constants:
-                continue
-            other = constants[key] * factor
-            if abs(own - other) > _SAME * abs(other):
+            if own is None and key == "yield_strength":
+                continue  # named with *PLASTIC itself
+            if own is None or abs(own - other) > _SAME * abs(other):
                 yield (
-                    f'{one.where} gives "{one.region}" the material "{one.material}": {key} '
-                    f"{constants[key]:g}, with lengths in {unit} {other:.4g} in SI; the component "
-                    f"has {own:.4g}"
+                    f"{words}: {key} {constants[key]:g}, with lengths in {unit} {other:.4g} in SI; "
+                    f"the component has {'none' if own is None else format(own, '.4g')}"
                 )
 
 

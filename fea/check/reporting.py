@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from wrenchbook.fea.accuracy.advice import over_tolerance
+from wrenchbook.fea.accuracy.advice import over_tolerance, straight_edges
 from wrenchbook.fea.accuracy.estimate import accuracy_or_why
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from wrenchbook.fea.check import findings
@@ -169,6 +169,7 @@ def _tell_accuracy(solver: Solver, summary: dict[str, Any]) -> None:
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
         return
     summary["solver_error"] = accuracy_or_why(solver)
+    _warn(summary, straight_edges(summary["solver_error"]))
     limit = None if bundle is None else bundle.tolerance
     if limit is not None:
         _warn(summary, over_tolerance(summary["solver_error"], limit.translation, limit.rotation))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS
 
 _MOST_LINES = 60
@@ -23,7 +25,7 @@ def as_text(report: Mapping[str, Any]) -> str:
     lines = [f"{report.get('name', 'bundle')}  {report.get('fingerprint', '')}".rstrip()]
     if report.get("has_fea") is False:
         lines.append("a table only: nothing to mesh or solve")
-    solved = (_trial, _vibration, _strength, _estimate)
+    solved = (_trial, _accuracy, _vibration, _strength, _estimate)
     for write in (_deck, _geometry, _mesh, _mesh_file, _groups, _quality, _set_up, *solved):
         lines += write(report)
     lines += _complaints("warning", report["warnings"])
@@ -221,6 +223,22 @@ def _by_interface(report: Mapping[str, Any], values: list[float]) -> list[tuple[
     names = [one["name"] for one in report.get("sections", [])] or [""]
     ends = range(0, len(values), _EACH)
     return [(name, values[i : i + _EACH]) for name, i in zip(names, ends, strict=True)]
+
+
+def _accuracy(report: Mapping[str, Any]) -> list[str]:
+    one = report.get("solver_error")
+    if one is None or one["mesh"] is None:
+        return [] if one is None else [f"error bar of the mesh: not known; {one['mesh_basis']}"]
+    parts = {"error bar of the mesh at full range": one["mesh"]}
+    if "rounded" in one:
+        parts["of that by straight edges"] = one["rounded"]["mesh"]
+    lines = []
+    for words, matrix in parts.items():
+        for name, own in _by_interface(report, (np.array(matrix) @ one["loads"]).tolist()):
+            bar = [f"{x:.2g}" for x in own]
+            where = f", {name}" if name else ""
+            lines.append(f"{words}{where}: ({', '.join(bar[:3])}) m, ({', '.join(bar[3:])}) rad")
+    return [*lines, f"error bar of the mesh from {one['mesh_basis']}"]
 
 
 def _vibration(report: Mapping[str, Any]) -> list[str]:

@@ -7,8 +7,28 @@ import numpy as np
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.equivalent_stress import von_mises
-from wrenchbook.fea.recovery.stress import places_of, stress_of
+from wrenchbook.fea.recovery.stress import places_of, small_stress, stress_of
 from wrenchbook.fea.solution import Solution
+
+Array = np.ndarray
+
+
+def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Array:
+    """Return the largest shares of the yield strength under unit loads (k,), each of one over it.
+
+    `fields` has shape (n, 3, k), m over each unit, in the body's axes. The von Mises stress is a
+    seminorm, so that of a sum of loads is at most the sum of theirs (triangle inequality).
+    """
+    if not np.isfinite(_strengths(component)).any():
+        return np.zeros(fields.shape[2])
+    strengths = _strengths(component)[places_of(component, body.points)[1]]
+    parts = np.split(fields, fields.shape[2], axis=2)  # one at a time: stresses take much memory
+    used = [(von_mises(small_stress(body, one)[:, :, 0]) / strengths).max() for one in parts]
+    return np.array(used)
+
+
+def _strengths(component: ComponentModel) -> Array:
+    return np.array([one.yield_strength or np.inf for one in component.materials])
 
 
 def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -> str:
@@ -17,7 +37,7 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
     By the von Mises stress at the integration points. Materials here do not yield, so the answer
     is too stiff beyond that.
     """
-    strengths = np.array([one.yield_strength or np.inf for one in component.materials])
+    strengths = _strengths(component)
     if not np.isfinite(strengths).any():
         return ""
     materials = places_of(component, body.points)[1]

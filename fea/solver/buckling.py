@@ -75,7 +75,7 @@ def _extremes(stressed: Inertia) -> Array:
     before, values = np.zeros(2), np.zeros(modes)
     for _ in range(_ITERATIONS):
         loads = np.stack([stressed.times(one) for one in motions])
-        moved = np.stack([stressed.solved(one) for one in loads])
+        moved = stressed.solved(loads)
         stiffness = moved @ loads.T
         geometric = moved @ np.stack([stressed.times(one) for one in moved]).T
         values, motions = _ritz(stiffness, geometric, moved)

@@ -180,7 +180,7 @@ def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
     own = inertia.first + np.arange(inertia.active.size)
     units = np.zeros((own.size, inertia.size))
     units[np.arange(own.size), own] = 1.0
-    moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
+    moved = inertia.solved(units).T
     compliance = 0.5 * (moved[own] + moved[own].T)
     return np.linalg.solve(moved[own].T, moved.T).T, compliance
 
@@ -228,12 +228,14 @@ class Inertia:
         return np.concatenate([self._movable.released(forces)[self._free].ravel(), border])
 
     def solved(self, loads: Array) -> Array:
-        """Return K^-1 times loads: shape (size,), N and N·m, to (size,), m and rad."""
-        loads = np.asarray(loads).reshape(-1)
-        nodal = np.zeros((self._nodes, 3, 1))
-        nodal[self._free, :, 0] = loads[: self.first].reshape(-1, 3)
-        nodes, moved = self._start.solve(nodal, self.border(loads))
-        return np.concatenate([nodes[self._free, :, 0].ravel(), moved[: self._motions, 0]])
+        """Return K^-1 times loads, shape (size,) or (k, size): N and N·m to m and rad."""
+        columns = np.asarray(loads).reshape(-1, self.size).T
+        nodal = np.zeros((self._nodes, 3, columns.shape[1]))
+        nodal[self._free] = columns[: self.first].reshape(-1, 3, columns.shape[1])
+        border = np.pad(columns[self.first :], ((0, self._multipliers), (0, 0)))
+        nodes, moved = self._start.solve(nodal, border)
+        inner = nodes[self._free].reshape(self.first, -1)
+        return np.concatenate([inner, moved[: self._motions]]).T.reshape(np.shape(loads))
 
 
 class Applied(LinearOperator):
@@ -265,7 +267,7 @@ def _massless(inertia: Inertia) -> Array:
     own = slice(inertia.first, inertia.first + count)
     units = np.zeros((count, inertia.size))
     units[:, own] = np.eye(count)
-    moved = np.stack([inertia.solved(unit) for unit in units], axis=1)
+    moved = inertia.solved(units).T
     compliance = moved[own]
     lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
     carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]

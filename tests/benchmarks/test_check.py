@@ -4,6 +4,7 @@ Each solve is a process of its own on one thread; processor seconds, without imp
 a STEP file, drawn here; its mesh is made in the same process.
 """
 
+import itertools
 import json
 import os
 import subprocess
@@ -48,22 +49,28 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_time_and_memory_are_told_within_one_and_a_half(case, tmp_path):
-    name, *how = case
-    if name in STEPS:
-        bundle_of(name, tmp_path)
-        name = str(tmp_path)
+def in_a_process(program, words):
+    """Return the last line of what a program prints, on one thread."""
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     run = subprocess.run(
-        [sys.executable, "-c", ONE, json.dumps([name, *how])],
+        [sys.executable, "-c", program, json.dumps(words)],
         capture_output=True,
         text=True,
         check=True,
         timeout=600,
         env=os.environ | one_thread,
     )
-    unknowns, seconds, took, memory, peak = json.loads(run.stdout.splitlines()[-1])
+    return run.stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_time_and_memory_are_told_within_one_and_a_half(case, tmp_path):
+    name, *how = case
+    if name in STEPS:
+        bundle_of(name, tmp_path)
+        name = str(tmp_path)
+    text = in_a_process(ONE, [name, *how])
+    unknowns, seconds, took, memory, peak = json.loads(text)
     print(
         f"\n{case}: {unknowns} unknowns, told {seconds:g} s, took {took:.2g} s "
         f"({seconds / took:.2f}); told {memory / 1e6:.0f} MB, took {peak / 1e6:.0f} MB "
@@ -71,3 +78,42 @@ def test_time_and_memory_are_told_within_one_and_a_half(case, tmp_path):
     )
     assert 1 / 1.5 <= seconds / took <= 1.5
     assert 1 / 1.5 <= memory / peak <= 1.5
+
+
+ESTIMATE = """
+import json, sys, time
+from dataclasses import replace
+from wrenchbook.fea.accuracy.estimate import accuracy_of
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.solve import Solver
+folder, nonlinear = json.loads(sys.argv[1])
+bundle = read_bundle(folder)
+bundle = replace(bundle, analysis=replace(bundle.analysis, nonlinear=nonlinear))
+times = [time.process_time()]
+solver = Solver(bundle)
+times.append(time.process_time())
+solver.linear
+times.append(time.process_time())
+accuracy_of(solver)
+times.append(time.process_time())
+print(json.dumps([solver.unknowns, *times]))
+"""
+
+
+@pytest.mark.parametrize("nonlinear", [True, False], ids=["nonlinear", "linear"])
+@pytest.mark.parametrize("name", ["bracket", "flange", "cheese"])
+def test_the_estimate_of_a_step_part_takes_no_longer_than_mesh_and_linear_solve(
+    name, nonlinear, tmp_path, monkeypatch
+):
+    draw, _, *ends = STEPS[name]
+    monkeypatch.setitem(STEPS, name, (draw, "4e-3", *ends))
+    bundle_of(name, tmp_path)
+    text = in_a_process(ESTIMATE, [str(tmp_path), nonlinear])
+    unknowns, *times = json.loads(text)
+    mesh, linear, estimate = (b - a for a, b in itertools.pairwise(times))
+    print(
+        f"\n{name}: {unknowns} unknowns, mesh {mesh:.2f} s, linear solve {linear:.2f} s, estimate "
+        f"{estimate:.2f} s ({estimate / linear:.2f} of the solve, "
+        f"{estimate / (mesh + linear):.2f} with the mesh)"
+    )
+    assert estimate <= 1.1 * (mesh + linear)

@@ -30,7 +30,10 @@ _SURFACES = {
     "tri6": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D)6M?|STRI65"),
     "quad8": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D)8R?5?"),
 }
-_LINES = {"line2": re.compile(r"(T3D|T2D|B3|B2)[12]H?"), "line3": re.compile(r"(T3D3|B32|B22)R?H?")}
+_LINES = {
+    "line2": re.compile(r"(T[23]D2|B[23][13])R?H?"),
+    "line3": re.compile(r"(T[23]D3|B[23]2)R?H?"),
+}
 
 # Corners of the faces S1, S2, ... of each solid, from 1 as the manuals have them.
 _HEX_FACES = ("1234", "5876", "1562", "2673", "3784", "4851")

@@ -152,8 +152,18 @@ def test_a_large_mesh_file_has_the_recovered_estimate_with_a_margin(bracket, mon
     alone = Solver(replace(bracket.component, bundle=bundle))
     assert coarser(alone) is None
     told = accuracy_of(alone)
-    np.testing.assert_allclose(told["mesh"], 1.25 * np.abs(recovered_error(alone)))
+    lacks = 1.25 * np.abs(recovered_error(alone))
+    own = np.sqrt(np.diag(lacks))
+    np.testing.assert_allclose(told["mesh"], lacks + 0.02 * np.outer(own, own))
     assert "no second mesh" in told["mesh_basis"]
+
+
+def test_entries_near_zero_hold_a_share_of_what_bounds_them(bar):
+    # By the bar's symmetry a force along it moves it along itself alone, on each mesh.
+    mesh = np.array(accuracy_of(bar)["mesh"])
+    own = np.sqrt(np.diag(mesh))
+    assert abs(bar.compliance[0, 1]) < 1e-9 * own[0] * own[1]
+    assert mesh[0, 1] == pytest.approx(0.02 * own[0] * own[1], rel=0.03)
 
 
 @pytest.mark.parametrize("kind", ["hex20", "hex27", "tet10", "wedge15"])
@@ -216,6 +226,21 @@ def test_a_range_beyond_the_buckling_load_is_told_with_its_factor(bar):
     assert found.buckling == pytest.approx(6908.7 / 2e4, rel=0.05)
     assert "it buckles at" in found.why
     assert np.isfinite(found.deviation).all()
+
+
+@pytest.mark.parametrize(("pull", "solved"), [(1000.0, 1), (10.0, 2)])
+def test_opposite_corners_share_their_buckling_solve(bar, monkeypatch, pull, solved):
+    coarse, most = Solver(refined(bar.component.bundle, 0.5)), np.eye(6)[0]
+    calls, buckling = [], Solver.buckling
+
+    def counted(solver, wrench):
+        calls.append(wrench)
+        return buckling(solver, wrench)
+
+    monkeypatch.setattr(Solver, "buckling", counted)
+    found = beyond_linear(coarse, DeclaredRange(-1000.0 * most, pull * most))
+    assert len(calls) == solved
+    assert found.buckling == pytest.approx(6.9, rel=0.01)  # Euler's
 
 
 def test_what_the_estimate_fails_with_is_told_and_not_raised(bar, monkeypatch):

@@ -118,6 +118,37 @@ def test_thermal_expansion_is_compared_where_both_have_one(tmp_path):
     assert "thermal_expansion 1.2e-05" in found
 
 
+@pytest.mark.parametrize(
+    ("keyword", "without", "words"),
+    [
+        ("*EXPANSION\n12e-6\n*DENSITY", "", "thermal_expansion 1.2e-05"),
+        ("*DENSITY", "density = 2700.0\n", "density 2.7e-09"),
+    ],
+)
+def test_a_constant_that_the_component_lacks_is_a_warning(tmp_path, keyword, without, words):
+    toml = TOML.replace(without, "") if without else TOML
+    (found,) = warnings(block(tmp_path, AGREES.replace("*DENSITY", keyword), toml))
+    assert words in found
+    assert found.endswith("the component has none")
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        ('"neo-hookean"\nyoungs_modulus = 3e6\npoisson_ratio = 0.33', "has 3e+06"),
+        (
+            '"orthotropic"\nyoungs_modulus = [70e9, 9e9, 9e9]\npoisson_ratio = [0.3, 0.3, 0.3]\n'
+            "shear_modulus = [4e9, 4e9, 4e9]",
+            'isotropic; the component has law = "orthotropic"',
+        ),
+    ],
+)
+def test_another_law_than_the_decks_is_a_warning(tmp_path, law, words):
+    toml = TOML.replace("youngs_modulus = 70e9\npoisson_ratio = 0.33", f"law = {law}")
+    (found,) = warnings(block(tmp_path, toml=toml.replace("nonlinear = false", "nonlinear = true")))
+    assert words in found
+
+
 def test_read_and_ignored_keywords_are_listed_with_their_lines(tmp_path):
     folder = block(tmp_path, AGREES + "*NODE PRINT, NSET=REF\nU\n")
     listed = check(folder)["mesh_file"]

@@ -81,6 +81,15 @@ def test_all_node_blocks_and_elements_over_several_lines_are_read(tmp_path):
     np.testing.assert_allclose(volumes(mesh.points, mesh.blocks[0]), [1.0, 1.0], rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "row"),
+    [("B31", "91, 1, 2"), ("B33", "91, 1, 2"), ("B32", "91, 1, 2, 3"), ("B32R", "91, 1, 2, 3")],
+)
+def test_beams_in_a_deck_of_solids_are_no_cells(tmp_path, name, row):
+    mesh = read(tmp_path, f"{DECK}*ELEMENT, TYPE={name}\n{row}\n")
+    assert mesh.cell_counts == {"hex8": 2}
+
+
 def test_element_sets_have_the_cells_the_deck_gives_them(tmp_path):
     regions = {name: cells.tolist() for name, (cells,) in read(tmp_path).regions.items()}
     assert regions == {"Left": [0], "RIGHT": [1], "both": [0, 1], "range": [0, 1]}

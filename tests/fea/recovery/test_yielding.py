@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests.fea.boxes import box
@@ -9,6 +10,7 @@ from tests.fea.components import component
 from tests.fea.supports import TABLE
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.recovery.yielding import yielding
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import Analysis, Material
@@ -47,6 +49,23 @@ def test_a_bar_that_is_bent_yields_at_its_faces():
 @pytest.mark.parametrize("strength", [STRENGTH, None])
 def test_a_bar_that_does_not_yield_has_no_note(strength):
     assert not of_yielding(bar(strength=strength).solve([0, 0, 0.9 * STRENGTH * AREA, 0, 0, 0]))
+
+
+def test_stresses_of_an_answer_are_found_only_where_the_loads_may_make_it_yield(monkeypatch):
+    solver, found = bar(), []
+    monkeypatch.setattr("wrenchbook.fea.solve.yielding", lambda *_: found.append(1) or "")
+    for share in (0.4, 0.49, 0.51, 1.2):
+        force, moment = share * STRENGTH * AREA, share * STRENGTH * MODULUS
+        solver.solve([0, 0, force, 0, moment, 0])
+    assert 1 <= len(found) <= 2
+
+
+def test_loads_that_show_no_yielding_have_none():
+    solver, chance = bar(), np.random.default_rng(3)
+    scale = STRENGTH * np.array([2e-5, 2e-5, AREA, MODULUS, MODULUS, MODULUS])
+    for wrench in chance.uniform(-0.7, 0.7, (40, 6)) * scale:
+        found = solver.solve(wrench)
+        assert bool(of_yielding(found)) == bool(yielding(solver.component, solver.body, found))
 
 
 def test_a_component_that_must_not_yield_has_no_answer_where_it_does():
