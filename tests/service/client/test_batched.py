@@ -30,6 +30,7 @@ from wrenchbook.surrogate.table.rows import Tolerance
 HOME = "wrenchbook.service.client.batched"
 MISSING = "the extra {!r} is not installed"
 METHODS = ["kriging", "griddata", "linear"]
+BENT = ["second derivatives", "second derivatives of some"]
 
 
 class OnJax:
@@ -104,6 +105,11 @@ def test_every_kind_of_table_answers_in_batches_as_the_kernel_does(kind):
     assert_same(OnTorch(), kind, "griddata" if "few with" in kind else None)
 
 
+@pytest.mark.parametrize("kind", BENT)
+def test_tables_of_second_derivatives_answer_as_the_kernel_does(on, kind):
+    assert_same(on, kind, None)
+
+
 @pytest.mark.parametrize("kind", ["planar", "partial", "softening"])
 def test_flat_and_partial_tables_and_meshes_that_err_answer_compiled_as_the_kernel_does(kind):
     on = OnJax()
@@ -111,12 +117,14 @@ def test_flat_and_partial_tables_and_meshes_that_err_answer_compiled_as_the_kern
         assert_same(on, kind, None)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_the_framework_differentiates_to_the_kernels_derivative(on, method):
-    table, asked = downloaded("solved"), asked_of(table_of("solved"), 40, 5, 0.9)
+@pytest.mark.parametrize(
+    ("kind", "method"), [*(("solved", method) for method in METHODS), *((k, None) for k in BENT)]
+)
+def test_the_framework_differentiates_to_the_kernels_derivative(on, kind, method):
+    table, asked = downloaded(kind), asked_of(table_of(kind), 40, 5, 0.9)
     own = on.evaluator(table, method, "float64")
     expected = table.packed.derivatives(asked, None, method)
-    unit = table_of("solved").load_range.scale / size_of(table_of("solved"))[:, None]
+    unit = table_of(kind).load_range.scale / size_of(table_of(kind))[:, None]
     assert (np.abs(on.jacobians(own, asked) - expected) * unit).max() < 1e-11
     np.testing.assert_allclose(
         np.asarray(own.derivative(asked)) * unit, expected * unit, atol=1e-11
@@ -154,20 +162,26 @@ def test_float32_loses_what_its_digits_and_the_sums_of_a_kriging_lose(on, method
     assert (np.abs(moved - expected.outputs) <= error)[np.isfinite(error)].all()
 
 
+@pytest.mark.parametrize(
+    ("solved", "size"), [(test_space.solved, 1.0), (test_space.solved_with_second, 1e-9)]
+)
 @pytest.mark.parametrize("space", test_space.SPACES.values(), ids=test_space.SPACES)
-def test_tables_of_several_interfaces_and_further_inputs_answer_as_the_kernel_does(on, space):
+def test_tables_of_several_interfaces_and_further_inputs_answer_as_the_kernel_does(
+    on, space, solved, size
+):
     load_range = test_space.range_of(space)
-    rows = test_space.solved(space, test_space.spread_wrenches(load_range, 30))
-    packed = pack(build(rows, load_range, tolerance=Tolerance(0.003, 0.003)))
+    rows = solved(space, test_space.spread_wrenches(load_range, 30))
+    tolerance = Tolerance(0.003 * size, 0.003 * size)
+    packed = pack(build(rows, load_range, tolerance=tolerance))
     asked = np.random.default_rng(3).uniform(-1.1, 1.1, (90, len(space.inputs)))
     expected = packed.batch(asked, None, "kriging")
     own = on.evaluator(Table(packed, "link"), "kriging", "float64")
     moved, error, coverage = on.answers(own, asked)
-    np.testing.assert_allclose(moved, expected.outputs, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(error, expected.errors, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(moved, expected.outputs, rtol=0, atol=1e-12 * size)
+    np.testing.assert_allclose(error, expected.errors, rtol=1e-8, atol=1e-12 * size)
     np.testing.assert_array_equal(coverage, expected.coverage)
     slopes = packed.derivatives(asked, None, "kriging")
-    np.testing.assert_allclose(np.asarray(own.derivative(asked)), slopes, atol=1e-11)
+    np.testing.assert_allclose(np.asarray(own.derivative(asked)), slopes, atol=1e-11 * size)
     with pytest.raises(InvalidArgument, match="griddata exists for one wrench at one interface"):
         on.evaluator(Table(packed, "link"), "griddata")
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.surrogate.kernel.kinds import table_of
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, coupled, full_wrenches, table
-from tests.surrogate.softening import softening_table
 from wrenchbook.surrogate.answer import UnknownMethodError
 from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
@@ -40,8 +40,8 @@ def built(kind: str) -> AnyTable:
         return build(solved(RESPONSES["nearly_linear"], full_wrenches(1, 5)), RANGE, linear=True)
     if kind == "few":
         return build(solved(RESPONSES["hardening"], full_wrenches(2, 5)), RANGE)
-    if kind == "softening":
-        return softening_table()
+    if kind in ("softening", "second derivatives"):
+        return table_of(kind)
     rows = table(coupled, mixed)
     lacking = rows.displacement.copy()
     lacking[10:, 3:] = np.nan
@@ -49,7 +49,10 @@ def built(kind: str) -> AnyTable:
     return build(Rows.of(rows.wrench, lacking), RANGE)
 
 
-KINDS = ("kriging", "axes", "axes and interaction", "linear", "few", "softening", "partial")
+KINDS = (
+    *("kriging", "second derivatives", "axes", "axes and interaction"),
+    *("linear", "few", "softening", "partial"),
+)
 
 
 def packed(full: AnyTable) -> PackedTable:
