@@ -78,11 +78,6 @@ class Solution:
     state
         Where the equations were left, to start a nearby solve from; None for a linear solve and a
         deck.
-    curvature
-        Shape (p,), p = k (k + 1) (k + 2) / 6: third derivatives of the complementary energy by the
-        loads (F, mu), m or rad over two of their units, in the order of
-        combinations_with_replacement(range(k), 3). mu = J(r)^T M works on the rotation vector r.
-        None for a linear solve, a deck, and more than 8 inputs.
     """
 
     wrench: Array
@@ -98,7 +93,6 @@ class Solution:
     tangents: Array | None = None
     curvature: Array | None = None
     state: CoupledState | None = None
-    curvature: Array | None = None
 
 
 Loads = Sequence[float] | Array | Mapping[str, float | Sequence[float] | Array]
