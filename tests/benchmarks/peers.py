@@ -1,4 +1,4 @@
-"""What else answers scattered data: SMT's kriging and scipy's radial basis functions."""
+"""What else answers scattered data: kriging of SMT, scikit-learn and OpenTURNS, scipy's splines."""
 
 from __future__ import annotations
 
@@ -17,6 +17,56 @@ SMT_MISSING = (
     if importlib.util.find_spec("smt")
     else "SMT is not installed, so it is left out: .venv/bin/python -m pip install smt"
 )
+
+
+MISSING = ", ".join(
+    name for name in ("smt", "sklearn", "openturns") if not importlib.util.find_spec(name)
+)
+"""Peers that are not installed; they are no dependency of the tests."""
+
+HOW = ".venv/bin/python -m pip install smt scikit-learn openturns"
+
+
+def sklearn_kriging(rows: Rows, scale: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """Return scikit-learn's answers, (n, 6): Matern 5/2 with a length a load, an output each."""
+    from sklearn.gaussian_process import (  # pyright: ignore[reportMissingImports]
+        GaussianProcessRegressor,
+    )
+    from sklearn.gaussian_process.kernels import (  # pyright: ignore[reportMissingImports]
+        ConstantKernel,
+        Matern,
+    )
+
+    out = np.empty((len(asked), 6))
+    for output in range(6):
+        kernel = ConstantKernel(1.0, (1e-3, 1e6)) * Matern(np.ones(6), (0.05, 1e3), nu=2.5)
+        one = GaussianProcessRegressor(
+            kernel, alpha=1e-10, normalize_y=True, n_restarts_optimizer=3, random_state=1
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # lengths at their bounds
+            one.fit(rows.wrench / scale, rows.displacement[:, output])
+        out[:, output] = one.predict(asked / scale)
+    return out
+
+
+def openturns_kriging(rows: Rows, scale: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """Return OpenTURNS' answers, shape (n, 6): Matern 5/2 about a linear trend, an output each."""
+    import openturns as ot  # pyright: ignore[reportMissingImports]
+
+    ot.Log.Show(ot.Log.NONE)
+    out, x = np.empty((len(asked), 6)), ot.Sample((rows.wrench / scale).tolist())
+    for output in range(6):
+        size = max(float(rows.displacement[:, output].std()), float(np.finfo(float).tiny))
+        y = ot.Sample((rows.displacement[:, output : output + 1] / size).tolist())
+        basis, kernel = ot.LinearBasisFactory(6).build(), ot.MaternModel([1.0] * 6, 2.5)
+        fit = ot.GaussianProcessFitter(x, y, kernel, basis)
+        fit.run()
+        one = ot.GaussianProcessRegression(fit.getResult())
+        one.run()
+        found = one.getResult().getMetaModel()(ot.Sample((asked / scale).tolist()))
+        out[:, output] = np.array(found)[:, 0] * size
+    return out
 
 
 def smt_kriging(
