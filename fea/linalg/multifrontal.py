@@ -79,8 +79,9 @@ class MultifrontalFactor:
             self._fronts, self.diagonal = _eliminate(dissection, leaf, _CholeskyFront)
             self.definite = True
         except NotDefinite:
-            self._fronts, self.diagonal = _eliminate(dissection, leaf, _LUFront)
             self.definite = False
+        if not self.definite:  # here, as the exception keeps the fronts done so far
+            self._fronts, self.diagonal = _eliminate(dissection, leaf, _LUFront)
         self.pivot_ratio, self.weakest = 1.0, -1
         if self.unknowns:
             ratios = np.concatenate([front.pivots for front in self._fronts])

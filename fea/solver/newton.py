@@ -134,7 +134,7 @@ def find_equilibrium(
     balance
         Where to start, under the required wrench.
     tangent
-        A linearisation at, or near, that state.
+        A linearisation at, or near, that state; its factor is released after the first correction.
     report
         Called after each iteration.
     most
@@ -158,6 +158,8 @@ def find_equilibrium(
         proper = step.nearly
         if proper:
             balance = _settled(system, step, tangent)
+        if iteration == 1:
+            tangent.release()  # the caller keeps it: its factor would be there with each next one
         tangent = system.linearise(balance, None if proper else step.aim)
     raise Stuck(f"no equilibrium after {most} iterations")
 
