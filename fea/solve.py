@@ -180,6 +180,7 @@ class Solver:
     @cached_property
     def rest(self) -> Equilibrium:
         """The nonlinear equilibrium under own weight alone; raises SolveFailed as `solve` does."""
+        self._system.undeformed.release()  # for `notes`, while no other factor is in memory
         return hang(self._system, lambda balance: _require_small_rotation(balance.state.interface))
 
     @property

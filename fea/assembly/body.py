@@ -284,6 +284,10 @@ class Tangent:
         """The factor over the free nodes."""
         return MultifrontalFactor(self._body.dissection, self._leaf)
 
+    def release(self) -> None:
+        """Free the factor's memory; the next use makes the factor again."""
+        self.__dict__.pop("factor", None)
+
     @property
     def scaled_norm(self) -> float:
         """Bound of the 1-norm of the matrix scaled to a unit diagonal."""
@@ -360,6 +364,8 @@ class Tangent:
         order = self._body.dissection.nodes
         found = np.zeros_like(loads)
         columns = self._body.movable.released(loads)[order].reshape(3 * order.size, loads.shape[2])
+        if not columns.any():  # as at rest: no factor needed
+            return found
         found[order] = self.factor.solve(columns).reshape(order.size, 3, loads.shape[2])
         return found
 

@@ -93,6 +93,14 @@ class Linearisation:
     def _solved(self) -> Array:
         return self.tangent.solve(self._columns)
 
+    def release(self) -> None:
+        """Free the factor's memory; `compliance`, `nodal_response` and `conjugate_rate` stay.
+
+        The next `solve` with nodal loads makes the factor again.
+        """
+        _ = self.border_response
+        self.tangent.release()
+
     @cached_property
     def schur(self) -> Array:
         """The border's condensed stiffness, shape (border, border), N/m, N, N·m by its unknowns."""

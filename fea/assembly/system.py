@@ -128,12 +128,14 @@ class System:
             self.body, self.coupling, self.balance_at_rest, self.body.tangent(None), self.pull
         )
         self._require_supported(start)
+        self._condition = scaled_condition(start.tangent)  # by the factor, before its release
         return start
 
-    @cached_property
+    @property
     def condition(self) -> float:
         """Estimated condition of the undeformed body's stiffness, scaled to a unit diagonal."""
-        return scaled_condition(self.undeformed.tangent)
+        _ = self.undeformed
+        return self._condition
 
     @property
     def balance_at_rest(self) -> Balance:

@@ -11,9 +11,9 @@ of a server:
     linear solve       = 0.04 + work
     nonlinear solve    = 0.04 + 2.5 work (3 to 6 iterations; up to 20 by load and part),
                          5.0 work where cells project their volumetric strain
-    memory, linear     = 100e6 + 9 x numbers + 8 x entries
-    memory, nonlinear  = 100e6 + 15 x numbers + 13 x entries
-    and 35e6 of the mesher's library where the mesh is a geometry's
+    memory             = 100e6 + 9 x numbers + 8 x entries, nonlinear solves too (one factor at a
+                         time: 0.91 to 1.15 of the peaks of nine, 140 to 590 MB),
+                         and 35e6 of the mesher's library where the mesh is a geometry's
 
 `make bench NAME=check` prints these against time and memory of a solve: within 1.5 on a like
 machine.
@@ -58,8 +58,7 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     count = sum(len(block) for block in mesh.blocks)
     work = 7.2e-8 * entries + 1e-5 * count * np.log2(count + 1) + operations / 19e9
     times = _NONLINEAR * (_PROJECTED if _projects(component) else 1.0)
-    per_number, per_entry = (15, 13) if component.analysis.nonlinear else (9, 8)
-    memory = 100e6 + per_number * numbers + per_entry * entries + _mesher_bytes(component)
+    memory = 100e6 + 9 * numbers + 8 * entries + _mesher_bytes(component)
     return {
         "unknowns": unknowns,
         "linear_seconds": float(f"{0.04 + work:.2g}"),

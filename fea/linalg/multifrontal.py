@@ -79,8 +79,9 @@ class MultifrontalFactor:
             self._fronts, self.diagonal = _eliminate(dissection, leaf, _CholeskyFront)
             self.definite = True
         except NotDefinite:
-            self._fronts, self.diagonal = _eliminate(dissection, leaf, _LUFront)
             self.definite = False
+        if not self.definite:  # here, as the exception keeps the fronts done so far
+            self._fronts, self.diagonal = _eliminate(dissection, leaf, _LUFront)
         self.pivot_ratio, self.weakest = 1.0, -1
         if self.unknowns:
             ratios = np.concatenate([front.pivots for front in self._fronts])
@@ -176,7 +177,9 @@ class _LUFront:
         self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 
     def products(self, boundary: int) -> Condensed:
-        return products(self.B, self.W, None)
+        taken = products(self.B, self.W, None)
+        del self.B  # of no further use: about a quarter of what the front holds
+        return taken
 
     @property
     def pivots(self) -> Array:

@@ -165,6 +165,7 @@ class ArcPath:
         """Bring a predicted state into balance within the plane normal to the predictor."""
         system, balance = self._system, self._point.found.balance
         tangent = self._point.found.tangent
+        tangent.release()  # `rate` is known
         proper = False
         for iteration in range(1, _MOST_ITERATIONS + 1):
             balance = system.reload(balance, size * self._direction)

@@ -123,7 +123,8 @@ class LoadPath:
             check(found.balance)
             return found
         except _Refused as refused:
-            return self._follow_length(check, refused.failure)
+            failure = refused.failure
+        return self._follow_length(check, failure)  # not above: there the last try keeps its factor
 
     def last_state(self) -> tuple[float, Array]:
         """Return the load factor of the last state found, and its nodes, shape (n, 3), m."""
@@ -131,6 +132,7 @@ class LoadPath:
 
     def _try_guess(self, guess: CoupledState) -> Equilibrium | None:
         start = self._system.balance(guess, self._wrench)
+        self._tangent.release()  # no correction uses it
         try:
             tangent = self._system.linearise(start)
             found = find_equilibrium(

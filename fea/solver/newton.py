@@ -124,17 +124,16 @@ def find_equilibrium(
 ) -> Equilibrium:
     """Iterate from a state out of balance.
 
-    The first correction uses `tangent` as it is. While steps are large the tangents after it take
-    the stress that the step aimed at (`ElasticBody.tangent`); the last are tangents proper at the
-    state itself, and only their corrections count as proof of convergence. Between two of these
-    the older one corrects again, while that helps.
+    The first correction uses `tangent` as it is. While steps are large, later tangents take the
+    stress that the step aimed at (`ElasticBody.tangent`). The last are tangents proper at the state
+    itself: only these prove convergence. The older of two corrects again, while that helps.
 
     Parameters
     ----------
     balance
         Where to start, under the required wrench.
     tangent
-        A linearisation at, or near, that state.
+        A linearisation at, or near, that state; its factor is released after the first correction.
     report
         Called after each iteration.
     most
@@ -156,8 +155,9 @@ def find_equilibrium(
         sizes.append(step.size)
         _require_progress(sizes)
         proper = step.nearly
-        if proper:
-            balance = _settled(system, step, tangent)
+        balance = _settled(system, step, tangent) if proper else balance
+        if iteration == 1:
+            tangent.release()  # the caller keeps it: its factor would be there with each next one
         tangent = system.linearise(balance, None if proper else step.aim)
     raise Stuck(f"no equilibrium after {most} iterations")
 

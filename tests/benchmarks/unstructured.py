@@ -19,15 +19,19 @@ NAMES = ("flange", "cheese", "box", "plate", "block")
 
 
 def part_of(name: str, folder: Path) -> ComponentModel:
-    """Return a linear component with a rigid coupling, fixed below and loaded above.
+    """Return a component with a rigid coupling, fixed below and loaded above; linear.
 
-    `folder` keeps the meshes of a mesher, so that who solves does not load it.
+    "plate_thin" is nonlinear; "block15" is a block of 15 cells each way. `folder` keeps the meshes
+    of a mesher, so that a solve does not load it.
     """
     if name == "plate":
         part = replace(shipped("plate", cells=10, rings=5), coupling="rigid")
         return replace(part, analysis=replace(part.analysis, nonlinear=False))
-    if name == "block":
-        mesh = box("hex20", (11, 11, 11), (0.1, 0.1, 0.1))
+    if name == "plate_thin":
+        return replace(shipped(name), coupling="rigid")
+    if name.startswith("block"):
+        count = int(name.removeprefix("block") or 11)
+        mesh = box("hex20", (count, count, count), (0.1, 0.1, 0.1))
     else:
         path = folder / f"{name}.msh"
         if not path.exists():

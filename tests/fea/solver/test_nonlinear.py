@@ -1,5 +1,6 @@
 """Nonlinear analysis: large rotations, tangents, the load path."""
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.optimize import brentq
 from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver import load_steps as path
 from wrenchbook.fea.solver import newton
@@ -166,3 +168,26 @@ def test_every_kind_of_cell_converges(kind):
     found, small = Solver(part).solve(wrench), linear.solve(wrench)
     assert found.displacement[2] == pytest.approx(small.displacement[2], rel=0.1)
     assert found.displacement[2] != pytest.approx(small.displacement[2], rel=1e-7)
+
+
+@pytest.mark.parametrize("load", ["wrench", "weight", "near"])
+def test_a_solve_holds_one_factor_at_a_time(load, monkeypatch):
+    held, before = weakref.WeakSet(), []
+    start = MultifrontalFactor.__init__
+
+    def counted(self, *arguments):
+        before.append(len(held))
+        start(self, *arguments)
+        held.add(self)
+
+    near = Solver(plate()).solve(0.9 * PLATE_WRENCH).state if load == "near" else None
+    part = plate()
+    if load == "weight":
+        heavy = tuple(replace(one, density=2700.0) for one in part.materials)
+        pulled = replace(part.analysis, gravity=(0.0, 0.0, -9.81))
+        part = replace(part, materials=heavy, analysis=pulled)
+    built = Solver(part)
+    monkeypatch.setattr(MultifrontalFactor, "__init__", counted)
+    built.solve(PLATE_WRENCH, start=near)
+    assert len(before) > 2
+    assert not any(before)
