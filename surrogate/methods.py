@@ -156,7 +156,8 @@ def choose(
     size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
     axes = _scores(errors, size)
     scores = {"kriging": _score(left, size)} | axes
-    if not axes:
+    if not axes or len(rows) <= 1 + rows.wrench.shape[1]:
+        # The axes' fitted compliance passes through so few rows, the left-out one too.
         return MethodChoice("kriging", "the axes have too few rows to leave one out", scores)
     if made.knows_errors and not _axes_tell_errors(composition):
         return MethodChoice(

@@ -24,6 +24,8 @@ MISSING = ", ".join(
 )
 """Peers that are not installed; they are no dependency of the tests."""
 
+LINEAR_TREND = 7  # rows, of which a linear trend of six loads needs more
+
 HOW = ".venv/bin/python -m pip install smt scikit-learn openturns"
 
 
@@ -59,7 +61,8 @@ def openturns_kriging(rows: Rows, scale: np.ndarray, asked: np.ndarray) -> np.nd
     for output in range(6):
         size = max(float(rows.displacement[:, output].std()), float(np.finfo(float).tiny))
         y = ot.Sample((rows.displacement[:, output : output + 1] / size).tolist())
-        basis, kernel = ot.LinearBasisFactory(6).build(), ot.MaternModel([1.0] * 6, 2.5)
+        trend = ot.LinearBasisFactory if len(rows) > LINEAR_TREND else ot.ConstantBasisFactory
+        basis, kernel = trend(6).build(), ot.MaternModel([1.0] * 6, 2.5)
         fit = ot.GaussianProcessFitter(x, y, kernel, basis)
         fit.run()
         one = ot.GaussianProcessRegression(fit.getResult())
@@ -94,7 +97,8 @@ def smt_kriging(
                 slope = rows.compliance[:, output, load] * scale[load] / size[output]
                 one.set_training_derivatives(x, slope[:, None], load)
         else:
-            one = KRG(theta0=[1e-2], corr="matern52", poly="linear", print_global=False)
+            trend = "linear" if len(rows) > LINEAR_TREND else "constant"
+            one = KRG(theta0=[1e-2], corr="matern52", poly=trend, print_global=False)
         one.set_training_values(x, rows.displacement[:, output : output + 1] / size[output])
         with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what it warns of while it searches is its own affair
