@@ -143,28 +143,28 @@ def calibrate(
         Of the mean, that single rows settle too.
     """
     typical, enough = np.median(sigma_of_queries), np.quantile(sigma_of_queries, settings.enough)
-    sigma, factors, reach, resembles = [], [], 0.0, False
-    most, least = np.zeros(1), settings.half_width
+    sigma, found, reach, resembles = [], [], 0.0, False
+    least = np.full(outputs, settings.half_width)
     for level in levels:
         middle = float(np.median(level.sigma))
-        if middle >= settings.resembling * typical:
-            least = 0.0  # these rows are as far away as queries: their errors decide
-        found = _factors(level, coefficients if not sigma else 0.0, settings, sure=not resembles)
-        if found is None:
+        own = _factors(level, coefficients if not sigma else 0.0, settings, sure=not resembles)
+        if own is None:
             break
-        resembles |= middle >= settings.resembling * typical
-        most = np.maximum(most, np.maximum(found, least))
+        if middle >= settings.resembling * typical and not resembles:
+            resembles = True  # these rows are as far away as queries: their errors decide
+            least = np.minimum(least, own)
         reach = max(reach, float(np.quantile(level.sigma, settings.far)))
         if sigma and middle <= APART * sigma[-1]:
-            factors[-1] = most
+            found[-1] = np.maximum(found[-1], own)
         else:
             sigma.append(middle)
-            factors.append(most)
+            found.append(own)
         if reach >= enough and resembles:
             break
     if not sigma or sigma[-1] < settings.barely_resembling * typical:
         return Calibration.unknown(outputs, settings)
-    return Calibration(np.array(sigma), np.array(factors), reach)
+    factors = np.maximum.accumulate(np.maximum(found, least), axis=0)
+    return Calibration(np.array(sigma), factors, reach)
 
 
 def _factors(
