@@ -143,28 +143,28 @@ def calibrate(
         Of the mean, that single rows settle too.
     """
     typical, enough = np.median(sigma_of_queries), np.quantile(sigma_of_queries, settings.enough)
-    sigma, found, reach, resembles = [], [], 0.0, False
-    least = np.full(outputs, settings.half_width)
+    sigma, factors, reach, resembles = [], [], 0.0, False
+    most, least = np.zeros(1), settings.half_width
     for level in levels:
         middle = float(np.median(level.sigma))
-        own = _factors(level, coefficients if not sigma else 0.0, settings, sure=not resembles)
-        if own is None:
+        if middle >= settings.resembling * typical:
+            least = 0.0  # these rows are as far away as queries: their errors decide
+        found = _factors(level, coefficients if not sigma else 0.0, settings, sure=not resembles)
+        if found is None:
             break
-        if middle >= settings.resembling * typical and not resembles:
-            resembles = True  # these rows are as far away as queries: their errors decide
-            least = np.minimum(least, own)
+        resembles |= middle >= settings.resembling * typical
+        most = np.maximum(most, np.maximum(found, least))
         reach = max(reach, float(np.quantile(level.sigma, settings.far)))
         if sigma and middle <= APART * sigma[-1]:
-            found[-1] = np.maximum(found[-1], own)
+            factors[-1] = most
         else:
             sigma.append(middle)
-            found.append(own)
+            factors.append(most)
         if reach >= enough and resembles:
             break
     if not sigma or sigma[-1] < settings.barely_resembling * typical:
         return Calibration.unknown(outputs, settings)
-    factors = np.maximum.accumulate(np.maximum(found, least), axis=0)
-    return Calibration(np.array(sigma), factors, reach)
+    return Calibration(np.array(sigma), np.array(factors), reach)
 
 
 def _factors(

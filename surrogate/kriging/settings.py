@@ -98,9 +98,9 @@ class KrigingSettings:
     # A level resembles queries if the median deviation of its left-out rows is 0.6 of that at
     # random wrenches: left-out rows are the others' distance apart, wrenches lie between. Where no
     # level has half of it, errors are not known. Below the first level that resembles it, factors
-    # are at least that level's, or the normal 1.96 if that is less: rows along a motion predict each
-    # other far better than what lies off the motion (with 60 of `plate_thin` 31 to 48 % of the
-    # covered were outside). From it on left-out rows are like queries, and their errors decide.
+    # are at least the normal 1.96: rows along a motion predict each other far better than what lies
+    # beside the motion (with 60 of `plate_thin` 31 to 48 % of the covered were outside). From it on
+    # left-out rows are like queries, and their errors decide.
     resembling: float = 0.6
     barely_resembling: float = 0.5
     # The quantile of left-out deviations beyond which errors are not known, and that of the
