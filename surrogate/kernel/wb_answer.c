@@ -4,6 +4,9 @@
 #include <math.h>
 #include <string.h>
 
+/* Bytes: 60 rows with second derivatives take 12 % longer with a scratch 16 bytes off a line. */
+enum { CACHE_LINE = 64 };
+
 static const double ROUNDING = 1e-12; /* of an answer's size: methods/linear.py */
 
 /* numpy's maximum: what is not a number wins. */
@@ -11,7 +14,7 @@ static double larger(double a, double b) { return isnan(a) || a > b ? a : b; }
 
 wb_work wb_work_of(const wb_table *t, void *scratch) {
     size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride, e = (size_t)t->most_padded;
-    double *all = scratch;
+    double *all = (double *)(((uintptr_t)scratch + CACHE_LINE - 1) & ~(uintptr_t)(CACHE_LINE - 1));
     wb_work work;
     work.apart = all, all += n * stride;
     work.flat = all, all += (size_t)t->most_flat;
@@ -26,7 +29,7 @@ wb_work wb_work_of(const wb_table *t, void *scratch) {
 size_t wb_scratch(const wb_table *t) {
     size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride;
     size_t rows = stride * (n + 2 + 3 * (size_t)t->most_terms) + (size_t)t->most_flat;
-    return (rows + 2 * (size_t)t->most_padded + 1) * sizeof(double);
+    return (rows + 2 * (size_t)t->most_padded) * sizeof(double) + CACHE_LINE;
 }
 
 wb_reason *wb_add_reason(wb_found *a, int code) {

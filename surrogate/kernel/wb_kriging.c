@@ -95,8 +95,8 @@ WB_VECTORS static int nearest(const wb_kriging *k, const wb_share *share, int in
 }
 
 /* Add slopes' part of one term's covariances: `second` is -2 times its derivative by q. */
-WB_VECTORS static void add_slopes(const double *term, int inputs, const double *restrict apart, int stride,
-                       const double *restrict second, double *restrict flat) {
+static inline void add_slopes(const double *term, int inputs, const double *restrict apart, int stride,
+                              const double *restrict second, double *restrict flat) {
     for (int a = 0; a < inputs; a++) {
         const double *restrict from = apart + (int64_t)a * stride;
         double *restrict out = flat + (int64_t)(1 + a) * stride, rate = term[a];
@@ -300,22 +300,30 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
     }
 }
 
-/* One term's correlation: its derivatives by the squared distance, two or, of 9/2, three. */
-WB_VECTORS static void bend(const double *term, int inputs, const double *restrict apart, int stride, int bent,
-                 double *restrict first, double *restrict second, double *restrict third) {
+/* One term's correlation: its two derivatives by the squared distance. */
+WB_VECTORS static void bend(const double *term, int inputs, const double *restrict apart, int stride,
+                 double *restrict first, double *restrict second) {
     double weight = term[inputs];
     memset(first, 0, (size_t)stride * sizeof(double));
     add_distances(term, inputs, apart, stride, first);
-    for (int row = 0; bent && row < stride; row++) {
+    for (int row = 0; row < stride; row++) {
+        double a = sqrt(7.0 * first[row]), decay = decay_of(a) * weight;
+        first[row] = -0.7 * (1 + a + a * a * (1.0 / 3)) * decay;
+        second[row] = 49.0 / 60 * (1 + a) * decay;
+    }
+}
+
+/* The same of 9/2, with the third one. */
+WB_VECTORS static void bend_bent(const double *term, int inputs, const double *restrict apart, int stride,
+                      double *restrict first, double *restrict second, double *restrict third) {
+    double weight = term[inputs];
+    memset(first, 0, (size_t)stride * sizeof(double));
+    add_distances(term, inputs, apart, stride, first);
+    for (int row = 0; row < stride; row++) {
         double a = sqrt(9.0 * first[row]), decay = decay_of(a) * weight;
         first[row] = -9.0 / 14 * (1 + a + 0.4 * a * a + a * a * a * (1.0 / 15)) * decay;
         second[row] = 81.0 / 140 * (1 + a + a * a * (1.0 / 3)) * decay;
         third[row] = -243.0 / 280 * (1 + a) * decay;
-    }
-    for (int row = 0; !bent && row < stride; row++) {
-        double a = sqrt(7.0 * first[row]), decay = decay_of(a) * weight;
-        first[row] = -0.7 * (1 + a + a * a * (1.0 / 3)) * decay;
-        second[row] = 49.0 / 60 * (1 + a) * decay;
     }
 }
 
@@ -379,23 +387,25 @@ WB_VECTORS static void add_bent_slope(const double *term, int inputs, const doub
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative) {
     int n = t->inputs, m = t->outputs, count = k->readings * k->stride;
+    int wide = k->bent ? 3 : 2; /* derivatives of a term */
     double at[WB_MOST];
     scale_loads(k, n, wrench, at, work->apart);
     for (int term = 0; term < k->terms; term++) {
-        double *first = work->wide + (int64_t)3 * term * k->stride;
-        bend(k->term + (n + 1) * term, n, work->apart, k->stride, k->bent, first,
-             first + k->stride, first + (int64_t)2 * k->stride);
+        const double *own = k->term + (n + 1) * term;
+        double *first = work->wide + (int64_t)wide * term * k->stride, *second = first + k->stride;
+        if (k->bent) bend_bent(own, n, work->apart, k->stride, first, second, second + k->stride);
+        else bend(own, n, work->apart, k->stride, first, second);
     }
     for (int a = 0; a < n; a++) {
         memset(work->flat, 0, (size_t)count * sizeof(double));
         for (int term = 0; term < k->terms; term++) {
             const double *own = k->term + (n + 1) * term;
-            const double *first = work->wide + (int64_t)3 * term * k->stride;
-            const double *second = first + k->stride, *third = second + k->stride;
+            const double *first = work->wide + (int64_t)wide * term * k->stride;
+            const double *second = first + k->stride;
             add_slope(own, n, work->apart, k->stride, first, second, a, work->flat);
             if (k->bent)
-                add_bent_slope(own, n, work->apart, k->stride, second, third, a, work->first,
-                               work->flat);
+                add_bent_slope(own, n, work->apart, k->stride, second, second + k->stride, a,
+                               work->first, work->flat);
         }
         for (int q = 0; q < m; q++) {
             double slope = product(work->flat, k->weights + (int64_t)q * count, count);

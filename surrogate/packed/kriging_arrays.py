@@ -28,22 +28,21 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
 
     With n loads, m outputs, r rows padded to s, and t terms of the covariance: ``x`` (n, s), scaled
     loads; ``terms`` (t, n + 1), inverse squared lengths and weight; ``rates`` (n), inverse squared
-    lengths of the distance between rows; ``weights`` (m, p s), of the p readings of the rows:
-    values, slopes by one load after another and, where rows bring them, second derivatives by one
-    pair of loads after another; ``smoothness`` (1), of Matern smoothness + 1/2, only where rows
-    bring these: else it is 3; ``coefficients`` (n + 1, m), the mean; ``centre``, ``rate`` (n), of
-    the scaled loads, 1/N and 1/(N·m); ``offset``, ``spread`` (m), m and rad; ``deviation``
-    (m), the process', m and rad; ``lost`` (m), what sums lose to rounding, m and rad; ``floor``
-    (1), the least error over an answer's size; ``tangent`` (m, n), SI, added to the derivative;
-    ``span`` and ``span_loads`` (2, n), the ends, scaled and in N and N·m, between which errors are
-    known; ``shares`` (1), how many factors there are.
+    lengths of the distance between rows; ``weights`` (m, p s), of the rows' values, slopes by one
+    load after another and, where rows bring them, second derivatives by one pair after another;
+    ``smoothness`` (1), of Matern smoothness + 1/2, where rows bring these, else it is 3;
+    ``coefficients`` (n + 1, m), the mean; ``centre``, ``rate`` (n), of the scaled loads, 1/N and
+    1/(N·m); ``offset``, ``spread`` (m), m and rad; ``deviation`` (m), the process', m and rad;
+    ``lost`` (m), what sums lose to rounding, m and rad; ``floor`` (1), the least error over an
+    answer's size; ``tangent`` (m, n), SI, added to the derivative; ``span`` and ``span_loads``
+    (2, n), the ends, scaled and in N and N·m, between which errors are known; ``shares`` (1), how
+    many factors there are.
     """
     inside, scaling = kriging.inside, kriging.scaling
     rows = len(inside.equations)
     stride = -(-rows // LANES) * LANES
     rates, weights = inside.hyperparameters.terms
-    x = np.zeros((inside.equations.x.shape[1], stride))
-    x[:, :rows] = inside.equations.x.T
+    x = np.pad(inside.equations.x.T, ((0, 0), (0, stride - rows)))
     weights_by_place = np.zeros((*inside.weights.shape[:0:-1], stride))
     weights_by_place[:, :, :rows] = inside.weights.transpose(2, 1, 0)
     yield "x", x
