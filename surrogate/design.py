@@ -41,6 +41,8 @@ AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
 # and errors stay the same.
 EVENLY = 4
 FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
+# Candidates chosen between two looks at the bars that they will leave: a look costs as much.
+BETWEEN_LOOKS = 3
 LOOKED_AT = 16  # candidates computed anew at once: the largest is nearly always among the first few
 
 # Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
@@ -260,6 +262,10 @@ class _Refinement:
             reason += estimate_of_solves(self.surrogate, worst, self._worst_of, budget)
         return Design(self._chosen(budget), "refine", reason)
 
+    def _met(self, losses: Floats) -> bool:
+        """Return whether bars over what is allowed, (n,), are within the tolerance, if any."""
+        return self.tolerance is not None and float((losses <= 1.0).mean()) >= ENOUGH
+
     def _worst_of(self, surrogate: Surrogate) -> float:
         """Return the error over what is allowed that 95 % of a sample have by another table."""
         assert surrogate.kriging is not None
@@ -270,8 +276,9 @@ class _Refinement:
     def _chosen(self, budget: int) -> Floats:
         """Return at most `budget` candidates, shape (k, 6), N and N·m.
 
-        Solved wrenches only ever lower a bar, so a candidate computed before some were chosen is at
-        most what it was: only those that may still be the largest are computed anew (Minoux 1978).
+        Fewer where these will leave bars within the tolerance. Solved wrenches only ever lower a
+        bar, so a candidate computed before some were chosen is at most what it was: only those that
+        may still be the largest are computed anew (Minoux 1978).
         """
         candidates = self.known.new(_candidates(self.surrogate, self.span))
         losses, pending = self._losses(candidates), self.known.pending
@@ -280,7 +287,15 @@ class _Refinement:
             losses = own[:, self.outputs].max(axis=1)
         left = losses * self._left(pending, candidates)
         before, start = len(self.surrogate.used) + len(pending), len(pending)
-        while len(pending) - start < min(budget, len(candidates)):
+        sample = spread_wrenches(self.span, SAMPLE)
+        now = self._losses(sample)
+        while (count := len(pending) - start) < min(budget, len(candidates)):
+            if (
+                count
+                and count % BETWEEN_LOOKS == 0
+                and self._met(now * self._left(pending, sample))
+            ):
+                break
             number = before + len(pending) - start
             even = spread_wrenches(self.span, 1, FAR + number // EVENLY)
             fresh = self.known.new(even) if number % EVENLY == 0 else even[:0]
