@@ -12,7 +12,7 @@ from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.packing import packed_of as pack
 
 
-@pytest.fixture(scope="module", params=SPACES.values(), ids=SPACES)
+@pytest.fixture(scope="module", params=SPACES.values(), ids=list(SPACES))
 def made(request):
     """A table, its packed form and wrenches."""
     load_range = range_of(request.param)
