@@ -42,6 +42,7 @@ OTHERS = frozenset(
         "SOAK_SEEDS",
         "PARDISO",
         "BENCH_ROUNDS",
+        "BENCH_UNKNOWNS",
         "MEMORY_MARGIN",
         "WORKER_FOLDER",
     ]

@@ -15,7 +15,7 @@ SCENE = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbod
 </worldbody></mujoco>"""
 SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
 ALL, GUIDED = SLIDES + '<joint type="ball"/>', '<joint type="slide"/><joint/>'
-SOLVES = 12
+SOLVES = 15  # of `plate_thin`: with 12 its errors are not known
 AT_REST_S = 6.0  # of simulated time, with a quarter of critical damping
 
 

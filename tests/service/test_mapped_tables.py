@@ -272,12 +272,7 @@ def test_a_damaged_file_is_told_and_the_version_before_goes_on(both, tmp_path):
     reader.add("new", 4)
     assert reader.tables.catch_up("new", 20)
     (tmp_path / "tables" / "new-999.wbt").write_bytes(b"nonsense")
-    waiting = threading.Event()
-    for _ in range(500):
-        if reader.tables.faults():
-            break
-        waiting.wait(0.02)
-    assert "packed table" in reader.tables.faults()["new"]
+    assert "packed table" in until(lambda: reader.tables.faults().get("new"))
     assert len(reader.tables.surrogate("new").rows) == 4
 
 
