@@ -4,7 +4,8 @@
 
 #include "wb_internal.h"
 
-#define WB_FORMAT 2u /* files of format 1 have no second derivatives; else they are the same */
+/* Files of format 1 have no second derivatives, those of 2 one covariance; else they are the same. */
+#define WB_FORMAT 3u
 #define WB_OLDEST_FORMAT 1u
 enum { WB_CHECKED = 24, WB_NAME = 64 }; /* the checksum is of what follows it */
 

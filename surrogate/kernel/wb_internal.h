@@ -65,8 +65,10 @@ typedef struct {
     const wb_fit *fit;
 } wb_composition;
 
-/* The neighbourhoods that give sigma for the outputs of one factor. */
+/* What answers the outputs of one factor: their covariance, and the neighbourhoods that give sigma.
+ * Shares of the same covariance follow each other and point to the same `term`. */
 typedef struct {
+    const double *term, *rates; /* the kriging's, or their own */
     int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
     int64_t count, levels;
     const int32_t *outputs, *number, *places;

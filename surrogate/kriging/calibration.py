@@ -25,7 +25,7 @@ from ..table.axes import CLEAN, has_levels
 from ..table.rows import Floats, LoadRange
 from ..table.space import Space
 from ..table.spread import spread_wrenches
-from .correlation import Hyperparameters, block, numbers
+from .correlation import block, numbers
 from .equations import Equations, Scaling
 from .left_out import left_out
 from .neighbourhood import (
@@ -259,7 +259,6 @@ def _typical_places(
 
 def calibrated(
     equations: Equations,
-    hyperparameters: Hyperparameters,
     spread: Neighbourhoods,
     table: Floats,
     scaling: Scaling,
@@ -278,15 +277,15 @@ def calibrated(
     rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(own))
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
     rows = rows[np.unique(chosen.round().astype(np.intp))]
+    hyperparameters = spread.factor.hyperparameters
     levels = (
         level
         for labels in groupings(own.x * np.sqrt(hyperparameters.inverse_squares), settings)
-        if (level := _level(equations, hyperparameters, spread, table, labels, rows, settings))
-        is not None
+        if (level := _level(equations, spread, table, labels, rows, settings)) is not None
     )
     queries = _typical_places(span, full, scaling.space, settings)
     across = block(queries, equations.x, hyperparameters, 1, equations.places)
-    sigma = deviations(queries, across.reshape(len(queries), -1), hyperparameters, spread)
+    sigma = deviations(queries, across.reshape(len(queries), -1), spread)
     # The mean's coefficients, which all rows settle: these in proportion.
     coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
     return calibrate(levels, outputs, sigma, coefficients, settings)
@@ -294,7 +293,6 @@ def calibrated(
 
 def _level(
     equations: Equations,
-    hyperparameters: Hyperparameters,
     spread: Neighbourhoods,
     table: Floats,
     labels: NDArray[np.intp],
@@ -305,7 +303,7 @@ def _level(
 
     Errors are of the whole factor; sigma, as in answers, of the nearest row's neighbourhood.
     """
-    factor, prior = spread.factor, float(hyperparameters.prior(1)[0])
+    factor, prior = spread.factor, float(spread.factor.hyperparameters.prior(1)[0])
     if len(np.unique(labels)) < 2:
         return None
     out = left_out(equations, factor, labels)
@@ -314,8 +312,7 @@ def _level(
     squared = np.full(len(rows), np.nan)
     lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
     for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
-        how = members, factor.nugget, settings, table
-        local = local_factor(equations, noise, hyperparameters, *how)
+        local = local_factor(equations, factor, members, table, settings)
         columns = number[members][neighbours_known(equations, members, settings.deviation_bent)]
         found = local.squared_deviation(
             table[np.ix_(number[row, :1], columns)],

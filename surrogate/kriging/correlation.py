@@ -36,9 +36,9 @@ SLOPES_SMOOTHNESS, SECOND_SMOOTHNESS = 3, 4
 NUMBERS = 4_000_000  # of derivatives of pairs of rows at once: 32 MB
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hyperparameters:
-    """What the likelihood settles, one set for all outputs.
+    """What the likelihood settles: one set for all outputs, or of one output its own.
 
     Attributes
     ----------
@@ -90,11 +90,12 @@ class Hyperparameters:
 
     @cached_property
     def _prior(self) -> Floats:
-        loads = self.groups.shape[1]
-        count = places_of(loads, 2)
-        at_rest = derivatives(np.zeros((1, loads)), self, 4)[0]
-        joined, sign = joins(loads, count, count)
-        return np.diag(at_rest[joined] * sign)
+        """At q = 0: -2 t_a m' of slopes, 4 t_a t_b m'' of second derivatives, thrice if a = b."""
+        (rates, weights), loads = self.terms, self.groups.shape[1]
+        value, once, twice = (one[0] for one in matern(np.zeros(1), 2, self.smoothness))
+        pairs = 4 * twice * (1 + 2 * np.eye(loads)) * ((weights * rates.T) @ rates)
+        slopes = -2 * once * weights @ rates
+        return np.concatenate(([value * weights.sum()], slopes, pairs[np.triu_indices(loads)]))
 
 
 def places_of(loads: int, order: int) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +37,8 @@ class Dense:
     Attributes
     ----------
     equations : Equations
-    hyperparameters : Hyperparameters
     shares : tuple of Neighbourhoods
-    weights : ndarray, shape (n, 7, 6), spreads
+    weights : ndarray, shape (n, p, 6), spreads
     coefficients : ndarray, shape (7, 6), spreads
     deviation : ndarray, shape (6,), spreads
         Process standard deviation.
@@ -54,7 +53,6 @@ class Dense:
     """
 
     equations: Equations
-    hyperparameters: Hyperparameters
     shares: tuple[Neighbourhoods, ...]
     weights: Floats
     coefficients: Floats
@@ -69,34 +67,66 @@ class Dense:
 
         Errors are 95 % error bars; where they are not known, some answers err by more.
         """
-        across = block(x, self.equations.x, self.hyperparameters, 1, self.equations.places)
-        across = across.reshape(len(x), -1)
-        values = row_by_row(across, self.weights.reshape(-1, self.weights.shape[2]))
-        values += self.coefficients[0] + row_by_row(x, self.coefficients[1:])
-        errors, known = np.empty_like(values), np.empty(values.shape, dtype=bool)
-        for share, found in zip(self.shares, self.calibrations, strict=True):
-            sigma, outputs = (
-                deviations(x, across, self.hyperparameters, share),
-                share.factor.outputs,
-            )
-            errors[:, outputs] = sigma[:, None] * found.at(sigma) * self.deviation[outputs]
-            known[:, outputs] = (sigma <= found.reach)[:, None]
+        values, errors = np.empty((2, len(x), self.weights.shape[2]))
+        known = np.empty(values.shape, dtype=bool)
+        for hyperparameters, shares in self._by_hyperparameters().items():
+            across = block(x, self.equations.x, hyperparameters, 1, self.equations.places)
+            across = across.reshape(len(x), -1)
+            outputs, weights = self._weights(shares)
+            values[:, outputs] = row_by_row(across, weights) + self.coefficients[0, outputs]
+            values[:, outputs] += row_by_row(x, self.coefficients[1:, outputs])
+            for place in shares:
+                share, found = self.shares[place], self.calibrations[place]
+                sigma, own = deviations(x, across, share), share.factor.outputs
+                errors[:, own] = sigma[:, None] * found.at(sigma) * self.deviation[own]
+                known[:, own] = (sigma <= found.reach)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
         return values, errors, known
+
+    def outputs_without_errors(self) -> set[int]:
+        """Return the outputs of whose errors left-out rows do not show how large they are."""
+        pairs = zip(self.shares, self.calibrations, strict=True)
+        return {int(one) for share, own in pairs if not own.known for one in share.factor.outputs}
 
     def slopes(self, x: Floats) -> Floats:
         """Return the derivatives of the values by the loads at places (m, 6), shape (m, 6, 6)."""
         places = 1 + self.equations.loads, self.equations.places
-        across = block(x, self.equations.x, self.hyperparameters, *places)[:, 1:]
-        slopes = across.reshape(*x.shape, -1) @ self.weights.reshape(-1, self.weights.shape[2])
-        return (slopes + self.coefficients[1:]).transpose(0, 2, 1)
+        slopes = np.empty((len(x), self.weights.shape[2], x.shape[1]))
+        for hyperparameters, shares in self._by_hyperparameters().items():
+            across = block(x, self.equations.x, hyperparameters, *places)[:, 1:]
+            outputs, weights = self._weights(shares)
+            found = across.reshape(*x.shape, -1) @ weights + self.coefficients[1:, outputs]
+            slopes[:, outputs] = found.transpose(0, 2, 1)
+        return slopes
+
+    def _by_hyperparameters(self) -> dict[Hyperparameters, list[int]]:
+        """Return which of the shares each set of hyperparameters is of."""
+        found: dict[Hyperparameters, list[int]] = {}
+        for place, share in enumerate(self.shares):
+            found.setdefault(share.factor.hyperparameters, []).append(place)
+        return found
+
+    def _weights(self, shares: list[int]) -> tuple[NDArray[np.intp], Floats]:
+        """Return the outputs (k,) of some shares and their weights (n p, k), spreads."""
+        outputs = np.sort(np.concatenate([self.shares[one].factor.outputs for one in shares]))
+        return outputs, self.weights[:, :, outputs].reshape(-1, len(outputs))
 
     def sigmas_with(self, pending: Floats, x: Floats) -> Floats:
-        """Return sigma at places (m, 6) over what it will be once others are solved, shape (m,).
+        """Return sigma at places (m, 6) over what it will be once others are solved, (m, 6).
 
-        The ratio, below 1, is of the whole factor of the outputs that most rows tell.
+        The ratio, below 1, is that of the factor that most rows tell of those of the same
+        hyperparameters.
         """
-        factor = max((share.factor for share in self.shares), key=lambda own: len(own.rows))
+        ratios = np.empty((len(x), self.weights.shape[2]))
+        for shares in self._by_hyperparameters().values():
+            factors = [self.shares[place].factor for place in shares]
+            largest = max(factors, key=lambda own: len(own.rows))
+            ratios[:, self._weights(shares)[0]] = self._sigmas_with(largest, pending, x)[:, None]
+        return ratios
+
+    def _sigmas_with(self, factor: KrigingFactor, pending: Floats, x: Floats) -> Floats:
+        """Return the ratio of one factor, shape (m,)."""
+        held = factor.hyperparameters
         known = np.zeros((len(pending), self.equations.places), dtype=bool)
         known[:, 0] = True
         known[:, 1:] = self.equations.known[:, 1:].any(axis=0)
@@ -104,13 +134,13 @@ class Dense:
         value[:, 0] = True
         new, new_left = self._unexplained(factor, pending, known)
         here, here_left = self._unexplained(factor, x, value)
-        within = covariance(pending, known, pending, known, self.hyperparameters) - new @ new.T
+        within = covariance(pending, known, pending, known, held) - new @ new.T
         within += new_left @ factor.mean_covariance @ new_left.T
-        prior = np.tile(self.hyperparameters.prior(known.shape[1]), (len(pending), 1))[known]
+        prior = np.tile(held.prior(known.shape[1]), (len(pending), 1))[known]
         within[np.diag_indices_from(within)] += factor.nugget * prior
-        between = covariance(x, value, pending, known, self.hyperparameters) - here @ new.T
+        between = covariance(x, value, pending, known, held) - here @ new.T
         between += here_left @ factor.mean_covariance @ new_left.T
-        before = float(self.hyperparameters.prior(1)[0]) - np.einsum("me,me->m", here, here)
+        before = float(held.prior(1)[0]) - np.einsum("me,me->m", here, here)
         loose = np.einsum("ma,ab,mb->m", here_left, factor.mean_covariance, here_left)
         before = np.maximum(before, factor.nugget) + loose
         won = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
@@ -119,14 +149,13 @@ class Dense:
     def _unexplained(self, factor: KrigingFactor, x: Floats, known: Mask) -> tuple[Floats, Floats]:
         """Return T times the covariance with places, and of the mean's terms what rows leave."""
         own = self.equations.take(factor.rows)
-        reduced = covariance(x, known, own.x, own.known, self.hyperparameters) @ factor.T.T
+        reduced = covariance(x, known, own.x, own.known, factor.hyperparameters) @ factor.T.T
         return reduced, mean_terms(x, known) - reduced @ factor.TF
 
 
 def dense(
     equations: Equations,
-    hyperparameters: Hyperparameters,
-    shares: list[Share],
+    shares: list[tuple[Hyperparameters, Share]],
     scaling: Scaling,
     settings: KrigingSettings = DEFAULTS,
 ) -> Dense:
@@ -134,35 +163,35 @@ def dense(
 
     Parameters
     ----------
+    shares : list of (Hyperparameters, Share)
+        Those of the same hyperparameters stand together.
     scaling : Scaling
         Tells which loads take part and where no load is.
     """
-    table = covariance(equations.x, equations.known, equations.x, equations.known, hyperparameters)
-    spreads = []
-    for share in shares:
+    x, known, span = equations.x, equations.known, span_of(equations, scaling, settings)
+    weights, errors = np.zeros(equations.data.shape), np.full(equations.measured.shape, np.nan)
+    coefficients = np.empty((1 + equations.loads, equations.data.shape[2]))
+    deviation, rounding = np.empty((2, equations.data.shape[2]))
+    spreads: list[Neighbourhoods] = []
+    calibrations: list[Calibration] = []
+    table = np.empty((0, 0))
+    # Errors are known where those of all outputs are, and each set has other distances.
+    whole = replace(settings, enough=1 - (1 - settings.enough) / len(dict(shares)))
+    for hyperparameters, share in shares:
+        if not spreads or hyperparameters is not spreads[-1].factor.hyperparameters:
+            table = covariance(x, known, x, known, hyperparameters)
         factor = factorise(equations, hyperparameters, *share, settings, table)
-        spreads.append(neighbourhoods_of(equations, hyperparameters, factor, table, settings))
-    weights, coefficients, deviation = _together(equations, [own.factor for own in spreads])
-    errors = np.full(equations.measured.shape, np.nan)
-    for own in spreads:
-        alone = left_out(equations, own.factor, np.arange(len(own.factor.rows)))
-        errors[np.ix_(own.factor.rows, own.factor.outputs)] = alone.errors
-    span = span_of(equations, scaling, settings)
-    return Dense(
-        equations,
-        hyperparameters,
-        tuple(spreads),
-        weights,
-        coefficients,
-        deviation,
-        rounding_of(equations, table, weights),
-        errors,
-        tuple(
-            calibrated(equations, hyperparameters, own, table, scaling, span, settings)
-            for own in spreads
-        ),
-        span,
-    )
+        own, outputs = neighbourhoods_of(equations, factor, table, settings), factor.outputs
+        weights[:, :, outputs] = _of_all_rows(equations, factor)
+        coefficients[:, outputs] = factor.coefficients
+        deviation[outputs] = np.sqrt(factor.variance)
+        rounding[outputs] = rounding_of(equations, table, weights[:, :, outputs])
+        alone = left_out(equations, factor, np.arange(len(factor.rows)))
+        errors[np.ix_(factor.rows, outputs)] = alone.errors
+        spreads.append(own)
+        calibrations.append(calibrated(equations, own, table, scaling, span, whole))
+    parts = weights, coefficients, deviation, rounding, errors
+    return Dense(equations, tuple(spreads), *parts, tuple(calibrations), span)
 
 
 def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> Floats:
@@ -178,22 +207,17 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
 
 
-def _together(equations: Equations, factors: list[KrigingFactor]) -> tuple[Floats, Floats, Floats]:
-    """Return weights (n, 7, 6), coefficients (7, 6) and process deviations (6,) of all outputs."""
-    weights = np.zeros(equations.data.shape)
-    coefficients = np.empty((1 + equations.loads, equations.data.shape[2]))
-    deviation = np.empty(equations.data.shape[2])
-    for factor in factors:
-        own = equations.known & np.isin(np.arange(len(equations)), factor.rows)[:, None]
-        for column, output in enumerate(factor.outputs):
-            weights[own, output] = factor.weights[:, column]
-        coefficients[:, factor.outputs] = factor.coefficients
-        deviation[factor.outputs] = np.sqrt(factor.variance)
-    return weights, coefficients, deviation
+def _of_all_rows(equations: Equations, factor: KrigingFactor) -> Floats:
+    """Return a factor's weights among the readings of all rows, shape (n, p, k), spreads."""
+    weights = np.zeros((*equations.known.shape, len(factor.outputs)))
+    weights[equations.known & np.isin(np.arange(len(equations)), factor.rows)[:, None]] = (
+        factor.weights
+    )
+    return weights
 
 
 def rounding_of(equations: Equations, table: Floats, weights: Floats) -> Floats:
-    """Return what answers may lose to rounding, shape (6,), spreads: no error bar is smaller.
+    """Return what answers may lose to rounding, shape (k,), spreads: no error bar is smaller.
 
     Long length scales leave the covariance nearly singular, with weights up to 1e8 times their sum.
 
@@ -201,7 +225,7 @@ def rounding_of(equations: Equations, table: Floats, weights: Floats) -> Floats:
     ----------
     table : ndarray, shape (e, e), dimensionless
         The covariance of all e equations.
-    weights : ndarray, shape (n, 7, 6), spreads
+    weights : ndarray, shape (n, p, k), spreads
     """
     values = np.zeros_like(equations.known)
     values[:, 0] = True

@@ -8,6 +8,7 @@ defined where they do not.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,7 +40,10 @@ class Share(NamedTuple):
 
 
 def shares_of(
-    equations: Equations, variance: Floats, settings: KrigingSettings = DEFAULTS
+    equations: Equations,
+    variance: Floats,
+    settings: KrigingSettings = DEFAULTS,
+    alone: Collection[int] = (),
 ) -> list[Share]:
     """Return the outputs in groups that one factor answers.
 
@@ -48,12 +52,14 @@ def shares_of(
     variance : ndarray, shape (6,), dimensionless
         Process variance of each output, spreads squared: noise counts relative to it. Outputs whose
         relative noise differs by more than `like_noise` at some row get a factor each.
+    alone : collection of int, optional
+        Outputs that get a factor each in any case; theirs are the last ones.
     """
     noise = equations.noise / variance
     # Below the nugget noise changes nothing.
     size = np.log(np.maximum(noise, settings.nugget))
     groups: list[list[int]] = []
-    for output in range(noise.shape[1]):
+    for output in sorted(set(range(noise.shape[1])) - set(alone)):
         for group in groups:
             rows = equations.measured[:, group[0]]
             same = (rows == equations.measured[:, output]).all()
@@ -63,6 +69,7 @@ def shares_of(
                 break
         else:
             groups.append([output])
+    groups += [[output] for output in sorted(alone)]
     return [_share(equations, noise, np.array(group, dtype=np.intp)) for group in groups]
 
 
@@ -83,6 +90,7 @@ class KrigingFactor:
 
     Attributes
     ----------
+    hyperparameters : Hyperparameters
     outputs : ndarray of int, shape (k,)
         The outputs it answers.
     rows : ndarray of int, shape (r,)
@@ -105,6 +113,7 @@ class KrigingFactor:
         Process variance of each output, spreads squared.
     """
 
+    hyperparameters: Hyperparameters
     outputs: NDArray[np.intp]
     rows: NDArray[np.intp]
     noise: Floats
@@ -198,6 +207,7 @@ def factorise(
     coefficients = mean_covariance @ (TF.T @ Ty)
     remainder = Ty - TF @ coefficients
     return KrigingFactor(
+        hyperparameters=hyperparameters,
         outputs=outputs,
         rows=rows,
         noise=noise,

@@ -12,6 +12,7 @@ from ..table.rows import Floats, LoadRange, Rows
 from .correlation import Hyperparameters
 from .dense import Dense, dense
 from .equations import (
+    Equations,
     Readings,
     Scaling,
     TooFewRowsError,
@@ -22,7 +23,7 @@ from .equations import (
     scaling_of,
     within,
 )
-from .estimate import estimated, within_one_factor
+from .estimate import Estimate, estimated, within_one_factor
 from .factor import shares_of
 from .settings import DEFAULTS, KrigingSettings
 
@@ -43,6 +44,7 @@ class Kriging:
     settings : KrigingSettings
     scaling : Scaling
     hyperparameters : Hyperparameters
+        Of the outputs that have none of their own in `inside`.
     reading_variance : ndarray, shape (6,), spreads squared
         Of one reading whose uncertainty nobody stated.
     inside : Dense
@@ -110,17 +112,28 @@ class Kriging:
                 f"{len(equations)} rows bring {equations.count} equations, more than the "
                 f"{settings.dense_equations} that one factor holds"
             )
-        hyperparameters, noise_scale, variance = estimated(equations, scaling, settings)
-        noisy = equations.with_reading_noise(variance)
-        shares = shares_of(noisy, noise_scale, settings)
-        inside = dense(noisy, hyperparameters, shares, scaling, settings)
-        return cls(settings, scaling, hyperparameters, variance, inside, tangent)
+        found = estimated(equations, scaling, settings)
+        inside = _dense_of(equations, found, scaling, settings)
+        unknown = inside.outputs_without_errors()
+        if not unknown.isdisjoint(found.own):  # the common set may tell the errors of these
+            common = {output: own for output, own in found.own.items() if output not in unknown}
+            other = _dense_of(equations, found._replace(own=common), scaling, settings)
+            inside = inside if other.outputs_without_errors() else other
+        return cls(
+            settings, scaling, found.hyperparameters, found.reading_variance, inside, tangent
+        )
 
     @property
     def detail(self) -> str:
         """How it answers, in words."""
         rows, equations = len(self.inside.equations), self.inside.equations.count
-        return f"kriging, one factor over {rows} rows ({equations} equations)"
+        own = sum(
+            len(share.factor.outputs)
+            for share in self.inside.shares
+            if share.factor.hyperparameters is not self.hyperparameters
+        )
+        scales = f", length scales of their own for {own} outputs" if own else ""
+        return f"kriging, one factor over {rows} rows ({equations} equations){scales}"
 
     @property
     def reading(self) -> Floats:
@@ -131,7 +144,7 @@ class Kriging:
     @property
     def knows_errors(self) -> bool:
         """Whether left-out rows show how large errors are, of all outputs."""
-        return all(one.known for one in self.inside.calibrations)
+        return not self.inside.outputs_without_errors()
 
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
@@ -182,12 +195,24 @@ class Kriging:
             for part in self._chunks(len(at)):
                 bars[part] = self.inside.answers(places[part])[1] * spread
                 if len(pending):
-                    bars[part] *= self.inside.sigmas_with(others, places[part])[:, None]
+                    bars[part] *= self.inside.sigmas_with(others, places[part])
         return bars
 
     def left_out(self) -> Floats:
         """Return the errors (n, 6), m and rad, at rows left out; NaN where a row has no output."""
         return self.inside.errors * self.scaling.spread
+
+
+def _dense_of(
+    equations: Equations, found: Estimate, scaling: Scaling, settings: KrigingSettings
+) -> Dense:
+    """Return the dense kriging by an estimate."""
+    noisy = equations.with_reading_noise(found.reading_variance)
+    shares = [
+        (found.own.get(int(share.outputs[0]), found.hyperparameters), share)
+        for share in shares_of(noisy, found.noise_scale, settings, found.own)
+    ]
+    return dense(noisy, shares, scaling, settings)
 
 
 def one_thread() -> AbstractContextManager[object]:

@@ -1,4 +1,4 @@
-"""Maximum likelihood of the seven hyperparameters, with the process variances and mean profiled.
+"""Maximum likelihood of the hyperparameters, with the process variances and mean profiled.
 
 Half the negative logarithm of the likelihood is, for each output of e equations with covariance
 s^2 K and profiled s^2, (e log s^2 + log det K) / 2; its derivative by a parameter is
@@ -199,7 +199,7 @@ def maximise(
     settings: KrigingSettings = DEFAULTS,
 ) -> Hyperparameters:
     """Return the most likely hyperparameters, from two starts or from those before."""
-    starts, bounds = _starts(equations, before, settings), _bounds(equations, settings)
+    starts, bounds = _starts(equations, before, settings), bounds_of(equations, settings)
     found = _best(starts, bounds, equations, shares, settings)
     return _hyperparameters(found, equations)
 
@@ -214,7 +214,7 @@ def maximise_with_noise(
 
     All outputs are taken to have the same noise over their process variance here.
     """
-    bounds = [*_bounds(equations, settings), settings.ratio_bounds]
+    bounds = [*bounds_of(equations, settings), settings.ratio_bounds]
     starts = [
         np.append(start, settings.ratio_start) for start in _starts(equations, before, settings)
     ]
@@ -227,7 +227,8 @@ def _hyperparameters(logarithms: Floats, equations: Equations) -> Hyperparameter
     return Hyperparameters.of_logarithms(own, equations.groups, equations.smoothness)
 
 
-def _bounds(equations: Equations, settings: KrigingSettings) -> list[tuple[float, float]]:
+def bounds_of(equations: Equations, settings: KrigingSettings) -> list[tuple[float, float]]:
+    """Return the bounds of the hyperparameters' logarithms."""
     weights = [settings.weight_bounds] * equations.weights
     return [settings.theta_bounds] * equations.loads + weights
 
@@ -237,7 +238,7 @@ def _starts(
 ) -> list[Floats]:
     """Return where the search begins: the logarithms of the hyperparameters."""
     if before is not None:
-        return [np.clip(before.logarithms, *np.array(_bounds(equations, settings)).T)]
+        return [np.clip(before.logarithms, *np.array(bounds_of(equations, settings)).T)]
     weights = [0.0] * (equations.weights - 1) + [settings.weight_start]
     return [np.array([theta] * equations.loads + weights) for theta in settings.theta_starts]
 

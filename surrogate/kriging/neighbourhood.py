@@ -18,7 +18,6 @@ from ..table.rows import Floats
 from .correlation import (
     Hyperparameters,
     Mask,
-    covariance,
     mean_terms,
     numbers,
 )
@@ -187,33 +186,27 @@ def row_by_row(left: Floats, right: Floats) -> Floats:
 
 def local_factor(
     equations: Equations,
-    noise: Floats,
-    hyperparameters: Hyperparameters,
+    whole: KrigingFactor,
     members: Places,
-    nugget: float,
+    table: Floats,
     settings: KrigingSettings = DEFAULTS,
-    table: Floats | None = None,
 ) -> LocalFactor:
-    """Return the factor over some rows.
+    """Return the factor over some rows of a whole factor.
 
     Parameters
     ----------
-    noise : ndarray, shape (n,), dimensionless
-        Of every row of the table, over the process variance.
     members : ndarray of int, shape (k,)
-    table : ndarray, shape (a, a), dimensionless, optional
-        The covariance of all a equations of the table, where it is at hand.
+    table : ndarray, shape (a, a), dimensionless
+        The covariance of all a equations of the table.
     """
     known = neighbours_known(equations, members, settings.deviation_bent)
     own = replace(equations.take(members), known=known)
     places = (members[:, None] * own.places + np.arange(own.places))[own.known]
-    if table is None:
-        matrix = covariance(own.x, own.known, own.x, own.known, hyperparameters)
-    else:
-        equation = numbers(equations.known)[members][own.known]
-        matrix = table[np.ix_(equation, equation)]
+    equation = numbers(equations.known)[members][own.known]
+    matrix = table[np.ix_(equation, equation)]
+    hyperparameters, nugget = whole.hyperparameters, whole.nugget
     matrix[np.diag_indices_from(matrix)] += diagonal_added(
-        own, noise[members], nugget, hyperparameters
+        own, noise_of(equations, whole)[members], nugget, hyperparameters
     )
     prior = np.tile(hyperparameters.prior(own.places), (len(own), 1))[own.known]
     T, used = inverse_factor(matrix, nugget, settings.nugget_limit, prior)
@@ -238,15 +231,13 @@ class Neighbourhoods:
     around: tuple[LocalFactor, ...]
 
 
-def deviations(
-    x: Floats, across: Floats, hyperparameters: Hyperparameters, share: Neighbourhoods
-) -> Floats:
+def deviations(x: Floats, across: Floats, share: Neighbourhoods) -> Floats:
     """Return the posterior deviation (m,), process deviations, at places (m, 6), of one factor.
 
     `across` (m, 7 n) is the covariance of their values with all places of all rows.
     """
     terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
-    squared, prior = np.empty(len(x)), float(hyperparameters.prior(1)[0])
+    squared, prior = np.empty(len(x)), float(share.factor.hyperparameters.prior(1)[0])
     place = np.searchsorted(share.factor.rows, share.finder.nearest(x))
     for anchor in np.unique(place):
         queries, local = np.flatnonzero(place == anchor), share.around[anchor]
@@ -260,19 +251,14 @@ def deviations(
 
 
 def neighbourhoods_of(
-    equations: Equations,
-    hyperparameters: Hyperparameters,
-    factor: KrigingFactor,
-    table: Floats,
-    settings: KrigingSettings,
+    equations: Equations, factor: KrigingFactor, table: Floats, settings: KrigingSettings
 ) -> Neighbourhoods:
     """Return the neighbourhoods of a factor's rows."""
     equations_most = settings.deviation_solves * (1 + equations.loads)
     limits = settings.deviation_rows, equations_most, settings.deviation_bent
-    finder = Finder(equations, factor.rows, hyperparameters, limits)
-    noise = noise_of(equations, factor)
+    finder = Finder(equations, factor.rows, factor.hyperparameters, limits)
     around = tuple(
-        local_factor(equations, noise, hyperparameters, members, factor.nugget, settings, table)
+        local_factor(equations, factor, members, table, settings)
         for members in finder.members(equations.x[factor.rows])
     )
     return Neighbourhoods(factor, finder, around)

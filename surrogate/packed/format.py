@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC = b"\x89WBT\r\n\x1a\n"  # as PNG's: a transfer that changes line ends is noticed
-# Of files whose rows bring second derivatives, `SECOND`; others have the older one, which older
-# programs read, so that their downloads and models go on.
-FORMAT, OLDEST_FORMAT = 2, 1
-SECOND = "/smoothness"  # the end of an array's name that only format 2 has
+# A file has the oldest format that can hold it, which older programs read, so that their downloads
+# and models go on: by the ends of its arrays' names 2 where rows bring second derivatives, 3 where
+# outputs have length scales of their own.
+FORMAT, OLDEST_FORMAT = 3, 1
+NEWER = {"/smoothness": 2, "/own_terms": 3}
 SUFFIX = ".wbt"
 ALIGNED = 64  # bytes: a cache line
 CHECKED = 24  # bytes: the checksum is of what follows it
@@ -117,7 +118,8 @@ def pieces(arrays: Mapping[str, NDArray[Any]], words: Mapping[str, Any]) -> list
     head = head.ljust(_aligned(_HEADER.itemsize + len(head)) - _HEADER.itemsize, b"\0")
     text_at = _HEADER.itemsize + directory.nbytes
     header = np.zeros(1, dtype=_HEADER)
-    number = FORMAT if any(name.endswith(SECOND) for name in names) else OLDEST_FORMAT
+    newer = [NEWER[end] for end in NEWER if any(name.endswith(end) for name in names)]
+    number = max(newer, default=OLDEST_FORMAT)
     header[0] = (
         *(MAGIC, number, _BYTE_ORDER, 0, offset),
         *(_HEADER.itemsize, len(names), text_at, len(text) - 1),

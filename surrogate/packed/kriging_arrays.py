@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
+from ..kriging.correlation import Hyperparameters
 from ..kriging.neighbourhood import Neighbourhoods
 from ..table.rows import Floats
 
@@ -36,21 +37,21 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     ``lost`` (m), what sums lose to rounding, m and rad; ``floor`` (1), the least error over an
     answer's size; ``tangent`` (m, n), SI, added to the derivative; ``span`` and ``span_loads``
     (2, n), the ends, scaled and in N and N·m, between which errors are known; ``shares`` (1), how
-    many factors there are.
+    many factors there are. Where outputs have hyperparameters of their own, their factor has
+    ``own_terms`` and ``own_rates`` in the place of ``terms`` and ``rates``.
     """
     inside, scaling = kriging.inside, kriging.scaling
     rows = len(inside.equations)
     stride = -(-rows // LANES) * LANES
-    rates, weights = inside.hyperparameters.terms
     x = np.pad(inside.equations.x.T, ((0, 0), (0, stride - rows)))
     weights_by_place = np.zeros((*inside.weights.shape[:0:-1], stride))
     weights_by_place[:, :, :rows] = inside.weights.transpose(2, 1, 0)
     yield "x", x
-    yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
-    yield "rates", inside.hyperparameters.inverse_squares
+    yield "terms", _terms(kriging.hyperparameters)
+    yield "rates", kriging.hyperparameters.inverse_squares
     yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
     if inside.equations.places > 1 + len(x):
-        yield "smoothness", np.array([inside.hyperparameters.smoothness], dtype=np.int32)
+        yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)
     yield "coefficients", inside.coefficients
     yield "centre", scaling.centre
     yield "rate", np.where(scaling.active, 1 / scaling.half, 0.0)
@@ -68,6 +69,16 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
         arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
         for name, array in chain(*arrays):
             yield f"share{number}/{name}", array
+        own = share.factor.hyperparameters
+        if own is not kriging.hyperparameters:
+            yield f"share{number}/own_terms", _terms(own)
+            yield f"share{number}/own_rates", own.inverse_squares
+
+
+def _terms(hyperparameters: Hyperparameters) -> Floats:
+    """Return the inverse squared lengths and the weight of each term, (t, n + 1), dimensionless."""
+    rates, weights = hyperparameters.terms
+    return np.concatenate((rates, weights[:, None]), axis=1)
 
 
 def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:

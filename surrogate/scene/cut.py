@@ -147,7 +147,7 @@ def _cut_kriging(own: Arrays, name: str, need: Need) -> Arrays:
     for number, share in enumerate(shares):
         arrays = {key[len(share) :]: array for key, array in own.items() if key.startswith(share)}
         anchors = np.flatnonzero(np.isfinite(arrays["least"]))
-        points, rates = own[f"{name}x"].T[anchors], own[f"{name}rates"]
+        points, rates = own[f"{name}x"].T[anchors], arrays.get("own_rates", own[f"{name}rates"])
         anchors = anchors[nearest_anywhere(points, rates, low, high)]
         found |= {f"{name}share{number}/{key}": one for key, one in _cut_share(arrays, anchors)}
     return found

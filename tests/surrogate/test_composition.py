@@ -143,7 +143,7 @@ def test_an_offset_without_a_row_at_zero_load_is_not_lost(seed: int) -> None:
     def response(x: np.ndarray) -> np.ndarray:
         return x @ slope.T + offset
 
-    scaled = np.concatenate((clean_wrenches(12, seed), full_wrenches(20, seed)))
+    scaled = np.concatenate((clean_wrenches(12, seed), full_wrenches(24, seed)))
     surrogate = build(table(response, scaled), RANGE, tolerance=Tolerance(10.0, 10.0))
     asked = np.concatenate((full_wrenches(40, seed + 1), np.zeros((1, 6)), np.eye(6) / 2))
     asked[::3, :3] = 0.0

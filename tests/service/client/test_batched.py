@@ -30,7 +30,10 @@ from wrenchbook.surrogate.table.rows import Tolerance
 HOME = "wrenchbook.service.client.batched"
 MISSING = "the extra {!r} is not installed"
 METHODS = ["kriging", "griddata", "linear"]
-BENT = ["second derivatives", "second derivatives of some"]
+BENT = [
+    *("second derivatives", "second derivatives of some"),
+    *("own length scales", "own length scales, second derivatives"),
+]
 
 
 class OnJax:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
-from tests.surrogate.energies import PARTS, part
+from tests.surrogate.energies import PARTS, part, part_with_friction
+from tests.surrogate.kriging.responses import solved as with_slopes
+from tests.surrogate.kriging.responses import stiff_beside_soft
 from tests.surrogate.law import Law, build
 from tests.surrogate.law.whole_bars import whole_bars
 from tests.surrogate.responses import HIGH
+from tests.surrogate.responses import RANGE as UNIT_RANGE
+from tests.surrogate.responses import full_wrenches as unit_wrenches
 from tests.surrogate.softening import softening_table
 from wrenchbook.surrogate.build import AnyTable
 from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
@@ -99,6 +105,18 @@ def bent(second: int) -> AnyTable:
     return build(rows, LoadRange(-1.1 * HIGH, 1.1 * HIGH))
 
 
+def uneven() -> AnyTable:
+    """Solves of a response whose outputs have length scales of their own."""
+    return build(with_slopes(stiff_beside_soft, unit_wrenches(30, 31)), UNIT_RANGE)
+
+
+def uneven_bent() -> AnyTable:
+    """The same of a part whose rows bring second derivatives."""
+    made = part_with_friction(PARTS["stiffening"], 2)
+    rows = made.rows(np.random.default_rng(5).uniform(-1, 1, (20, 6)))
+    return build(rows, LoadRange(-1.1 * HIGH, 1.1 * HIGH))
+
+
 def repeated() -> AnyTable:
     """Rows of one wrench, and near each other, of several sources."""
     wrenches = np.concatenate((clean(12), full_wrenches(6), full_wrenches(6)))
@@ -118,6 +136,8 @@ KINDS = {
     "few with tangents": lambda: tangent_rows(6),
     "second derivatives": lambda: bent(20),
     "second derivatives of some": lambda: bent(8),
+    "own length scales": uneven,
+    "own length scales, second derivatives": uneven_bent,
     "thin": lambda: measured(clean(5)),
     "planar": lambda: measured(grid((2, 3), 5)),
     "one force": lambda: measured(grid((2,), 7)),
@@ -197,20 +217,31 @@ def size_of(table: AnyTable) -> np.ndarray:
 
 def rounding_of(table: AnyTable) -> np.ndarray:
     """What sums of a kriging may lose to rounding, (6,), m and rad: no error bar is below it."""
+    return _of_krigings(table, lambda kriging: kriging.inside.rounding)
+
+
+def deviation_of(table: AnyTable) -> np.ndarray:
+    """The process deviation of a kriging, (6,), m and rad; 0 without one."""
+    return _of_krigings(table, lambda kriging: kriging.inside.deviation)
+
+
+def _of_krigings(table: AnyTable, part: Callable[[Kriging], np.ndarray]) -> np.ndarray:
+    """The sum of a part in spreads, (6,), over a table's krigings, m and rad."""
     found = np.zeros(6)
     for outputs, group in table.groups:
         exact = group.by_kriging or group.default == "linear"
         interaction = group.interaction if len(group.used) and not exact else None
         for kriging in (group.kriging, interaction):
             if kriging is not None:
-                lost = kriging.inside.rounding * kriging.scaling.spread
-                found[list(outputs)] += lost[list(outputs)]
+                own = part(kriging) * kriging.scaling.spread
+                found[list(outputs)] += own[list(outputs)]
     return found
 
 
 SAME = 1e-12  # of an output's range
 SIGMA = 1e-9  # of an error
 SIGMA_AT_ROWS = 1e-5  # of an error: sigma at a row is the root of a difference
+SQUARED = 1e-12  # of the process variance: what sigma squared loses as such a difference
 
 
 def assert_law(
@@ -223,7 +254,7 @@ def assert_law(
 ) -> None:
     """Compare all numbers and coverage with those of the numpy law, at wrenches (n, 6).
 
-    Errors are the same to rounding and `sigma` of themselves.
+    Errors are the same to rounding, `sigma` of themselves, and what a small sigma loses.
     """
     outputs, errors, coverage = by_numpy(table, asked, tolerance, method)
     found = packed.batch(asked, six(tolerance), method)
@@ -232,5 +263,6 @@ def assert_law(
     np.testing.assert_array_equal(np.isnan(found.outputs), np.isnan(outputs))
     np.testing.assert_array_equal(np.isnan(found.errors), np.isnan(errors))
     assert (np.nan_to_num(np.abs(found.outputs - outputs)) <= near).all()
-    loose = near + sigma * np.nan_to_num(errors)
+    known = np.nan_to_num(errors)
+    loose = near + sigma * known + SQUARED * deviation_of(table) ** 2 / np.fmax(known, near)
     assert (np.nan_to_num(np.abs(found.errors - errors)) <= loose).all()

@@ -66,7 +66,9 @@ def test_the_order_and_the_company_of_wrenches_change_no_bit():
     assert same_bits([column[:7] for column in whole], packed.batch(asked[:7]))
 
 
-@pytest.mark.parametrize("kind", ["solved", "clean and full", "uncertain", "second derivatives"])
+@pytest.mark.parametrize(
+    "kind", ["solved", "clean and full", "uncertain", "second derivatives", "own length scales"]
+)
 def test_other_optimisation_and_vectors_change_no_bit(kind, tmp_path, monkeypatch):
     """As on a processor without AVX2, and by another compiler's choice of instructions."""
     sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
@@ -114,7 +116,11 @@ def test_without_a_kriging_the_bent_axes_answer_and_are_named():
 
 
 @pytest.mark.parametrize(
-    "kind", ["solved", "few with tangents", "linear", "clean and full", "second derivatives"]
+    "kind",
+    [
+        *("solved", "few with tangents", "linear", "clean and full", "second derivatives"),
+        *("own length scales", "own length scales, second derivatives"),
+    ],
 )
 def test_the_inverse_of_a_displacement_is_its_wrench(kind):
     table, packed = table_of(kind), packed_of(kind)

@@ -61,7 +61,13 @@ def test_derivatives_of_several_interfaces_and_further_inputs_are_differences_of
     assert_differences(packed, asked[:5], np.ones(asked.shape[1]))
 
 
-@pytest.mark.parametrize("kind", ["second derivatives", "second derivatives of some"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("second derivatives", "second derivatives of some"),
+        *("own length scales", "own length scales, second derivatives"),
+    ],
+)
 def test_derivatives_are_differences_of_values(kind):
     table = table_of(kind)
     assert_differences(packed_of(kind), asked_of(table, 10, span=0.9), table.load_range.scale)

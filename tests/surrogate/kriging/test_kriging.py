@@ -51,7 +51,7 @@ def test_answers_and_derivatives_at_rows_are_the_rows(kriging: Kriging) -> None:
 
 
 def test_derivatives_equal_differences(kriging: Kriging) -> None:
-    step = 1e-4 * HIGH
+    step = 3e-4 * HIGH  # rounding and the differences' own error are alike: 2e-7
     derivative = kriging.derivatives(ASKED)
     for load in range(6):
         way = step * np.eye(6)[load]

@@ -107,7 +107,7 @@ def test_a_truncated_or_a_longer_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "words"), [(3, "use a newer wrenchbook"), (0, "write it again")]
+    ("number", "words"), [(4, "use a newer wrenchbook"), (0, "write it again")]
 )
 def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch):
     monkeypatch.setattr(packed_format, "OLDEST_FORMAT", number)
@@ -124,7 +124,9 @@ def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch)
             opens(source)
 
 
-@pytest.mark.parametrize(("kind", "number"), [("solved", 1), ("second derivatives of some", 2)])
+@pytest.mark.parametrize(
+    ("kind", "number"), [("solved", 1), ("second derivatives of some", 2), ("own length scales", 3)]
+)
 def test_only_second_derivatives_need_the_newest_format(kind, number):
     """Programs of version 0.2, which read format 1, read the tables that they can answer from."""
     assert int.from_bytes(content_of(kind)[8:12], "little") == number
@@ -136,7 +138,9 @@ OPTIONAL = re.compile(  # words are made of these, or there is no such part with
 )
 
 
-@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
+@pytest.mark.parametrize(
+    "kind", ["clean", "solved", "clean and full", "second derivatives", "own length scales"]
+)
 def test_a_table_without_one_of_its_arrays_is_refused_by_its_name(kind):
     found = read(bytes(content_of(kind)))
     for name in found.arrays:
@@ -146,7 +150,9 @@ def test_a_table_without_one_of_its_arrays_is_refused_by_its_name(kind):
                 PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
 
 
-@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
+@pytest.mark.parametrize(
+    "kind", ["clean", "solved", "clean and full", "second derivatives", "own length scales"]
+)
 def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
     found = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 50)
@@ -162,7 +168,7 @@ def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
                 continue
 
 
-@pytest.mark.parametrize("kind", ["clean and full", "second derivatives"])
+@pytest.mark.parametrize("kind", ["clean and full", "second derivatives", "own length scales"])
 def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it(kind):
     found = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 100)
