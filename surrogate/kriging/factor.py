@@ -200,8 +200,7 @@ def factorise(
     prior = np.tile(hyperparameters.prior(own.places), (len(own), 1))[own.known]
     T, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
     TF = T @ mean_terms(own.x, own.known)
-    data = own.data[own.known][:, outputs]
-    Ty = T @ data
+    Ty = T @ own.data[own.known][:, outputs]
     precision = TF.T @ TF + np.eye(TF.shape[1]) / settings.mean_variance
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (TF.T @ Ty)

@@ -118,10 +118,8 @@ def pieces(arrays: Mapping[str, NDArray[Any]], words: Mapping[str, Any]) -> list
     head = head.ljust(_aligned(_HEADER.itemsize + len(head)) - _HEADER.itemsize, b"\0")
     text_at = _HEADER.itemsize + directory.nbytes
     header = np.zeros(1, dtype=_HEADER)
-    newer = [NEWER[end] for end in NEWER if any(name.endswith(end) for name in names)]
-    number = max(newer, default=OLDEST_FORMAT)
     header[0] = (
-        *(MAGIC, number, _BYTE_ORDER, 0, offset),
+        *(MAGIC, _oldest_for(names), _BYTE_ORDER, 0, offset),
         *(_HEADER.itemsize, len(names), text_at, len(text) - 1),
     )
     checksum = zlib.crc32(header.tobytes()[CHECKED:])
@@ -129,6 +127,12 @@ def pieces(arrays: Mapping[str, NDArray[Any]], words: Mapping[str, Any]) -> list
         checksum = zlib.crc32(piece, checksum)
     header["checksum"] = checksum
     return [header.tobytes(), head, *contents]
+
+
+def _oldest_for(names: list[str]) -> int:
+    """Return the oldest format that has arrays of these names."""
+    newer = [NEWER[end] for end in NEWER if any(name.endswith(end) for name in names)]
+    return max(newer, default=OLDEST_FORMAT)
 
 
 def write_file(path: Path, content: list[bytes]) -> None:

@@ -67,12 +67,16 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     for number, (share, found) in enumerate(zip(inside.shares, inside.calibrations, strict=True)):
         outputs, places = len(inside.deviation), inside.equations.places
         arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
-        for name, array in chain(*arrays):
+        for name, array in chain(*arrays, _own_set(kriging, share)):
             yield f"share{number}/{name}", array
-        own = share.factor.hyperparameters
-        if own is not kriging.hyperparameters:
-            yield f"share{number}/own_terms", _terms(own)
-            yield f"share{number}/own_rates", own.inverse_squares
+
+
+def _own_set(kriging: Kriging, share: Neighbourhoods) -> Iterator[tuple[str, Array]]:
+    """Yield the hyperparameters of a factor that has its own."""
+    own = share.factor.hyperparameters
+    if own is not kriging.hyperparameters:
+        yield "own_terms", _terms(own)
+        yield "own_rates", own.inverse_squares
 
 
 def _terms(hyperparameters: Hyperparameters) -> Floats:
