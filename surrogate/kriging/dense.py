@@ -83,11 +83,6 @@ class Dense:
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
         return values, errors, known
 
-    def outputs_without_errors(self) -> set[int]:
-        """Return the outputs of whose errors left-out rows do not show how large they are."""
-        pairs = zip(self.shares, self.calibrations, strict=True)
-        return {int(one) for share, own in pairs if not own.known for one in share.factor.outputs}
-
     def slopes(self, x: Floats) -> Floats:
         """Return the derivatives of the values by the loads at places (m, 6), shape (m, 6, 6)."""
         places = 1 + self.equations.loads, self.equations.places

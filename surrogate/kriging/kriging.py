@@ -12,7 +12,6 @@ from ..table.rows import Floats, LoadRange, Rows
 from .correlation import Hyperparameters
 from .dense import Dense, dense
 from .equations import (
-    Equations,
     Readings,
     Scaling,
     TooFewRowsError,
@@ -23,7 +22,7 @@ from .equations import (
     scaling_of,
     within,
 )
-from .estimate import Estimate, estimated, within_one_factor
+from .estimate import estimated, within_one_factor
 from .factor import shares_of
 from .settings import DEFAULTS, KrigingSettings
 
@@ -113,12 +112,12 @@ class Kriging:
                 f"{settings.dense_equations} that one factor holds"
             )
         found = estimated(equations, scaling, settings)
-        inside = _dense_of(equations, found, scaling, settings)
-        unknown = inside.outputs_without_errors()
-        if not unknown.isdisjoint(found.own):  # the common set may tell the errors of these
-            common = {output: own for output, own in found.own.items() if output not in unknown}
-            other = _dense_of(equations, found._replace(own=common), scaling, settings)
-            inside = inside if other.outputs_without_errors() else other
+        noisy = equations.with_reading_noise(found.reading_variance)
+        shares = [
+            (found.own.get(int(share.outputs[0]), found.hyperparameters), share)
+            for share in shares_of(noisy, found.noise_scale, settings, found.own)
+        ]
+        inside = dense(noisy, shares, scaling, settings)
         return cls(
             settings, scaling, found.hyperparameters, found.reading_variance, inside, tangent
         )
@@ -132,7 +131,7 @@ class Kriging:
             for share in self.inside.shares
             if share.factor.hyperparameters is not self.hyperparameters
         )
-        scales = f", length scales of their own for {own} outputs" if own else ""
+        scales = f", {own} of the outputs by length scales of their own" if own else ""
         return f"kriging, one factor over {rows} rows ({equations} equations){scales}"
 
     @property
@@ -144,7 +143,7 @@ class Kriging:
     @property
     def knows_errors(self) -> bool:
         """Whether left-out rows show how large errors are, of all outputs."""
-        return not self.inside.outputs_without_errors()
+        return all(one.known for one in self.inside.calibrations)
 
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
@@ -201,18 +200,6 @@ class Kriging:
     def left_out(self) -> Floats:
         """Return the errors (n, 6), m and rad, at rows left out; NaN where a row has no output."""
         return self.inside.errors * self.scaling.spread
-
-
-def _dense_of(
-    equations: Equations, found: Estimate, scaling: Scaling, settings: KrigingSettings
-) -> Dense:
-    """Return the dense kriging by an estimate."""
-    noisy = equations.with_reading_noise(found.reading_variance)
-    shares = [
-        (found.own.get(int(share.outputs[0]), found.hyperparameters), share)
-        for share in shares_of(noisy, found.noise_scale, settings, found.own)
-    ]
-    return dense(noisy, shares, scaling, settings)
 
 
 def one_thread() -> AbstractContextManager[object]:

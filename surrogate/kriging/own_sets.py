@@ -50,13 +50,14 @@ def own_sets(
     quick = replace(settings, likelihood_accuracy=settings.own_accuracy)
     for share in shares:
         count = int(equations.known[share.rows].sum())
-        few = settings.own_rows * len(common.logarithms)
+        few = settings.own_equations * len(common.logarithms)
         noisy = (share.noise > settings.nugget).any() or equations.readings.any()
         if noisy or len(share.rows) < settings.own_rows or count < few:
             continue
         promised = promised_gains(equations, share, common, settings)
         before, missed = _judged(equations, common, share, settings)
-        for place in np.flatnonzero(promised >= settings.own_promise * count):
+        promising = promised >= settings.own_promise * count
+        for place in np.flatnonzero(promising & (missed > settings.own_least)):
             alone = share._replace(outputs=share.outputs[[place]])
             own = maximise(equations, [alone], common, quick)
             after, left = _judged(equations, own, alone, settings)

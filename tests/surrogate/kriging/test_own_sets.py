@@ -73,19 +73,23 @@ def test_bars_of_such_outputs_hold(name):
     assert inside.mean(axis=0).min() >= 0.9
 
 
-@pytest.mark.parametrize("slopes", [PARTS["stiffening"], PARTS["saturating"]])
-def test_an_output_has_its_own_set_beside_second_derivatives_too(slopes):
-    made, rng = part_with_friction(slopes, 2), np.random.default_rng(12)
-    rows, asked = (made.rows(rng.uniform(-1, 1, (count, 6))) for count in (20, 300))
+@pytest.mark.parametrize("count", [9, 20])
+@pytest.mark.parametrize("name", ["stiffening", "saturating", "waving"])
+def test_an_output_has_its_own_set_beside_second_derivatives_too(name, count):
+    """By the set of all outputs u_x errs by 15 to 3,000 % of its range, more with 20 solves."""
+    made, rng = part_with_friction(PARTS[name], 4), np.random.default_rng(count)
+    rows = made.rows(rng.uniform(-1, 1, (count, 6)))
+    asked = made.rows(np.random.default_rng(99).uniform(-1, 1, (300, 6)), second=False)
     load_range = LoadRange(1.1 * RANGE.low, 1.1 * RANGE.high)
     found, common = (Kriging.build(rows, load_range, one) for one in (DEFAULTS, COMMON))
     assert 0 in own_outputs(found)
     (displacement, bars), (other, _) = (one.answer_many(asked.wrench) for one in (found, common))
     missed, before = (np.abs(one - asked.displacement) for one in (displacement, other))
     assert np.median(missed[:, 0]) < np.median(before[:, 0]) / 10
+    assert np.median(missed[:, 0]) < 0.01 * np.ptp(asked.displacement[:, 0])
     known = np.isfinite(bars).all(axis=1)
-    assert known.mean() > 0.8
-    assert (missed <= bars)[known].mean(axis=0).min() >= 0.9
+    assert count == 9 or known.mean() > 0.8
+    assert not known.any() or (missed <= bars)[known].mean(axis=0).min() >= 0.9
 
 
 def test_derivatives_by_own_sets_are_differences_of_values():
@@ -134,11 +138,9 @@ def test_the_promise_is_that_of_the_slope_and_curvature_of_the_likelihood():
         assert promised[output] > 1e-4 * slope @ slope / len(chosen)
 
 
-def test_errors_that_its_own_set_does_not_show_keep_the_common_one():
-    """Of `stiff_beside_soft` rows left out tell no size of what is nearly straight by itself."""
-    kriging = built("stiff_beside_soft", 30)
-    assert kriging.knows_errors
-    assert own_outputs(kriging) < set(range(6))
+def test_an_output_whose_errors_are_below_a_ten_thousandth_keeps_the_common_set():
+    """Of `stiff_beside_soft` the rotations are nearly straight."""
+    assert own_outputs(built("stiff_beside_soft", 60)) <= {0, 1, 2, 5}
 
 
 def test_variances_at_rest_are_those_of_the_covariance():
