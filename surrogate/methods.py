@@ -155,7 +155,9 @@ def choose(
     left = made.left_out()
     size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
     axes = _scores(errors, size)
-    scores = {"kriging": _score(left, size)} | axes
+    if np.isnan(own := _score(left, size)):
+        return MethodChoice(method, f"kriging answers no row that is left out; {why}", axes)
+    scores = {"kriging": own} | axes
     if not axes or len(rows) <= 1 + rows.wrench.shape[1]:
         # The axes' fitted compliance passes through so few rows, the left-out one too.
         return MethodChoice("kriging", "the axes have too few rows to leave one out", scores)
@@ -181,7 +183,8 @@ def choose_without_axes(
         reason = "there are too few rows for kriging: the compliance that fits them answers"
         return MethodChoice("linear", reason, {})
     size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
-    scores = {"kriging": _score(made.left_out(), size)}
+    own = _score(made.left_out(), size)
+    scores = {} if np.isnan(own) else {"kriging": own}
     return MethodChoice("kriging", "griddata and additive are of one interface alone", scores)
 
 
@@ -265,11 +268,14 @@ def _scores(errors: AxesErrors, size: Floats) -> dict[str, float]:
 def _score(errors: Floats, size: Floats) -> float:
     """Return the root mean square of errors (k, 6) over the outputs' ranges (6,).
 
-    Of the outputs that vary: what a range of rounding, or none, is missed by says nothing.
+    Of the outputs that vary: what a range of rounding, or none, is missed by says nothing. NaN
+    where no error is known.
     """
     known, varying = np.isfinite(errors).any(axis=1), size > 0
-    if not (known.any() and varying.any()):
+    if not varying.any():
         return 0.0
+    if not np.isfinite(errors[:, varying]).any():
+        return float("nan")
     return float(np.sqrt(np.nanmean((errors[known][:, varying] / size[varying]) ** 2)))
 
 
