@@ -257,6 +257,14 @@ def _typical_places(
     return places
 
 
+def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
+    """Return which rows load more than one axis, shape (n,)."""
+    at_rest = scaling.loads(np.zeros((1, equations.loads)))
+    loaded = np.abs(equations.x - at_rest) > CLEAN
+    groups = equations.groups[:-1] > 0  # the last sees all loads
+    return ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
+
+
 def calibrated(
     equations: Equations,
     spread: Neighbourhoods,
@@ -269,10 +277,7 @@ def calibrated(
     own, outputs = equations.take(spread.factor.rows), len(spread.factor.outputs)
     if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
-    at_rest = scaling.loads(np.zeros((1, own.x.shape[1])))
-    loaded = np.abs(own.x - at_rest) > CLEAN
-    groups = equations.groups[:-1] > 0  # the last sees all loads
-    full = ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
+    full = full_rows(own, scaling)
     # Queries load all axes too, and rows at the corners of one axis err more.
     rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(own))
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))

@@ -74,7 +74,7 @@ def estimated(
             found = factorise(chosen, before, *share, settings)
             variance[share.outputs] = found.variance
     assert before is not None
-    return Estimate(before, own_sets(chosen, shares, before, settings), variance, reading)
+    return Estimate(before, own_sets(chosen, shares, before, scaling, settings), variance, reading)
 
 
 def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:

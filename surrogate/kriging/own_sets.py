@@ -15,8 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..table.rows import Floats
+from .calibration import full_rows
 from .correlation import Hyperparameters, covariance
-from .equations import Equations
+from .equations import Equations, Scaling
 from .factor import Share, factorise
 from .left_out import left_out
 from .likelihood import bounds_of, maximise, profile
@@ -32,6 +33,7 @@ def own_sets(
     equations: Equations,
     shares: list[Share],
     common: Hyperparameters,
+    scaling: Scaling,
     settings: KrigingSettings,
 ) -> dict[int, Hyperparameters]:
     """Return the hyperparameters of the outputs that have a set of their own.
@@ -52,7 +54,8 @@ def own_sets(
         count = int(equations.known[share.rows].sum())
         few = settings.own_equations * len(common.logarithms)
         noisy = (share.noise > settings.nugget).any() or equations.readings.any()
-        if noisy or len(share.rows) < settings.own_rows or count < few:
+        spread = _are_spread(equations.take(share.rows), scaling, settings)
+        if noisy or count < few or not spread:
             continue
         promised = promised_gains(equations, share, common, settings)
         before, missed = _judged(equations, common, share, settings)
@@ -65,6 +68,17 @@ def own_sets(
             if gained and left[0] <= settings.own_error * missed[place]:
                 found[int(share.outputs[place])] = own
     return found
+
+
+def _are_spread(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> bool:
+    """Return whether enough rows load several axes at once, at enough values of each load.
+
+    On few levels of a load, or where axes are loaded one at a time, a row left out has copies in
+    the loads that a set of one output sees: it is answered however wrong the set is between them.
+    """
+    full = equations.x[full_rows(equations, scaling)]
+    values = [len(np.unique(np.round(one / settings.same))) for one in full.T[scaling.active]]
+    return min(values, default=0) >= settings.own_rows
 
 
 def _judged(

@@ -69,8 +69,10 @@ class KrigingSettings:
     likelihood_steps: int = 60
     # Steps end where the likelihood's relative change is below this: the bars do not see more.
     likelihood_accuracy: float = 1e-6
-    # An output may have hyperparameters of its own from so many rows on, and so many equations for
-    # each hyperparameter: 9 solves with second derivatives, 15 with slopes. Of 6 errors grew.
+    # An output may have hyperparameters of its own from so many rows of several axes on, with as
+    # many values of each load, and from so many equations on for each hyperparameter: 9 solves with
+    # second derivatives, 15 with slopes. Of 6 errors grew, and of rows on 3 or 5 levels of each
+    # load, or of one axis each, up to 250 times.
     own_rows: int = 9
     own_equations: int = 15
     # By how much its log likelihood has to rise for that, an equation: readings are predicted from

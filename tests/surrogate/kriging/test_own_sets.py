@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.surrogate.energies import PARTS, part_with_friction
-from tests.surrogate.kriging.responses import UNEVEN, noisy_rows, solved
-from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth
+from tests.surrogate.kriging.responses import RESPONSES, UNEVEN, noisy_rows, solved
+from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.kriging.correlation import derivatives, joins, places_of
 from wrenchbook.surrogate.kriging.estimate import spread_rows
@@ -106,6 +106,21 @@ def test_derivatives_by_own_sets_are_differences_of_values():
 
 def test_fewer_rows_than_fifteen_have_one_set():
     assert not own_outputs(built("friction", 14))
+
+
+def levels(count: int, values: int) -> np.ndarray:
+    """Return wrenches on so many levels of each load, scaled, shape (count, 6)."""
+    ends = np.linspace(-1, 1, values)
+    return ends[np.random.default_rng(3).integers(0, values, (count, 6))]
+
+
+@pytest.mark.parametrize(
+    "scaled", [clean_wrenches(8, 1), clean_wrenches(20, 1), levels(20, 5), levels(40, 3)]
+)
+@pytest.mark.parametrize("name", ["hardening", "strongly_coupled"])
+def test_rows_of_single_axes_or_few_levels_have_one_set(name, scaled):
+    """A row left out has copies there: errors by own sets were up to 250 times as large."""
+    assert not own_outputs(Kriging.build(solved(RESPONSES[name], scaled), RANGE))
 
 
 def test_noisy_rows_have_one_set():
