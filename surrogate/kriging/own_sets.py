@@ -52,7 +52,7 @@ def own_sets(
     quick = replace(settings, likelihood_accuracy=settings.own_accuracy)
     for share in shares:
         count = int(equations.known[share.rows].sum())
-        few = settings.own_equations * len(common.logarithms)
+        few = settings.own_equations * (int(scaling.active.sum()) + equations.weights)
         noisy = (share.noise > settings.nugget).any() or equations.readings.any()
         spread = _are_spread(equations.take(share.rows), scaling, settings)
         if noisy or count < few or not spread:

