@@ -76,7 +76,7 @@ def doctor(
                 plain(_out, f"  {one.remedy.replace(REPAIR, REPAIR + _data_option(data))}")
     faults = sum(one.kind == "fault" for one in findings)
     if not as_json:
-        plain(_out, f"{faults} faults." if faults else f"{data} is in order.")
+        plain(_out, f"{faults} fault{'s' * (faults != 1)}." if faults else f"{data} is in order.")
     raise typer.Exit(1 if faults else 0)
 
 

@@ -292,6 +292,11 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
         render.plain(out, f"Lines above the header left out: {'; '.join(above)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
     out.print(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
+    if reply["existing"]:
+        out.print(
+            "Those stay as they are, withdrawn ones too: slopes and second derivatives of this "
+            "file are not added to them."
+        )
     if rig := reply.get("rig"):  # servers before 0.3 have none
         axes = "left-handed" if rig["left_handed"] else "right-handed"
         render.plain(out, f"Readings were taken to the interface from rig {rig['name']}, {axes}.")

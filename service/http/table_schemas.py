@@ -74,7 +74,13 @@ Imported = TypedDict(
     "Imported",
     {
         "inserted": int,
-        "existing": Annotated[int, text("rows that were there already")],
+        "existing": Annotated[
+            int,
+            text(
+                "rows that were there already, withdrawn ones too; they stay as they are, without "
+                "the slopes and second derivatives of this import"
+            ),
+        ],
         "errors": Annotated[list[RowMistake], text("1,000 at most")],
         "causes": Annotated[list[MistakeCause], text("the mistakes by cause")],
         "findings": Annotated[list[ImportFinding], text("probable systematic errors")],
