@@ -13,7 +13,7 @@ from .correlation import Hyperparameters
 from .equations import Equations, Scaling
 from .factor import Share, factorise, shares_of
 from .likelihood import maximise, maximise_with_noise
-from .own_sets import own_sets
+from .own_sets import are_spread, own_sets
 from .reading_noise import reading_noise
 from .settings import KrigingSettings
 
@@ -74,7 +74,9 @@ def estimated(
             found = factorise(chosen, before, *share, settings)
             variance[share.outputs] = found.variance
     assert before is not None
-    return Estimate(before, own_sets(chosen, shares, before, scaling, settings), variance, reading)
+    spread = are_spread(equations, scaling, settings)
+    own = own_sets(chosen, shares, before, scaling, settings) if spread else {}
+    return Estimate(before, own, variance, reading)
 
 
 def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:

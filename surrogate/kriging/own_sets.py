@@ -54,8 +54,7 @@ def own_sets(
         count = int(equations.known[share.rows].sum())
         few = settings.own_equations * (int(scaling.active.sum()) + equations.weights)
         noisy = (share.noise > settings.nugget).any() or equations.readings.any()
-        spread = _are_spread(equations.take(share.rows), scaling, settings)
-        if noisy or count < few or not spread:
+        if noisy or count < few:
             continue
         promised = promised_gains(equations, share, common, settings)
         before, missed = _judged(equations, common, share, settings)
@@ -70,7 +69,7 @@ def own_sets(
     return found
 
 
-def _are_spread(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> bool:
+def are_spread(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> bool:
     """Return whether enough rows load several axes at once, at enough values of each load.
 
     On few levels of a load, or where axes are loaded one at a time, a row left out has copies in
