@@ -21,7 +21,7 @@ from tests.service.live import (
     tangents,
 )
 from wrenchbook.service.client import Client, ProblemError, Scene, SceneError, Table
-from wrenchbook.service.client.mount import DisplacementUnknown, Mount, MountWarning
+from wrenchbook.service.client.mount import DisplacementUnknown, Mount
 
 CALL = "/v1/scenes/plan"
 NONE = [[0.0, 0.0]] * 3
@@ -263,8 +263,7 @@ def test_a_mount_on_a_scenes_table_takes_what_is_not_read_as_zero_only_if_told(c
     with pytest.raises(DisplacementUnknown, match=r"uy, rx, rz.*scene's outputs.*unmeasured"):
         Mount(table, "rig", np.eye(3), np.zeros(3)).step(wrench)
     mount = Mount(table, "rig", np.eye(3), np.zeros(3), unmeasured="rigid")
-    with pytest.warns(MountWarning, match="estimates"):  # 48 rows: errors are above 1 %
-        mount.step(wrench)
+    mount.step(wrench)
     read = [0, 2, 4]
     assert np.array_equal(mount.displacement[read], table.answer(wrench).vector[read])
     assert mount.displacement[[0, 2, 4]].all()
