@@ -340,6 +340,15 @@ static void read_kriging(reader *r, const char *which, wb_kriging *k, wb_share *
     if (k->terms > r->t->most_terms) r->t->most_terms = k->terms;
 }
 
+/* Each output of a group is answered by one share: by none it would have no value and no error. */
+static void each_by_one(reader *r, const wb_group *g, const wb_kriging *k) {
+    for (int q = 0; !*r->bad && q < r->t->outputs; q++) {
+        int count = 0;
+        for (int s = 0; s < k->shares; s++) count += k->share[s].outputs[q] != 0;
+        if (g->outputs[q] && count != 1) fail(r, "share/outputs");
+    }
+}
+
 static void read_group(reader *r, wb_group *g, wb_share **share) {
     const wb_table *t = r->t;
     const int32_t *flags = ints(r, "flags", 8);
@@ -360,6 +369,8 @@ static void read_group(reader *r, wb_group *g, wb_share **share) {
         read_composition(r, &g->composition, &g->fit);
     if ((g->has_kriging = exists(r, "kriging/x"))) read_kriging(r, "kriging", &g->kriging, share);
     if ((g->has_missed = exists(r, "missed/x"))) read_kriging(r, "missed", &g->missed, share);
+    if (g->has_kriging) each_by_one(r, g, &g->kriging);
+    if (g->has_missed) each_by_one(r, g, &g->missed);
     within(r, "flags", flags, 1, 0, WB_METHODS);
     if (g->used && !g->has_composition && !g->has_kriging && !g->exact_fit) fail(r, "flags");
     /* The reference of errors: none, the kriging, or the axes with or without what they miss. */

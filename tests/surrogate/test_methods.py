@@ -141,6 +141,20 @@ def test_with_too_few_rows_griddata_answers_and_kriging_does_on_request() -> Non
     assert few.answer(asked, None, "kriging").displacement is not None
 
 
+def test_a_kriging_that_answers_no_row_left_out_is_not_chosen_by_an_error_of_zero(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One second derivative of 1e308 left no error at any row, which counted as 0."""
+    monkeypatch.setattr(
+        Kriging, "left_out", lambda own: np.full((len(own.inside.errors), 6), np.nan)
+    )
+    rows = solved(smooth, spread_wrenches(20, 30, 5))
+    choice = build(rows, RANGE).table.thinnest.choice
+    assert choice.method != "kriging"
+    assert "kriging answers no row that is left out" in choice.reason
+    assert "kriging" not in choice.errors
+
+
 def test_a_linear_component_is_answered_by_its_compliance() -> None:
     rows = Rows.of(np.zeros((1, 6)), np.zeros((1, 6)), compliance=(LINEAR / HIGH)[None])
     surrogate = build(rows, RANGE, linear=True)

@@ -233,6 +233,15 @@ def test_a_correlation_that_the_kernel_does_not_have_is_refused():
         PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
 
 
+@pytest.mark.parametrize("own", [0, 1])
+def test_an_output_that_two_factors_answer_or_none_is_refused(own):
+    found = read(bytes(content_of("own length scales")))
+    outputs = np.full(6, own, dtype=np.int32)
+    arrays = {**found.arrays, "g0/kriging/share0/outputs": outputs}
+    with pytest.raises(PackedTableError, match="outputs"):
+        PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
+
+
 def test_a_calibration_that_is_no_number_leads_no_answer_out_of_it():
     found = read(bytes(content_of("solved")))
     arrays = {name: np.array(array) for name, array in found.arrays.items()}
