@@ -21,10 +21,6 @@ def test_no_room_imports_a_room_above_it():
     assert house.upward_imports() == []
 
 
-def test_no_function_is_longer_than_one_can_read_in_one_go():
-    assert house.long_functions() == []
-
-
 def test_the_public_face_promises_what_it_has():
     import wrenchbook
 
