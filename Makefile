@@ -40,7 +40,7 @@ $(VENV)/.installed-docs: $(VENV)/.installed requirements-docs.lock
 	$(PIP) install --require-hashes -r requirements-docs.lock
 	@touch $@
 
-demo: setup  ## query, solve and fill of a plate with finite elements, about five minutes
+demo: setup  ## query, solve and fill of a plate with finite elements, about a minute
 	$(BIN)/wrenchbook demo
 
 serve: setup  ## the server and its solvers on 127.0.0.1:8000
