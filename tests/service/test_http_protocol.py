@@ -158,6 +158,31 @@ def test_a_body_that_comes_after_its_head_goes_straight(straight, wire):
     assert straight() == 3
 
 
+REFUSED = {
+    "a page of another site": ("Sec-Fetch-Site: cross-site", 403),
+    "a page of the same site": ("Sec-Fetch-Site: same-site", 403),
+    "another origin": ("Origin: http://evil.example", 403),
+    "a form": ("Content-Type: application/x-www-form-urlencoded", 415),
+}
+
+
+@pytest.mark.parametrize(("field", "refused"), REFUSED.values(), ids=REFUSED)
+def test_the_fast_path_answers_no_request_that_the_ordinary_path_refuses(
+    straight, wire, field, refused
+):
+    long_head = f"X-Pad: {'a' * 2100}"  # beyond the heads of the fast path
+    for body in (BODY, orjson.dumps({**PLAIN, "on_thin": "estimate"})):
+        assert wire.ask(request(body, fields=[field]))[0] == refused
+        assert wire.ask(request(body, fields=[field, long_head]))[0] == refused
+    assert straight() == 0
+
+
+@pytest.mark.parametrize("field", ["Sec-Fetch-Site: none", "Sec-Fetch-Site: same-origin"])
+def test_a_query_of_the_servers_own_page_takes_the_fast_path(straight, wire, field):
+    assert wire.ask(request(fields=[field]))[0] == 200
+    assert straight() == 1
+
+
 def test_the_known_head_reads_the_body_that_comes_with_it(wire):
     pushes = (11.0, 12.0, 13.0)
     bodies = [orjson.dumps({**PLAIN, "force": [push, 0.5, 0.5]}) for push in pushes]
