@@ -124,7 +124,8 @@ class FastPath:
             or request_id is None
         ):
             return None
-        permission = self._state.access.admit(named)
+        path = line[0].split()[1].decode()
+        permission = self._state.access.admit(path, named)
         if permission is None:
             return None
         return Head(line[1].decode(), permission, request_id, len(start), int(length))

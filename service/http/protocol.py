@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
+import select
 from collections.abc import Sized
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
-from httptools import HttpRequestParser
+from httptools import HttpParserError, HttpParserUpgrade, HttpRequestParser
 from uvicorn.config import Config
 from uvicorn.protocols.http.flow_control import FlowControl
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
 from wrenchbook.service.http.fast_path import FastPath, Head, reply_bytes
@@ -30,10 +32,7 @@ SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection has more
 READ_S: Final = 60.0  # in which the caller must read some of an answer that waits
 LOOK_S: Final = 5.0  # between two checks of a connection's timeouts
 LAST_S: Final = 0.25  # for a last request of an idle connection when the server stops
-TOO_LONG: Final = (
-    b"HTTP/1.1 431 Request Header Fields Too Large\r\n"
-    b"content-length: 0\r\nconnection: close\r\n\r\n"
-)
+REFUSALS_S: Final = 60.0  # between two lines of the log: input that is not HTTP needs no key
 _SIZES: Final = {b"content-length", b"transfer-encoding"}
 _NO_UPGRADE: Final = HttpProblemError(
     400,
@@ -41,6 +40,20 @@ _NO_UPGRADE: Final = HttpProblemError(
     "This server does not switch protocols",
     "The body of a request with the header Connection: Upgrade is not read; nothing was "
     "changed. Send the request without the headers Connection: Upgrade and Upgrade.",
+)
+_NOT_HTTP: Final = HttpProblemError(
+    400,
+    "not-http",
+    "Not a request of HTTP/1.1",
+    "What the connection sent last is no valid head or body of a request. It was not read further, "
+    "and the connection is closed. Requests before it are answered.",
+)
+_TOO_LONG: Final = HttpProblemError(
+    431,
+    "head-too-long",
+    "The head of the request is too long",
+    f"URL and header fields may have {MOST_HEAD_BYTES:,} bytes together; nothing was changed. "
+    "Send what is long as the body.",
 )
 
 
@@ -62,6 +75,9 @@ class FastPathProtocol(HttpToolsProtocol):
     The fast path needs an application with `fast_path` that is not mounted below a path.
     """
 
+    _refusals: ClassVar[int] = 0  # of all connections, since the last line of the log
+    _logged_at: ClassVar[float] = -math.inf
+
     def __init__(
         self,
         config: Config,
@@ -76,6 +92,8 @@ class FastPathProtocol(HttpToolsProtocol):
         self._unread = 0  # bytes of an answer that waited at the last check
         self._since = self._unread_since = self._answered_at = 0.0
         self._timer: asyncio.TimerHandle | None = None
+        # The request that is being answered; `cycle` is the last one that has arrived.
+        self._answering: RequestResponseCycle | None = None
         self._drops_input = self._is_last = False  # `_is_last`: the next answer closes
 
         self._fast: FastPath | None = getattr(config.app, "fast_path", None)
@@ -99,6 +117,7 @@ class FastPathProtocol(HttpToolsProtocol):
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)
+        self._abandon(self._answering)
 
     def data_received(self, data: bytes) -> None:
         """Answer a query of the fast path, or parse what has arrived; refuse heads too long."""
@@ -108,16 +127,14 @@ class FastPathProtocol(HttpToolsProtocol):
             data, self._partial = self._partial + data, b""
             if self._fast is not None and self._is_free() and self._answer(self._fast, data):
                 return
-        super().data_received(data)
+        self._unset_keepalive_if_required()
+        try:
+            self.parser.feed_data(data)
+        except HttpParserUpgrade:
+            pass  # see `on_headers_complete`
+        except HttpParserError:
+            self._refuse()
         self._found = {}
-
-    def send_400_response(self, msg: str) -> None:
-        """Refuse a head that is not valid or too long, and close."""
-        if self._head_bytes <= MOST_HEAD_BYTES:
-            super().send_400_response(msg)
-            return
-        self.transport.write(TOO_LONG)
-        self.transport.close()
 
     def on_message_begin(self) -> None:
         """Begin a request."""
@@ -142,13 +159,13 @@ class FastPathProtocol(HttpToolsProtocol):
         connection closed. The parser does not read its body: one with a body is refused.
         """
         parser: HttpRequestParser = self.parser  # pyright: ignore[reportAssignmentType]
-        self._in_body, app = True, self.app
+        app = self.app
         if parser.should_upgrade():
             self._drops_input = self._is_last = True
             sized = {name for name, value in self.headers if value != b"0"} & _SIZES
             self.app = _NO_UPGRADE.response() if sized else app
         super().on_headers_complete()
-        self.app = app
+        self.app, self._in_body = app, True
         scope: Any = self.scope
         scope.update(self._found)
         if self._is_last:
@@ -178,7 +195,7 @@ class FastPathProtocol(HttpToolsProtocol):
         if left > 0:
             self._close_after(left)
         else:
-            super().timeout_keep_alive_handler()
+            self._close_if_idle()
 
     def _close_after(self, seconds: float) -> None:
         self.timeout_keep_alive_task = self.loop.call_later(
@@ -186,8 +203,59 @@ class FastPathProtocol(HttpToolsProtocol):
         )
 
     def _close_if_idle(self) -> None:
-        if not self._in_request and self._is_answered():
+        """Close unless a request is being read or answered, or has arrived and is read next.
+
+        After a stall the loop runs timers first: a request that came meanwhile would be reset.
+        """
+        if self._in_request or not self._is_answered() or self.transport.is_closing():
+            return
+        poll = select.poll()
+        poll.register(self.transport.get_extra_info("socket").fileno(), select.POLLIN)
+        if not poll.poll(0):
             self.transport.close()
+
+    def _start_asgi_task(self, cycle: RequestResponseCycle, app: Any) -> None:
+        self._answering = cycle
+        super()._start_asgi_task(cycle, app)
+
+    def _abandon(self, cycle: RequestResponseCycle | None) -> None:
+        """Let a request end as one whose caller has gone: its answer is not written."""
+        if cycle is not None and not cycle.response_complete:
+            cycle.disconnected = True
+            cycle.message_event.set()
+
+    def _refuse(self) -> None:
+        """Answer what is not HTTP after the requests before it, then close; read nothing more.
+
+        The refusal takes the place of a request whose body cannot be read further.
+        """
+        refusal = _TOO_LONG if self._head_bytes > MOST_HEAD_BYTES else _NOT_HTTP
+        self._drops_input = self._is_last = True
+        if self._in_request and self._in_body:
+            if self.pipeline:
+                self.pipeline.popleft()
+            else:
+                self._abandon(self.cycle)
+                if self.cycle.response_started:
+                    self.transport.close()
+                    return
+                self.cycle.response_complete = True
+        self.app = refusal.response()
+        self.parser = HttpRequestParser(self)
+        self.parser.feed_data(b"GET / HTTP/1.1\r\n\r\n")
+        self._log_refusal()
+
+    def _log_refusal(self) -> None:
+        kind, now = FastPathProtocol, self.loop.time()
+        kind._refusals += 1
+        if now - kind._logged_at >= REFUSALS_S:
+            log.warning(
+                "refused %d requests that are not HTTP/1.1 or have too long a head since the last "
+                "line of this kind; the last is from %s",
+                kind._refusals,
+                self.client[0] if self.client else "a socket",
+            )
+            kind._refusals, kind._logged_at = 0, now
 
     def _begin(self, *, in_body: bool) -> None:
         """Begin the time limits of a request."""

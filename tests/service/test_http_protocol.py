@@ -1,8 +1,12 @@
 """The fast path and the usual path of the main call give the same replies, whatever is sent."""
 
 import contextlib
+import logging
+import math
 import re
 import socket
+import struct
+import threading
 from contextlib import closing
 
 import numpy as np
@@ -10,6 +14,8 @@ import orjson
 import pytest
 
 from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
+from tests.until import until
+from wrenchbook.service.http import protocol
 from wrenchbook.service.http.access import Permission
 from wrenchbook.service.http.fast_path import FastPath
 from wrenchbook.service.http.protocol import FastPathProtocol
@@ -156,6 +162,31 @@ def test_a_body_that_comes_after_its_head_goes_straight(straight, wire):
     for end in (cut, cut + 5, len(whole) - 1):
         assert wire.ask(whole[:end], whole[end:])[0] == 200
     assert straight() == 3
+
+
+REFUSED = {
+    "a page of another site": ("Sec-Fetch-Site: cross-site", 403),
+    "a page of the same site": ("Sec-Fetch-Site: same-site", 403),
+    "another origin": ("Origin: http://evil.example", 403),
+    "a form": ("Content-Type: application/x-www-form-urlencoded", 415),
+}
+
+
+@pytest.mark.parametrize(("field", "refused"), REFUSED.values(), ids=REFUSED)
+def test_the_fast_path_answers_no_request_that_the_ordinary_path_refuses(
+    straight, wire, field, refused
+):
+    long_head = f"X-Pad: {'a' * 2100}"  # beyond the heads of the fast path
+    for body in (BODY, orjson.dumps({**PLAIN, "on_thin": "estimate"})):
+        assert wire.ask(request(body, fields=[field]))[0] == refused
+        assert wire.ask(request(body, fields=[field, long_head]))[0] == refused
+    assert straight() == 0
+
+
+@pytest.mark.parametrize("field", ["Sec-Fetch-Site: none", "Sec-Fetch-Site: same-origin"])
+def test_a_query_of_the_servers_own_page_takes_the_fast_path(straight, wire, field):
+    assert wire.ask(request(fields=[field]))[0] == 200
+    assert straight() == 1
 
 
 def test_the_known_head_reads_the_body_that_comes_with_it(wire):
@@ -446,6 +477,108 @@ def test_a_query_before_one_with_an_upgrade_header_is_answered_first(wire):
     wire.send(SMUGGLED + request(fields=UPGRADE) + SMUGGLED)
     assert [wire.reply()[0], wire.reply()[0]] == [200, 400]
     assert rest(wire) == b""
+
+
+@pytest.fixture
+def logged(monkeypatch):
+    """Return the records of the server's log from now on."""
+    monkeypatch.setattr(FastPathProtocol, "_logged_at", -math.inf)
+    records, handler = [], logging.Handler()
+    handler.emit = records.append
+    loggers = [logging.getLogger(name) for name in ("uvicorn.error", "wrenchbook")]
+    for logger in loggers:
+        logger.addHandler(handler)
+    yield records
+    for logger in loggers:
+        logger.removeHandler(handler)
+
+
+@pytest.fixture
+def connections(monkeypatch):
+    """Return the server's sides of the connections that begin from now on."""
+    made, begin = [], FastPathProtocol.connection_made
+    monkeypatch.setattr(
+        FastPathProtocol, "connection_made", lambda self, to: (made.append(self), begin(self, to))
+    )
+    return made
+
+
+GET = b"GET /docs HTTP/1.1\r\nHost: x\r\n\r\n"
+CHUNKED = f"POST {PATH} HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n".encode()
+
+
+@pytest.mark.parametrize("garbage", [b"\0", b"GET", b"GET / HTTP/9.9\r\n"])
+def test_requests_before_garbage_are_answered_and_the_garbage_after_them(wire, logged, garbage):
+    wire.send(GET * 3 + garbage + b"\r\n\r\n")
+    replies = [wire.reply() for _ in range(4)]
+    assert [status for status, _, _ in replies] == [200, 200, 200, 400]
+    assert replies[-1][1]["content-type"] == "application/problem+json"
+    assert replies[-1][1]["connection"] == "close"
+    assert rest(wire) == b""
+    assert [record.getMessage() for record in logged if record.levelno > logging.WARNING] == []
+
+
+@pytest.mark.parametrize("before", [b"", GET * 2, request() + GET])
+def test_a_request_whose_body_cannot_be_read_is_refused_in_its_place(wire, logged, before):
+    wire.send(before + CHUNKED)
+    wire.send(b"no length\r\n")
+    statuses = [wire.reply()[0] for _ in range(before.count(b"Host: x") + 1)]
+    assert statuses == [200] * (len(statuses) - 1) + [400]
+    assert rest(wire) == b""
+    assert [record.getMessage() for record in logged if record.levelno > logging.WARNING] == []
+
+
+def test_a_caller_that_leaves_before_its_requests_are_answered_is_not_logged(
+    port, logged, connections
+):
+    for _ in range(20):
+        with closing(Wire(port)) as leaving:
+            leaving.send(GET * 3)
+            # Close with a reset, whatever the server sends.
+            leaving.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    until(lambda: len(connections) == 20 and all(one.parser is None for one in connections))
+    with closing(Wire(port)) as other:
+        assert other.ask(request())[0] == 200
+    until(lambda: not connections[0].tasks)
+    assert [record.getMessage() for record in logged] == []
+
+
+def test_a_flood_of_garbage_is_one_line_of_the_log(port, logged):
+    for _ in range(30):
+        with closing(Wire(port)) as wire:
+            assert wire.ask(b"\0")[0] == 400
+    (record,) = logged
+    assert len(record.getMessage()) < 200
+
+
+STOPS = {
+    "the server stops": FastPathProtocol.shutdown,
+    "the connection was idle": lambda it: it.loop.call_later(1e-3, it.timeout_keep_alive_handler),
+}
+
+
+@pytest.mark.parametrize("stop", STOPS.values(), ids=STOPS)
+def test_a_request_that_arrives_while_the_loop_stalls_is_answered_before_the_connection_closes(
+    port, monkeypatch, connections, stop
+):
+    monkeypatch.setattr(protocol, "LAST_S", 1e-3)
+    stalled, sent = threading.Event(), threading.Event()
+
+    def stall():
+        stalled.set()
+        assert sent.wait(60)
+
+    def begin():  # the loop runs both timers before it reads
+        connections[0].loop.call_later(1e-3, stall)
+        stop(connections[0])
+
+    with closing(Wire(port)) as wire:
+        assert wire.ask(GET)[0] == 200
+        connections[0].loop.call_soon_threadsafe(begin)
+        assert stalled.wait(60)
+        wire.send(request())
+        sent.set()
+        assert wire.reply()[0] == 200
 
 
 def test_an_uncovered_query_costs_its_key_one_request(tmp_path, monkeypatch):

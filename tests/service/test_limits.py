@@ -212,7 +212,7 @@ def test_a_head_that_is_longer_than_any_is_refused(live, head):
             connection.sendall(head)
             while piece := connection.recv(1000):
                 told += piece
-        assert told in (b"", *(protocol.TOO_LONG[:n] for n in range(1, 200)))
+        assert told.startswith(b"HTTP/1.1 431") or b"HTTP/1.1 431".startswith(told)
     assert live.is_ready()
 
 

@@ -54,16 +54,17 @@ class AccessControl:
         """Whether every call needs a key."""
         return self.security.keys_needed or len(self.keyring) > 0
 
-    def admit(self, head: Mapping[bytes, bytes]) -> Permission | None:
-        """Return the permission of a query of the fast path; None if `check` has to decide."""
-        if b"origin" in head or _kind(head) not in (_JSON, b""):
-            return None
+    def admit(self, path: str, head: Mapping[bytes, bytes]) -> Permission | None:
+        """Return the permission of a query of the fast path; None for the ordinary path.
+
+        The fast path counts each query itself, and sends neither refusals nor CORS headers; what a
+        key without the scope `write` may ask depends on the body.
+        """
         try:
-            check_host(self.security, head)
-            permission = self._permission(head)
+            permission = self.check("POST", path, head, counts=False)
         except HttpProblemError:
             return None
-        return permission if permission.allows("write") else None
+        return permission if permission.allows("write") and b"origin" not in head else None
 
     async def watch(self) -> None:
         """Look for changed keys from time to time: the fast path caches permissions by head."""
@@ -87,7 +88,7 @@ class AccessControl:
             return None
         try:
             if PERMISSION not in scope:  # the fast path has admitted and counted it already
-                self.check(scope)
+                scope[PERMISSION] = self.check(scope["method"], scope["path"], head)
         except HttpProblemError as refused:
             await refused.response()(scope, receive, send)
             return None
@@ -96,29 +97,30 @@ class AccessControl:
             receive = counted(receive, most)
         return receive, send
 
-    def check(self, scope: Scope_) -> None:
-        """Check a request, and store its permission in the scope.
+    def check(
+        self, method: str, path: str, head: Mapping[bytes, bytes], *, counts: bool = True
+    ) -> Permission:
+        """Return the permission of a request by its head; `counts`: it is one of its key's rate.
 
         Raises
         ------
         HttpProblemError
             401, 403, 413, 415 or 429; nothing of the body was read.
         """
-        method, path, head = scope["method"], scope["path"], dict(scope["headers"])
         check_host(self.security, head)
         if is_public(method, path):
-            return
+            return OPEN
         check_origin(self.security, head)
         permission = self._permission(head)
-        scope[PERMISSION] = permission
         needed = _needed(method, path)
         if not permission.allows(needed):
             raise beyond_scope(permission, needed)
-        if (seconds := permission.wait()) > 0.0:
+        if counts and (seconds := permission.wait()) > 0.0:
             raise _too_often(permission, seconds)
         _check_length(permission, head)
         if method not in _READING and _has_body(head):
             _check_kind(path, head)
+        return permission
 
     def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
         self._look()
