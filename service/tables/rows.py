@@ -171,7 +171,7 @@ def table_rows(component: Component, rows: Iterable[LedgerRow]) -> Rows:
 
 
 def count_others(ledger: Ledger, component: Component, table: ServedTable) -> None:
-    """Note at a table how many rows of other setups the ledger has, and findings on its imports.
+    """Note at a table how many rows of other setups the ledger has.
 
     Raises
     ------
@@ -179,7 +179,6 @@ def count_others(ledger: Ledger, component: Component, table: ServedTable) -> No
         If the ledger cannot be read.
     """
     found = ledger.of_other_setups(component.name, component.fingerprint)
-    table.findings = ledger.findings(component.name)
     table.other_rows = sum(found.values())
     settled = not component.has_fea or (table.linear and not table.needs_compliance)
     if found and not settled:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -85,13 +84,10 @@ class ServedTable:
     solver_error : SolverError or None
     other_rows, other_wrenches : int
         Rows of another setup of the component, and how many of their wrenches no row here has.
-    findings : sequence of dict
-        Probable systematic errors of imported rows, as `Ledger.findings` returns them.
     """
 
     other_rows: int = 0
     other_wrenches: int = 0
-    findings: Sequence[dict[str, Any]] = ()
 
     def __init__(
         self,

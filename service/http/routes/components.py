@@ -180,6 +180,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
     """Return all there is to say about a component."""
     table = workspace.tables.surrogate(component.name)
     own_error = workspace.solver_error(component.name) if component.has_fea else None
+    findings = workspace.ledger.findings(component.name)  # a large table may still be in the making
     return {
         **_summary(workspace, component),
         "fingerprint": component.fingerprint,
@@ -189,7 +190,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         "warnings": [
             *_warnings(component, own_error, known=table.bars_are_whole),
             *({"where": "rows", "message": one} for one in _of_rows(component, table)),
-            *({"where": f"import {one['import']}", **one} for one in table.findings),
+            *({"where": f"import {one['import']}", **one} for one in findings),
         ],
         "vibration": vibration_of(component.folder, component.fingerprint),
         "solver_error": _solver_error(component, own_error),
