@@ -8,6 +8,7 @@ weld's reaction is the sensor.
 from __future__ import annotations
 
 import argparse
+import os
 from typing import Any
 
 import numpy as np
@@ -103,7 +104,8 @@ def main(server: str, seconds: float) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--server", default="http://127.0.0.1:8000")
+    server = os.environ.get("WRENCHBOOK_SERVER", "http://127.0.0.1:8000")
+    parser.add_argument("--server", default=server)
     parser.add_argument("--seconds", type=float, default=1.0)
     given = parser.parse_args()
     main(given.server, given.seconds)

@@ -8,6 +8,7 @@ covered that.
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,8 @@ def main(server: str, seconds: float) -> float:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--server", default="http://127.0.0.1:8000")
+    server = os.environ.get("WRENCHBOOK_SERVER", "http://127.0.0.1:8000")
+    parser.add_argument("--server", default=server)
     parser.add_argument("--seconds", type=float, default=2.0)
     given = parser.parse_args()
     main(given.server, given.seconds)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ServerTimeout
+from .errors import InvalidArgument, ServerTimeout
 from .request import (
     Call,
     Item,
@@ -22,6 +22,9 @@ from .request import (
     sync_and_async_iterator,
 )
 from .wrenches import options
+
+if TYPE_CHECKING:
+    from .replies import Displacement
 
 Vector = NDArray[np.float64]
 ENDED = ("done", "failed", "cancelled")
@@ -144,18 +147,20 @@ class JobCalls:
         return (yield from _job(job, wait_s))
 
     @sync_and_async
-    def wait(self, job: Job | int, timeout: float = 600.0) -> Call[Job]:
+    def wait(self, job: Job | int | Displacement, timeout: float = 600.0) -> Call[Job]:
         """Wait until a job has ended, and return it: look at its `Job.status`.
 
         Parameters
         ----------
-        job : Job or int
-            The job, or its number.
+        job : Job, int or Displacement
+            The job, its number, or an answer of `solve` or `displacement` that has a job.
         timeout : float
             Seconds to wait at most.
 
         Raises
         ------
+        InvalidArgument
+            If it is none of these, or an answer without a job.
         ServerTimeout
             If it has not ended by then; it goes on in the server.
         """
@@ -302,16 +307,23 @@ class JobCalls:
                 return
 
 
-def _path(job: Job | int) -> str:
-    return f"/v1/jobs/{job.id if isinstance(job, Job) else int(job)}"
+def _path(job: Job | int | Displacement) -> str:
+    number: Any = job if isinstance(job, Job) else getattr(job, "job", job)
+    try:
+        return f"/v1/jobs/{number.id if isinstance(number, Job) else int(number)}"
+    except (TypeError, ValueError):
+        wrong = f"a job is a Job, its number, or an answer that has a job, not {job!r}"
+        if number is None:
+            wrong = f"there is no job to wait for: {job!r} is complete, or nothing was queued"
+        raise InvalidArgument(wrong) from None
 
 
-def _job(job: Job | int, wait_s: float | None) -> Call[Job]:
+def _job(job: Job | int | Displacement, wait_s: float | None) -> Call[Job]:
     query = {"wait_s": wait_s} if wait_s else None
     return Job.read((yield json_request("GET", _path(job), query=query, wait_s=wait_s)).json())
 
 
-def _ended(job: Job | int, timeout: float) -> Call[Job]:
+def _ended(job: Job | int | Displacement, timeout: float) -> Call[Job]:
     """Return a job once it has ended."""
     deadline = time.monotonic() + timeout
     while True:

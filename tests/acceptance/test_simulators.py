@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import runpy
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -86,6 +88,23 @@ def test_a_script_runs_as_it_stands(name, package, seconds, url: str, capsys) ->
     told = capsys.readouterr().out
     assert "0 thin, 0 outside, 0 unknown" in told
     assert " 0 answers" not in told
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "seconds"),
+    [
+        ("mujoco_arm", "mujoco", "2"),
+        ("mujoco_joint", "mujoco", "0.02"),
+        ("pybullet_pendulum", "pybullet", "0.02"),
+    ],
+)
+def test_a_script_without_options_asks_the_server_of_the_environment(
+    name, package, seconds, url: str, monkeypatch
+) -> None:
+    pytest.importorskip(package, reason="has no wheel here")
+    monkeypatch.setenv("WRENCHBOOK_SERVER", url)
+    monkeypatch.setattr(sys, "argv", [name, "--seconds", seconds])
+    runpy.run_path(str(SCENES / f"{name}.py"), run_name="__main__")
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import pytest
 from tests.service.live import served
 from tests.service.stub_server import Answer, Stub, running_stub
 from wrenchbook.service.client import Client, Job, ProblemError, ServerTimeout
+from wrenchbook.service.client.errors import InvalidArgument
 
 COVERED = {
     "component": "plate",
@@ -304,6 +305,22 @@ def test_wait_polls_until_the_job_has_ended(stub: Stub, client: Client):
     assert job.vector.tolist() == [1, 2, 3, 0, 0, 0]
     assert len(stub.seen) == 3
     assert all(one.path.startswith("/v1/jobs/7?wait_s=") for one in stub.seen)
+
+
+def test_wait_takes_the_answer_that_solve_returned(stub: Stub, client: Client):
+    stub.answers(Answer(QUEUED, status=202), Answer({"id": 7, "status": "done"}))
+    assert client.wait(client.solve("plate", [0, 0, 1])).status == "done"
+
+
+def test_wait_says_that_a_complete_answer_has_no_job(stub: Stub, client: Client):
+    stub.answers(Answer(COVERED))
+    with pytest.raises(InvalidArgument, match=r"no job to wait for: .*complete"):
+        client.wait(client.displacement("plate", [0, 0, 1]))
+
+
+def test_wait_says_what_a_job_is(client: Client):
+    with pytest.raises(InvalidArgument, match=r"a job is a Job, its number, or an answer.*'bar'"):
+        client.wait("bar")  # type: ignore[arg-type]
 
 
 def test_wait_gives_up_in_time_and_says_that_the_job_goes_on(stub: Stub, client: Client):

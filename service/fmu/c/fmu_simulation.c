@@ -91,20 +91,20 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     fmu_instance *m = c;
     if (!fmu_allowed(m, "fmi2NewDiscreteStates", EVENT)) return fmi2Error;
     memset(info, 0, sizeof *info);
-    m->state.event_coverage = fmu_answered(m)->coverage;
-    m->state.event_within = fmu_answered(m)->within;
     return fmi2OK;
 }
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     fmu_instance *m = c;
     if (!fmu_allowed(m, "fmi2EnterContinuousTimeMode", EVENT)) return fmi2Error;
+    m->state.event_coverage = fmu_answered(m)->coverage;
+    m->state.event_within = fmu_answered(m)->within;
     m->state.mode = CONTINUOUS;
     return fmi2OK;
 }
 
-/* `coverage` and `within_tolerance` always tell of the numbers beside them; that one has changed is
- * an event. */
+/* In continuous time `coverage` and `within_tolerance` keep the values of the last event; a step at
+ * whose end the table gives other values asks for an event, which changes them. */
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_return, fmi2Boolean *event,
                                        fmi2Boolean *terminate) {
     fmu_instance *m = c;

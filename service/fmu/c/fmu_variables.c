@@ -68,9 +68,11 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
                           fmi2Integer value[]) {
     fmu_instance *m = c;
     if (!fmu_allowed(m, "fmi2GetInteger", ANY)) return fmi2Error;
+    int held = m->state.mode == CONTINUOUS; /* discrete variables change at events alone */
+    const wb_reply *now = fmu_answered(m);
     for (size_t i = 0; i < nvr; i++) {
-        if (vr[i] == m->vr.coverage) value[i] = fmu_answered(m)->coverage;
-        else if (vr[i] == m->vr.within) value[i] = fmu_answered(m)->within;
+        if (vr[i] == m->vr.coverage) value[i] = held ? m->state.event_coverage : now->coverage;
+        else if (vr[i] == m->vr.within) value[i] = held ? m->state.event_within : now->within;
         else return no_variable(m, "fmi2GetInteger", vr[i]);
     }
     return fmi2OK;

@@ -16,6 +16,7 @@ from tests.service.fmu.made import (
     LOADS,
     OUTPUTS,
     TOLERANCE,
+    WITHIN,
     answers,
     opened,
     packed,
@@ -276,6 +277,20 @@ def test_a_change_of_coverage_is_an_event_of_model_exchange(fmu):
         instance.newDiscreteStates()
         instance.enterContinuousTimeMode()
         assert instance.completedIntegratorStep() == (False, False)
+
+
+def test_coverage_keeps_its_value_between_events_of_model_exchange(fmu):
+    with fmu.running(FMU2Model) as instance:
+        flags = [*COVERAGE, *WITHIN]
+        before = instance.getInteger(flags)
+        instance.setReal(LOADS, [1e6] * 6)
+        assert instance.getInteger(flags) == before
+        instance.enterEventMode()
+        assert instance.getInteger(COVERAGE) == [2]
+        instance.newDiscreteStates()
+        instance.enterContinuousTimeMode()
+        instance.setReal(LOADS, [0.0] * 6)
+        assert instance.getInteger(COVERAGE) == [2]
 
 
 def test_instances_come_and_go_without_leaving_memory_behind(fmu):
