@@ -41,14 +41,24 @@ def restore(
     as_json: AsJson = False,
 ) -> None:
     """Make a data directory from a backup."""
+    from wrenchbook.service.keys import FILE as KEYS
     from wrenchbook.service.ops.restore import restore as run
 
     manifest, aside = run(file, data, overwrite=overwrite)
+    skipped, keys = manifest.skipped, (data / KEYS).exists()
     if as_json:
-        print_json({"data": data, "files": len(manifest.files), "former": aside})
+        about = {"data": data, "files": len(manifest.files), "former": aside}
+        print_json({**about, "skipped": skipped, "keys": keys})
         return
     start = f"wrenchbook serve{_data_option(data)}"
     plain(_out, f"{data}: {len(manifest.files)} files restored. Start it with: {start}")
+    if skipped:
+        plain(_out, f"Not restored, since backups hold no such files: {', '.join(skipped)}.")
+    if keys:
+        plain(_out, "Its keys stay as they were.")
+    else:
+        add = f"wrenchbook keys add NAME{_data_option(data)}"
+        plain(_out, f"It has no keys: anybody on this machine may call it. Make one with: {add}")
     if aside is not None:
         plain(_out, f"The former files are in {aside}; remove them once you need them no more.")
 

@@ -15,7 +15,8 @@ _PATIENCE_SECONDS = 0.5
 
 def take(path: Path, patience_s: float = _PATIENCE_SECONDS) -> int | None:
     """Lock the file (made if there is none) and return its descriptor; None if it is locked."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    # Whoever may read a file may lock it, and so keep others from it.
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     deadline = time.monotonic() + patience_s
     while True:
         try:

@@ -130,7 +130,7 @@ class Acknowledged:
     def _write(self, numbers: Numbers) -> None:
         text = b"%d %d\n" % numbers
         words = text + blake2b(text, digest_size=_DIGEST).digest()
-        descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             # The numbers only grow, so the text never gets shorter; one write is whole or absent.
             os.pwrite(descriptor, words, 0)

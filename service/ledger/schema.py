@@ -135,6 +135,13 @@ def open_file(path: Path) -> Connection:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _check_log(path)
+        with suppress(FileExistsError):
+            os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+        # Earlier versions let everybody read it. A group that was let in stays.
+        for file in (path.with_name(f"{path.name}{end}") for end in ("", "-wal", "-shm")):
+            with suppress(OSError):
+                if file.stat().st_mode & 0o007:
+                    file.chmod(0o600)
         connection = connect(path)
         try:
             _check_file(connection, path)

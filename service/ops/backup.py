@@ -8,32 +8,37 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tempfile
 import time
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from hashlib import blake2b
 from importlib.metadata import version
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import IO, Any
 
 from wrenchbook.service.files.durable import sync, sync_folder
 from wrenchbook.service.ledger import Ledger, LedgerError
 from wrenchbook.service.ledger.versions import SCRIPTS
-from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
-from wrenchbook.surrogate.packed.format import SUFFIX
 
 FORMAT = "wrenchbook backup"
-SCHEMA = 1
+SCHEMA = 2  # 1 held all files of the directory but attempts: keys and settings too
 MANIFEST = "backup.json"
 LEDGER = "ledger.sqlite"
 PIECE = 1 << 20  # bytes in memory at once
 TABLES = "tables"
-# Attempts' folders are work in progress and logs: accepted jobs and rows are in the ledger.
-# Packed tables (`SUFFIX`) are built again from it.
-_LEFT_OUT = ("jobs", TABLES, SHARED)
+_FILES = (LEDGER, "library.json", "demand.json")
+_FOLDERS = ("components", "fields", "solver_errors")
+# All that a backup holds. Packed tables and reports are made again; keys and settings belong to
+# the directory, attempts' folders to the server. Names of drafts begin with a dot.
+_HELD = re.compile(
+    rf"{'|'.join(map(re.escape, _FILES))}|{TABLES}/(?!\.)[^/]+\.h5|"
+    rf"(?:{'|'.join(_FOLDERS)})(?:/(?!\.)[^/]+)+"
+)
 _DAMAGED = "the backup is damaged and nothing was changed. Take another one"
 
 
@@ -52,6 +57,8 @@ class Manifest:
     ledger_schema : int
     files : dict of str to [int, str]
         Length and digest of each file, by its path in the data directory.
+    skipped : tuple of str
+        Files in a backup of an earlier version that this one does not restore, such as keys.
     """
 
     created: float
@@ -60,6 +67,7 @@ class Manifest:
     program: str = field(default_factory=lambda: version("wrenchbook"))
     format: str = FORMAT
     schema: int = SCHEMA
+    skipped: tuple[str, ...] = ()
 
 
 def back_up(folder: Path, target: Path) -> Manifest:
@@ -89,7 +97,6 @@ def back_up(folder: Path, target: Path) -> Manifest:
         with tempfile.TemporaryDirectory(prefix=".wrenchbook-", dir=target.parent) as scratch:
             _write(draft, _files(folder, Path(scratch) / LEDGER, {draft, target}))
         manifest = verify(draft)
-        draft.chmod(0o600)  # it holds everything
         sync(draft)
         draft.replace(target)
         sync_folder(target.parent)
@@ -113,9 +120,11 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     Raises
     ------
     BackupError
-        If the backup is damaged, of a newer format, or names files outside of a data directory.
+        If the backup is damaged, of a newer format, of another user, or has a file that no backup
+        holds.
     """
     try:
+        owner = source.stat().st_uid
         archive = zipfile.ZipFile(source)
     except FileNotFoundError:
         raise BackupError(f"there is no file {source}") from None
@@ -124,13 +133,19 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
             f"{source} is not a whole backup ({error}): its writing or copying was cut off. "
             "Take another one; nothing was changed"
         ) from error
+    # A backup is its owner's alone to read: one that comes from somebody else was passed on.
+    if owner not in (0, os.geteuid()):
+        raise BackupError(
+            f"{source} belongs to user {owner}, who may have changed it. If you trust it, copy it "
+            "and restore the copy; nothing was changed"
+        )
     with archive:
         manifest = _manifest(archive, source)
         for name, expected in manifest.files.items():
             try:
                 with archive.open(name) as file, place(name) as target:
                     found = _copied(file, target)
-            except (KeyError, zipfile.BadZipFile, EOFError) as error:
+            except (KeyError, RuntimeError, zipfile.BadZipFile, EOFError, zlib.error) as error:
                 what = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
                 raise BackupError(what) from error
             if found != expected:
@@ -151,24 +166,30 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         )
     try:
         files = {str(name): (int(n), str(digest)) for name, (n, digest) in fields["files"].items()}
-        manifest = Manifest(fields["created"], int(fields["ledger_schema"]), files)
+        created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise BackupError(f"{source} does not say what is in it ({error!r})") from error
-    if outside := [name for name in files if not _is_inside(name)]:
-        raise BackupError(f"{source} names a file outside of a data directory: {outside[0]!r}")
-    return manifest
-
-
-def _is_inside(name: str) -> bool:
-    path = PurePosixPath(name)
-    relative = bool(path.parts) and not path.is_absolute()
-    return relative and ".." not in path.parts and "\\" not in name
+    held = {name: about for name, about in files.items() if _HELD.fullmatch(name)}
+    skipped = tuple(files.keys() - held.keys())
+    outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]
+    if outside or (skipped and schema > 1):
+        raise BackupError(
+            f"{source} holds {(outside or skipped)[0]!r}, which no backup does: it was changed. "
+            "Nothing was restored; take another one"
+        )
+    if LEDGER not in held:
+        raise BackupError(f"{source} has no {LEDGER}: it is no backup of a data directory")
+    return Manifest(created, ledger_schema, held, skipped=tuple(sorted(skipped)))
 
 
 def _write(target: Path, files: Iterable[tuple[str, Path]]) -> None:
     """Write files in their order into a new backup; a draft that is gone by then is left out."""
     # Without compression: tables are digits that hardly shrink.
-    with zipfile.ZipFile(target, "x", zipfile.ZIP_STORED, allowZip64=True) as archive:
+    descriptor = os.open(target, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+    with (
+        open(descriptor, "w+b") as whole,  # noqa: PTH123 (a descriptor)
+        zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED, allowZip64=True) as archive,
+    ):
         manifest, written = Manifest(time.time(), len(SCRIPTS)), {}
         for name, path in files:
             # From one open file: a table that is replaced meanwhile is the whole previous one.
@@ -192,24 +213,21 @@ def _copied(file: IO[bytes], target: IO[bytes]) -> tuple[int, str]:
 
 
 def _files(folder: Path, copy: Path, own: set[Path]) -> Iterator[tuple[str, Path]]:
-    """Yield the files of a data directory, and a copy of the ledger made at its turn."""
-    tables = _in(folder / TABLES, folder, own)
-    yield from (found for found in tables if found[1].suffix != SUFFIX)
+    """Yield the files that backups hold, and a copy of the ledger made at its turn."""
+    yield from _in(folder / TABLES, folder, own)
     ledger = Ledger(folder / LEDGER)
     try:
         ledger.copy(copy)
     finally:
         ledger.close()
     yield LEDGER, copy
-    for entry in sorted(folder.iterdir()):
-        if entry.name not in _LEFT_OUT and not entry.name.startswith((LEDGER, ".")):
-            yield from _in(entry, folder, own)
+    for name in (*_FILES[1:], *_FOLDERS):
+        yield from _in(folder / name, folder, own)
 
 
 def _in(place: Path, folder: Path, own: set[Path]) -> Iterator[tuple[str, Path]]:
-    """Yield the files at a place except drafts, whose names begin with a dot."""
+    """Yield the files at a place that backups hold."""
     for path in [place] if place.is_file() else sorted(place.rglob("*")):
-        name = path.relative_to(folder)
-        draft = any(part.startswith(".") for part in name.parts)
-        if path.is_file() and not draft and path not in own:
-            yield name.as_posix(), path
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and _HELD.fullmatch(name) and path not in own:
+            yield name, path

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from pathlib import Path
 
 from wrenchbook.service.files import lock
 from wrenchbook.service.files.durable import sync_folder, sync_tree
+from wrenchbook.service.keys import FILE as KEYS
 from wrenchbook.service.ledger import Ledger, LedgerError
 from wrenchbook.service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
 from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 from wrenchbook.service.tables.coordinator_state import LOCK
 
 _DRAFT = ".restoring"  # in the data directory, which may be a mount
+# Keys and settings are no part of a backup: those of the directory stay, whatever is restored.
+_STAYS = (_DRAFT, KEYS, f"{KEYS}.lock", "wrenchbook.toml")
 
 
 def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Manifest, Path | None]:
     """Restore a backup into a data directory.
 
-    The backup is verified first, and the restored files before they replace others.
+    The backup is verified first, and the restored files before they replace others. Keys and
+    settings of the directory stay. Restored files are their owner's alone to read.
 
     Parameters
     ----------
@@ -28,7 +33,7 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
     folder : path
         Made if there is none.
     overwrite : bool
-        Whether the directory may have content, which is moved aside.
+        Whether the directory may have more than keys and settings; what it has is moved aside.
 
     Returns
     -------
@@ -45,11 +50,11 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
     verify(source)
     draft = folder / _DRAFT
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        present = sorted(entry for entry in folder.iterdir() if entry.name != _DRAFT)
+        folder.mkdir(0o700, parents=True, exist_ok=True)
+        present = sorted(entry for entry in folder.iterdir() if entry.name not in _STAYS)
         _check_free(folder, present, overwrite=overwrite)
         shutil.rmtree(draft, ignore_errors=True)  # of an interrupted restore
-        draft.mkdir()
+        draft.mkdir(0o700)
         manifest = _unpacked(source, draft)
         sync_tree(draft)
         aside = _move_aside(folder, present) if present else None
@@ -85,9 +90,11 @@ def _unpacked(source: Path, draft: Path) -> Manifest:
     def place(name: str):
         path = draft / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        return path.open("xb")
+        return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
 
     manifest = unpack(source, place)
+    for path in filter(Path.is_dir, draft.rglob("*")):
+        path.chmod(0o700)
     try:
         Ledger(draft / LEDGER).close()  # verifies it and updates its schema
     except LedgerError as error:
@@ -98,7 +105,7 @@ def _unpacked(source: Path, draft: Path) -> Manifest:
 def _move_aside(folder: Path, present: list[Path]) -> Path:
     """Move the content of a folder into a new one there; the ledger and its log first."""
     aside = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
-    aside.mkdir()
+    aside.mkdir(0o700)
     for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
         if not entry.name.startswith(".before-restore-"):
             entry.rename(aside / entry.name)

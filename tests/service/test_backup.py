@@ -1,8 +1,11 @@
 """A backup is whole or is none, and restores to the same answers."""
 
 import json
+import os
 import random
+import stat
 import zipfile
+from hashlib import blake2b
 
 import numpy as np
 import pytest
@@ -10,8 +13,9 @@ from typer.testing import CliRunner
 
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.cli.main import app
+from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import Ledger, NewRow
-from wrenchbook.service.ops.backup import MANIFEST, BackupError, back_up, verify
+from wrenchbook.service.ops.backup import MANIFEST, SCHEMA, BackupError, back_up, verify
 from wrenchbook.service.ops.restore import restore
 from wrenchbook.service.tables.solver_errors import SolverErrors
 
@@ -30,8 +34,8 @@ def folder(tmp_path):
     site.insert(30)
     site.ledger.accept("rig", "f", (1.0, 0, 0, 0, 0, 0))
     site.close()
-    (site.folder / "surfaces").mkdir()
-    (site.folder / "surfaces" / "rig.bin").write_bytes(b"surface")
+    (site.folder / "fields" / "rig").mkdir(parents=True)
+    (site.folder / "fields" / "rig" / "1.fields").write_bytes(b"surface")
     (site.folder / "jobs" / "1" / "1").mkdir(parents=True)
     (site.folder / "jobs" / "1" / "1" / "log.txt").write_text("log")
     return site.folder
@@ -58,7 +62,7 @@ def answers(folder):
 def test_a_restored_directory_gives_the_same_answers_and_jobs(folder, backup, tmp_path):
     restore(backup, tmp_path / "again")
     assert answers(tmp_path / "again") == answers(folder)
-    assert (tmp_path / "again" / "surfaces" / "rig.bin").read_bytes() == b"surface"
+    assert (tmp_path / "again" / "fields" / "rig" / "1.fields").read_bytes() == b"surface"
 
 
 def test_packed_tables_are_in_no_backup_and_are_built_again(folder, backup, tmp_path):
@@ -144,14 +148,134 @@ def test_a_backup_of_a_newer_program_is_refused_by_its_version(backup, tmp_path)
         restore(newer, tmp_path / "again")
 
 
-def test_a_name_that_leads_out_of_the_directory_is_refused(backup, tmp_path):
-    evil = tmp_path / "evil"
-    with zipfile.ZipFile(evil, "w") as archive:
-        files = {"../outside": [0, ""]}
-        told = {"format": "wrenchbook backup", "schema": 1, "created": 0, "ledger_schema": 1}
-        archive.writestr(MANIFEST, json.dumps(told | {"files": files}))
-    with pytest.raises(BackupError, match="outside of a data directory"):
-        restore(evil, tmp_path / "again")
+def planted(backup, name, content=b"", mode=0o600, schema=SCHEMA):
+    """Add a file to a backup as one who knows its form would."""
+    with zipfile.ZipFile(backup) as archive:
+        held = {entry: archive.read(entry) for entry in archive.namelist()}
+    manifest = json.loads(held.pop(MANIFEST))
+    digest = blake2b(content, digest_size=32).hexdigest()
+    files = {**manifest["files"], name: [len(content), digest]}
+    target = backup.with_name("planted.backup")
+    with zipfile.ZipFile(target, "w") as archive:
+        for entry, bytes_ in held.items():
+            archive.writestr(entry, bytes_)
+        info = zipfile.ZipInfo(name)
+        info.external_attr = mode << 16
+        archive.writestr(info, content)
+        archive.writestr(MANIFEST, json.dumps({**manifest, "files": files, "schema": schema}))
+    return target
+
+
+@pytest.mark.parametrize("schema", [1, SCHEMA])
+@pytest.mark.parametrize("name", ["../outside", "/etc/outside", "fields/../../outside"])
+def test_a_name_that_leads_out_of_the_directory_is_refused(backup, tmp_path, name, schema):
+    with pytest.raises(BackupError, match="which no backup does"):
+        restore(planted(backup, name, schema=schema), tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("keys.json", "keys.json.lock", "wrenchbook.toml", "jobs/1/1/spec.json", "shared/lock"),
+        *("tables/rig-1.wbt", "tables/.rig.h5", "components/.x/y", "components", "fields//x"),
+        *("reports/rig/report.json", "ledger.sqlite-wal", "ledger.sqlite-acknowledged", "x/y"),
+    ],
+)
+def test_a_file_that_no_backup_holds_is_refused_and_nothing_is_restored(backup, tmp_path, name):
+    with pytest.raises(BackupError, match="which no backup does"):
+        restore(planted(backup, name), tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+
+
+@pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFCHR, stat.S_IFIFO, stat.S_IFDIR])
+def test_no_link_and_no_device_comes_out_of_a_backup(backup, tmp_path, kind):
+    name = "components/rig/mesh.inp"
+    restore(planted(backup, name, b"/etc/passwd", kind | 0o6777), tmp_path / "again")
+    restored = (tmp_path / "again" / name).lstat()
+    assert stat.S_ISREG(restored.st_mode)
+    assert stat.S_IMODE(restored.st_mode) == 0o600
+
+
+def test_a_backup_of_another_user_is_refused(backup, tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: 4242)
+    os.chown(backup, 4243, -1) if os.getuid() == 0 else None
+    with pytest.raises(BackupError, match="belongs to user"):
+        restore(backup, tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+
+
+def test_a_backup_without_a_ledger_is_none(backup, tmp_path):
+    with zipfile.ZipFile(backup) as archive:
+        manifest = json.loads(archive.read(MANIFEST))
+    with zipfile.ZipFile(tmp_path / "none", "w") as archive:
+        archive.writestr(MANIFEST, json.dumps({**manifest, "files": {}}))
+    with pytest.raises(BackupError, match=r"has no ledger\.sqlite"):
+        restore(tmp_path / "none", tmp_path / "again")
+
+
+def test_keys_and_settings_are_in_no_backup(folder, tmp_path):
+    Keyring(folder).add("ops", "admin")
+    (folder / "wrenchbook.toml").write_text("solvers = 0")
+    (folder / "stranger.txt").write_text("x")
+    names = back_up(folder, tmp_path / "b").files
+    assert {name.split("/")[0] for name in names} == {
+        *("ledger.sqlite", "tables", "components", "fields")
+    }
+
+
+def test_a_key_revoked_after_a_backup_stays_revoked_and_the_others_stay(folder, tmp_path):
+    """A restore brought revoked keys back, and one of a directory without keys opened a server."""
+    leaver, ops = (Keyring(folder).add(name, "admin") for name in ("leaver", "ops"))
+    (folder / "wrenchbook.toml").write_text("solvers = 0")
+    back_up(folder, tmp_path / "b")
+    Keyring(folder).revoke("leaver")
+    restore(tmp_path / "b", folder, overwrite=True)
+    assert Keyring(folder).find(leaver) is None
+    assert Keyring(folder).find(ops) is not None
+    assert stat.S_IMODE((folder / "keys.json").stat().st_mode) == 0o600
+    assert (folder / "wrenchbook.toml").read_text() == "solvers = 0"
+
+
+def test_a_directory_with_keys_and_settings_alone_is_empty(backup, tmp_path):
+    Keyring(tmp_path / "new").add("ops", "admin")
+    _, aside = restore(backup, tmp_path / "new")
+    assert aside is None
+
+
+def test_keys_in_a_backup_of_an_earlier_version_are_left_out_and_named(backup, tmp_path):
+    older = planted(backup, "keys.json", b'{"keys": []}', schema=1)
+    command = ["restore", str(older), "--data", str(tmp_path / "d2")]
+    shown = CliRunner().invoke(app, command, env={"COLUMNS": "1000"})
+    assert shown.exit_code == 0
+    assert "Not restored, since backups hold no such files: keys.json." in shown.output
+    assert "It has no keys" in shown.output
+    assert not (tmp_path / "d2" / "keys.json").exists()
+
+
+def test_a_restored_directory_is_its_owners_alone(backup, tmp_path):
+    umask = os.umask(0)
+    try:
+        restore(backup, tmp_path / "again")
+    finally:
+        os.umask(umask)
+    modes = {path: path.stat().st_mode & 0o077 for path in (tmp_path / "again").rglob("*")}
+    assert len(modes) > 5
+    assert not any(modes.values()), modes
+
+
+def test_a_backup_is_private_while_it_is_written(folder, tmp_path, monkeypatch):
+    modes = []
+    monkeypatch.setattr(
+        "wrenchbook.service.ops.backup.verify",
+        lambda draft: modes.append(stat.S_IMODE(draft.stat().st_mode)),
+    )
+    umask = os.umask(0)
+    try:
+        back_up(folder, tmp_path / "b")
+    finally:
+        os.umask(umask)
+    assert modes == [0o600]
 
 
 def test_a_damaged_ledger_is_not_backed_up_over_a_good_backup(backup, folder):

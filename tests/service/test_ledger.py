@@ -1,5 +1,6 @@
 """What the ledger promises about jobs."""
 
+import os
 import threading
 import time
 
@@ -334,3 +335,23 @@ def test_many_threads_accept_and_claim_each_job_once(ledger):
         thread.join()
     assert sorted(claimed) == sorted(set(claimed)) == sorted(job.id for job in ledger.jobs())
     assert len(ledger.rows("plate")) == len(ledger.jobs(status="done")) == 20
+
+
+@pytest.mark.parametrize("before", [None, 0o644, 0o660])
+def test_a_ledger_and_its_log_are_no_ones_but_their_owners(tmp_path, before):
+    """Everybody on the machine could read them; one of an earlier version is closed too."""
+    path, umask = tmp_path / "ledger.sqlite", os.umask(0)
+    try:
+        if before is not None:
+            Ledger(path).close()
+            path.chmod(before)
+        ledger = Ledger(path)
+        ledger.accept("rig", "f", (1.0, 0, 0, 0, 0, 0))
+        modes = {file.name: file.stat().st_mode & 0o777 for file in tmp_path.iterdir()}
+        ledger.close()
+    finally:
+        os.umask(umask)
+    assert modes.keys() >= {path.name, f"{path.name}-wal"}
+    assert modes.pop("ledger.sqlite-acknowledged") == 0o600
+    # A group that was let in on purpose stays.
+    assert set(modes.values()) == {0o660 if before == 0o660 else 0o600}
