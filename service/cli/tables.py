@@ -38,7 +38,7 @@ _Partial = Annotated[
     bool, typer.Option("--partial", help="load the correct rows even if others have mistakes")
 ]
 _Decimal = Annotated[
-    str | None, typer.Option(help="the decimal mark of a CSV: . or ,", metavar="MARK")
+    str | None, typer.Option(help="the decimal mark of numbers in text: . or ,", metavar="MARK")
 ]
 _Ignore = Annotated[list[str] | None, typer.Option(help="a column to leave out; repeatable")]
 _IgnoreExtra = Annotated[bool, typer.Option("--ignore-extra", help="leave out all unknown columns")]

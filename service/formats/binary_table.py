@@ -9,17 +9,18 @@ import math
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.io import loadmat, whosmat
 
-from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.cells import Digits, text_problem
 from wrenchbook.service.formats.column_names import Columns, Layout, WritableRows
 from wrenchbook.service.formats.options import MOST_ROWS, Options, ReadReport
 from wrenchbook.service.formats.preamble import Record
-from wrenchbook.service.formats.records import CellFormat, read_records
+from wrenchbook.service.formats.records import read_records
 from wrenchbook.service.formats.table_rows import Array, ParsedTable, Problem, good_rows
 from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
@@ -45,7 +46,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
             index = tuple(name for name in names if name.startswith("__index_level_"))
             own = replace(options, ignore=(*options.ignore, *index))  # of a data frame
             records = _records(path, file)
-            yield from read_records(records, own, report, CellFormat(), lambda _cells, _header: "")
+            yield from read_records(records, own, report)
     except Exception as error:  # pyarrow raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable Parquet file: {error}")
 
@@ -133,8 +134,8 @@ def _cells(column: Any) -> list[str]:
 def _cell(value: Any) -> str:
     if value is None or value != value:
         return ""
-    if isinstance(value, float):
-        return repr(value)
+    if isinstance(value, float | int | Decimal):
+        return Digits(value)
     text = value.isoformat() if hasattr(value, "isoformat") else str(value)
     if len(text) > MOST_TEXT:
         raise ParquetBoundsError(f"a text is longer than {MOST_TEXT:,} characters")
@@ -191,7 +192,7 @@ def _read_columns(
     """Yield the good rows of columns with labels."""
     try:
         records = _column_records(pieces, options.columns.most)
-        yield from read_records(records, options, report, CellFormat(), lambda _cells, _header: "")
+        yield from read_records(records, options, report)
     except (ValueError, OSError) as error:
         report.mistakes.ruin(0, "file", str(error))
 

@@ -10,6 +10,14 @@ from decimal import Decimal
 _QUOTED = 40  # characters of a cell in a message
 NO_VALUE = "#NO VALUE: "
 """Stands before the place of a formula that a program wrote without its value."""
+
+
+class Digits(str):
+    """A number that its file stores as one: its decimal mark is a point whatever texts use."""
+
+    __slots__ = ()
+
+
 # Formats of loggers in addition to ISO 8601. Day and month may be swapped: only differences count,
 # and a log rarely runs over midnight.
 _CLOCK_FORMATS = (
@@ -30,8 +38,8 @@ _CLOCK_FORMATS = (
 # The wide forms count: spreadsheets with East Asian input convert them.
 _FORMULA = re.compile(r"'*\s*[=+\-@\t\r\n|%＝＋－＠]")
 _GUARDED = re.compile(r"''*\s*[=+\-@\t\r\n|%＝＋－＠]")
-
-
+# 1.234 is 1.234 with a decimal point and 1234 with a point between thousands.
+EITHER_MARK = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}")
 _GROUPED = re.compile(
     r"[+-]?[1-9]\d{0,2}(?P<gap>[.,'\u2019 \u00a0\u2009\u202f])\d{3}(?P<more>(?P=gap)\d{3})*"
     r"(?:(?!(?P=gap))(?P<mark>[.,])\d*)?"
@@ -54,9 +62,12 @@ def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
         Whether the sender declared it: then 1,234 beside a decimal point is 1234. Otherwise it
         may also be a wrong decimal mark.
     """
-    grouped = _GROUPED.fullmatch(cell)
+    grouped, mark = _GROUPED.fullmatch(cell), "," if comma else "."
+    # 915.009 has the form of thousands, and the point is the decimal mark.
+    if grouped and grouped["gap"] == mark and not (grouped["mark"] or grouped["more"]):
+        grouped = None
     if grouped and (declared or grouped["gap"] not in ".," or grouped["mark"] or grouped["more"]):
-        if grouped["gap"] == (mark := "," if comma else ".") or grouped["mark"] not in (None, mark):
+        if grouped["gap"] == mark or grouped["mark"] not in (None, mark):
             return None
         cell = cell.replace(grouped["gap"], "")
     # Python alone reads 1_000 and digits of other scripts. In a file with decimal commas, 1.234

@@ -19,18 +19,16 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import BinaryIO
 
-from wrenchbook.service.formats.cells import decimal_mark, guard_formula, number_text
+from wrenchbook.service.formats.cells import guard_formula, number_text
 from wrenchbook.service.formats.column_names import TEXTS, TIME_COLUMN, Layout, WritableRows
-from wrenchbook.service.formats.header import Header, read_head
-from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
+from wrenchbook.service.formats.header import Header
+from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.preamble import Preamble, Record, delimiter_in
 from wrenchbook.service.formats.records import (
     BrokenLineError,
     CellFormat,
-    TextRows,
+    format_in,
     read_records,
-    text_pieces,
-    until_broken,
 )
 from wrenchbook.service.formats.table_rows import ParsedTable
 
@@ -47,8 +45,6 @@ _SHEET_ERROR = re.compile(
 )
 _IN_BRACKETS = re.compile(r"\[[^\]]*\]|\([^)]*\)|\"[^\"]*\"")
 _LINE_END = re.compile(r"\r\n|\r|\n")
-# 1,234 is 1.234 with a decimal comma and 1234 with a comma between thousands.
-_EITHER_MARK = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}")
 _NO_CSV = (
     "cannot be read as CSV ({}); is a quotation mark left open? Within a quoted text a quotation "
     "mark is written twice"
@@ -87,8 +83,8 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
             options.decimal == ",", declared=options.decimal is not None, guarded=True
         )
     else:
-        cell_format = replace(_format_in(records(), options), guarded=True)
-    yield from read_records(records(), options, report, cell_format, check)
+        cell_format = replace(format_in(records(), options), guarded=True)
+    yield from read_records(records(), options, report, check, cell_format)
 
 
 def csv_text(
@@ -280,37 +276,3 @@ def _holds_rows(cells: list[str], header: Header, delimiter: str) -> bool:
             numbers = [parts[place] for place in places if parts[place]]
             rows += bool(numbers) and all(number_text(one, False) is not None for one in numbers)
     return rows > 1
-
-
-def _format_in(records: Iterator[Record], options: Options) -> CellFormat:
-    """Return the decimal mark of the first piece with a number that leaves no doubt."""
-    mistakes = Mistakes()
-    header, rest = read_head(until_broken(records, mistakes), options)
-    if header.mistakes:
-        return CellFormat()
-    ambiguous: tuple[int, str, str] | None = None
-    for rows, _ in text_pieces(rest, header, mistakes, lambda _cells, _header: ""):
-        sure, doubtful = _marks(rows, header)
-        ambiguous = ambiguous or doubtful
-        if sure:
-            # One decimal comma makes the comma the file's mark; a point is then a mistake.
-            return CellFormat("," in sure)
-    return CellFormat("," in ambiguous[2], ambiguous) if ambiguous else CellFormat()
-
-
-def _marks(rows: TextRows, header: Header) -> tuple[set[str], tuple[int, str, str] | None]:
-    """Return the marks that are decimal ones, and line, label and text of a number in doubt."""
-    sure: set[str] = set()
-    doubtful = None
-    for name, column in header.columns.items():
-        if name in TEXTS:
-            continue
-        for line, cells in zip(rows.line, rows.cells, strict=True):
-            text = cells[column.index].strip() if len(cells) > column.index else ""
-            if _EITHER_MARK.fullmatch(text):
-                doubtful = doubtful or (line, column.label, text)
-            elif mark := decimal_mark(text):
-                sure.add(mark)
-                if len(sure) == 2:
-                    return sure, doubtful
-    return sure, doubtful

@@ -6,10 +6,11 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+from wrenchbook.service.formats.cells import Digits
 from wrenchbook.service.formats.json_reader import JsonError, JsonReader
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.preamble import Record
-from wrenchbook.service.formats.records import CellFormat, read_records
+from wrenchbook.service.formats.records import read_records
 from wrenchbook.service.formats.table_rows import ParsedTable
 
 _KEYS = (  # of a table in one object
@@ -33,9 +34,9 @@ def read_json_records(text: str, options: Options, report: ReadReport) -> Iterat
         If the text is no JSON, or rows are not objects of the same columns.
     """
     # Numbers stay text, so that their digits and units are read as those of all other formats.
-    reader = JsonReader(text, parse_float=str, parse_int=str)
+    reader = JsonReader(text, parse_float=Digits, parse_int=Digits)
     records = _records(reader)
-    yield from read_records(records, options, report, CellFormat(), lambda _cells, _header: "")
+    yield from read_records(records, options, report)
 
 
 def _records(reader: JsonReader) -> Iterator[Record]:

@@ -41,7 +41,8 @@ class Options:
     format : str or None
         The format of the file; found from its content if None.
     decimal : {".", ","} or None
-        The decimal mark of a CSV; found from its numbers if None.
+        The decimal mark of numbers in text; found from them if None. Numbers that an XLSX or a
+        JSON stores as such have a point.
     ignore : tuple of str
         Labels of columns to leave out.
     ignore_extra : bool

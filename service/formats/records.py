@@ -9,10 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import chain, islice
 
 import numpy as np
 
 from wrenchbook.service.formats.cells import (
+    EITHER_MARK,
+    Digits,
+    decimal_mark,
     number_problem,
     number_text,
     quoted,
@@ -76,8 +80,8 @@ def read_records(
     records: Iterator[Record],
     options: Options,
     report: ReadReport,
-    cell_format: CellFormat,
-    check: RecordCheck,
+    check: RecordCheck = lambda _cells, _header: "",
+    cell_format: CellFormat | None = None,
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of a table of columns, piece by piece.
 
@@ -87,11 +91,20 @@ def read_records(
     options : Options
     report : ReadReport
         Gets the columns and the mistakes.
-    cell_format : CellFormat
     check : callable
         Checks the cells of each record.
+    cell_format : CellFormat or None
+        None in a format that stores numbers as such: there the texts of the first piece that are
+        numbers decide, and a point is a decimal one where none of them has a comma.
     """
     mistakes = report.mistakes
+    if cell_format is None and options.decimal is not None:
+        cell_format = CellFormat(options.decimal == ",", declared=True)
+    elif cell_format is None:
+        first = list(islice(until_broken(records, mistakes), PIECE))
+        cell_format = format_in((item for item in first), options)
+        cell_format = cell_format if cell_format.comma else CellFormat()
+        records = chain(first, records)
     header, rest = read_head(until_broken(records, mistakes), options)
     report.columns += [FoundColumn(c.label, c.name, c.unit) for c in header.columns.values()]
     report.ignored += header.ignored
@@ -111,6 +124,41 @@ def read_records(
             return
     if not report.read and not mistakes:
         mistakes.ruin(0, "file", "there is a header but no row below it")
+
+
+def format_in(records: Iterator[Record], options: Options) -> CellFormat:
+    """Return the decimal mark of the first piece with a number that leaves no doubt."""
+    mistakes = Mistakes()
+    header, rest = read_head(until_broken(records, mistakes), options)
+    if header.mistakes:
+        return CellFormat()
+    ambiguous: tuple[int, str, str] | None = None
+    for rows, _ in text_pieces(rest, header, mistakes, lambda _cells, _header: ""):
+        sure, doubtful = _marks(rows, header)
+        ambiguous = ambiguous or doubtful
+        if sure:
+            # One decimal comma makes the comma the file's mark; a point is then a mistake.
+            return CellFormat("," in sure)
+    return CellFormat("," in ambiguous[2], ambiguous) if ambiguous else CellFormat()
+
+
+def _marks(rows: TextRows, header: Header) -> tuple[set[str], tuple[int, str, str] | None]:
+    """Return the marks that are decimal ones, and line, label and text of a number in doubt."""
+    sure: set[str] = set()
+    doubtful = None
+    for name, column in header.columns.items():
+        if name in TEXTS:
+            continue
+        for line, cells in zip(rows.line, rows.cells, strict=True):
+            cell = cells[column.index] if len(cells) > column.index else ""
+            text = "" if type(cell) is Digits else cell.strip()
+            if EITHER_MARK.fullmatch(text):
+                doubtful = doubtful or (line, column.label, text)
+            elif mark := decimal_mark(text):
+                sure.add(mark)
+                if len(sure) == 2:
+                    return sure, doubtful
+    return sure, doubtful
 
 
 def until_broken(records: Iterator[Record], mistakes: Mistakes) -> Iterator[Record]:
@@ -245,13 +293,14 @@ class _Conversion:
 
     def _number(self, column: HeaderColumn, at: int) -> float:
         """Convert a cell; NaN and a mistake if it is not a finite number."""
-        cell = self._columns[column.index][at].strip()
+        cell = self._columns[column.index][at]
+        comma, cell = self._format.comma and type(cell) is not Digits, cell.strip()
         if not cell and column.name not in self._names.wrench:
             return np.nan  # not measured, or unknown
-        text = number_text(cell, self._format.comma, self._format.declared)
+        text = number_text(cell, comma, self._format.declared)
         value = math.nan if text is None else to_si(text, column.factor, column.zero)
         if not math.isfinite(value):
-            self._refuse(at, column.label, number_problem(cell, self._format.comma))
+            self._refuse(at, column.label, number_problem(cell, comma))
             return np.nan
         return value
 
@@ -265,7 +314,10 @@ class _Conversion:
             values = np.array([_float(cell) for cell in cells]) / rate
         elif column is not None:
             cells, factor = self._columns[column.index], column.factor if column.unit else None
-            values = np.array([time_seconds(cell, self._format.comma, factor) for cell in cells])
+            comma = self._format.comma
+            values = np.array(
+                [time_seconds(c, comma and type(c) is not Digits, factor) for c in cells]
+            )
         else:
             return np.full(len(self._line), np.nan)
         for at in np.flatnonzero(~np.isfinite(values)).tolist():

@@ -15,12 +15,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from wrenchbook.service.formats.cells import NO_VALUE
+from wrenchbook.service.formats.cells import NO_VALUE, Digits
 from wrenchbook.service.formats.column_names import Layout, WritableRows
 from wrenchbook.service.formats.header import Header
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.preamble import Record
-from wrenchbook.service.formats.records import CellFormat, read_records
+from wrenchbook.service.formats.records import read_records
 from wrenchbook.service.formats.table_rows import ParsedTable
 
 MOST_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
@@ -54,7 +54,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as file:
             records = _records(_sheet(path, file, options.sheet), options.columns.most)
-            yield from read_records(records, options, report, CellFormat(), _record_problem)
+            yield from read_records(records, options, report, _record_problem)
     except Exception as error:  # openpyxl raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
 
@@ -158,6 +158,8 @@ def _texts(cells: list[dict[str, Any]], most: int) -> list[str]:
 
 
 def _text(value: Any) -> str:
+    if type(value) is Digits:
+        return value
     if isinstance(value, str):
         return unescape(value)
     if isinstance(value, bool):
@@ -189,7 +191,7 @@ def _digits_parser(title: str, *args: Any, **options: Any) -> Any:
             has_formula = element.find(FORMULA_TAG) is not None  # the parser clears the element
             cell = super().parse_cell(element)
             if cell["data_type"] == "n" and cell["value"] is not None:
-                cell["value"] = element.findtext(VALUE_TAG)
+                cell["value"] = Digits(element.findtext(VALUE_TAG))
             elif cell["value"] is None and cell["data_type"] == "n" and has_formula:
                 cell["value"] = f"{NO_VALUE}{title}!{element.get('r')}"
             return cell

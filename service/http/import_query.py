@@ -36,7 +36,8 @@ class ImportQuery(Body):
         int, Field(ge=0, le=MOST_PREVIEW, description="so many first good rows come back")
     ] = 0
     decimal: Annotated[
-        Literal[".", ","] | None, Field(description="csv: the decimal mark; detected if left out")
+        Literal[".", ","] | None,
+        Field(description="mark of numbers in text; detected if left out"),
     ] = None
     ignore: Annotated[
         list[_Text],

@@ -349,7 +349,8 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
 
     Columns are the datasets of one dimension in the root or in its only group, a dataset of named
     fields, or a matrix whose attribute ``columns`` names its columns. An attribute ``unit`` or
-    ``units`` joins the label.
+    ``units`` joins the label. Packed values are unpacked as the CF conventions say (see
+    `_unpacking`).
 
     Raises
     ------
@@ -418,11 +419,15 @@ def _columns_of(name: str, one: h5py.Dataset) -> list[NamedColumn]:
     fields = one.dtype.names
     if fields and one.ndim == 1:
         labels = _labels(one, list(fields))
-        return [(label, one, _Part(field)) for label, field in zip(labels, fields, strict=True)]
+        return [
+            (label, one, _unpacking(one, name, field))
+            for label, field in zip(labels, fields, strict=True)
+        ]
     titles = _texts(one, "columns", "names")
     if one.ndim == 2 and len(titles) == one.shape[1]:
         labels = _labels(one, titles)
-        return [(label, one, _Part((slice(None), place))) for place, label in enumerate(labels)]
+        parts = (_unpacking(one, name, (slice(None), place)) for place in range(len(labels)))
+        return [(label, one, part) for label, part in zip(labels, parts, strict=True)]
     words = h5py.check_string_dtype(one.dtype) is not None
     is_vector = one.ndim == 2 and 1 in one.shape and not words
     if not (one.ndim == 1 or is_vector) or not (words or one.dtype.kind in "iufb"):
@@ -432,7 +437,7 @@ def _columns_of(name: str, one: h5py.Dataset) -> list[NamedColumn]:
         )
     (label,) = _labels(one, [name])
     column = one.asstr() if words else _Vector(one) if is_vector else one
-    return [(label, column, np.asarray)]
+    return [(label, column, np.asarray if words else _unpacking(one, name, ...))]
 
 
 def _labels(one: h5py.Dataset, names: list[str]) -> list[str]:
@@ -455,14 +460,48 @@ def _texts(one: h5py.Dataset, *keys: str) -> list[str]:
     ]
 
 
-class _Part:
-    """Takes a field or a column of a piece of a dataset."""
+_PACKING = ("scale_factor", "add_offset", "_FillValue", "missing_value")
+_VALID = ("valid_min", "valid_max", "valid_range")
 
-    def __init__(self, which: Any) -> None:
-        self._which = which
 
-    def __call__(self, piece: np.ndarray) -> np.ndarray:
-        return piece[self._which]
+def _unpacking(one: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what takes a field or a column `part` of a piece of a dataset, unpacked.
+
+    CF conventions 1.11, 2.5.1 and 8.1: a stored value that is ``_FillValue`` or ``missing_value``,
+    or is beyond ``valid_range``, is missing (NaN); any other is times ``scale_factor`` plus
+    ``add_offset``.
+
+    Raises
+    ------
+    TableFileError
+        If an attribute of these is no number, or there are several of one.
+    """
+    keys = [key for key in (*_PACKING, *_VALID) if key in one.attrs]
+    attributes: dict[str, np.ndarray] = {key: np.ravel(np.asarray(one.attrs[key])) for key in keys}
+    for key, values in attributes.items():
+        count = {"missing_value": len(values) or 1, "valid_range": 2}.get(key, 1)
+        if values.dtype.kind not in "iuf" or len(values) != count:
+            raise TableFileError(
+                f"holds {name} with the attribute {key} = {values.tolist()}, which is no "
+                "number or too many; unpack the values and remove it"
+            )
+    if not attributes:
+        return lambda piece: piece[part]
+    factor, offset = (
+        float(attributes.get(k, [v])[0]) for k, v in zip(_PACKING[:2], (1, 0), strict=True)
+    )
+    blanks = [value for key in _PACKING[2:] for value in attributes.get(key, ())]
+    valid = attributes.get("valid_range", [-np.inf, np.inf])
+    low, high = attributes.get("valid_min", valid)[0], attributes.get("valid_max", valid[::-1])[0]
+
+    def unpacked(piece: np.ndarray) -> np.ndarray:
+        stored = piece[part]
+        # A float of 32 bits is not equal to its fill value in 64 bits.
+        fills = np.asarray(blanks, stored.dtype if stored.dtype.kind == "f" else None)
+        missing = np.isin(stored, fills) | (stored < low) | (stored > high)
+        return np.where(missing, np.nan, stored * factor + offset)
+
+    return unpacked
 
 
 def leads_out(path: Path) -> bool:

@@ -409,6 +409,19 @@ def test_the_decimal_mark_that_was_asked_for_is_taken():
     assert (quoted.errors, quoted.wrench[0, 0]) == ((), 1.234)
 
 
+@pytest.mark.parametrize(
+    ("cells", "decimal", "loads"),
+    [
+        (("915.009", "1,354"), ".", [915.009, 1354.0]),
+        (("1,354.250", "12.125"), ".", [1354.25, 12.125]),
+        (("915,009", "1.354"), ",", [915.009, 1354.0]),
+    ],
+)
+def test_three_decimals_stand_beside_thousands_with_a_declared_mark(cells, decimal, loads):
+    table = read_csv(MARKED + "".join(f"{cell};0;\n" for cell in cells), decimal=decimal)
+    assert (table.errors, table.wrench[:, 0].tolist()) == ((), loads)
+
+
 @pytest.mark.parametrize("other", ["0,5", "1,2", "0,123", "1,2345", "1,234e0", ",5"])
 def test_any_other_number_with_the_mark_tells_what_it_is(other: str):
     table = read_csv(f"{MARKED}1,234;0;\n{other};0;\n")

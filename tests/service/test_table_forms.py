@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import json
 import struct
 import tempfile
 import zipfile
@@ -135,6 +136,61 @@ def test_a_spreadsheet_s_own_numbers_dates_and_empty_cells_are_read():
     assert table.displacement[:, 2].tolist() == [0.00025, 0.00075]
     assert [(error.row, error.field) for error in told.mistakes] == [(5, "uz")]
     assert told.read == 3
+
+
+def as_sheet(rows: list[dict[str, object]]) -> bytes:
+    book, content = openpyxl.Workbook(), io.BytesIO()
+    for row in ([*rows[0]], *([*one.values()] for one in rows)):
+        book.active.append(row)
+    book.save(content)
+    return content.getvalue()
+
+
+def as_frame(rows: list[dict[str, object]]) -> bytes:
+    columns = {name: [str(one[name]) for one in rows] for name in ("Fz [N]", "note")}
+    columns["uz [mm]"] = [one["uz [mm]"] for one in rows]
+    parquet.write_table(arrow.table(columns), content := io.BytesIO())
+    return content.getvalue()
+
+
+def as_records(rows: list[dict[str, object]]) -> bytes:
+    return json.dumps(rows).encode()
+
+
+TYPED = pytest.mark.parametrize("form", [as_sheet, as_records, as_frame])
+
+
+def loads_of(*texts: object) -> list[dict[str, object]]:
+    return [{"Fz [N]": text, "uz [mm]": 1.25, "note": "1,5"} for text in texts]
+
+
+@TYPED
+@pytest.mark.parametrize(
+    ("texts", "decimal", "loads"),
+    [
+        (["915,01", "15,009"], None, [915.01, 15.009]),
+        (["915.01", "1,354.5", "15.009"], None, [915.01, 1354.5, 15.009]),
+        (["15,009"], ",", [15.009]),
+        (["15,009"], ".", [15009.0]),
+    ],
+)
+def test_texts_of_numbers_follow_one_law_of_marks_in_every_format(form, texts, decimal, loads):
+    table, told = read(form(loads_of(*texts)), replace(ZERO, decimal=decimal))
+    assert not told.mistakes
+    assert table.wrench[:, 2].tolist() == loads
+    assert table.displacement[:, 2].tolist() == [0.00125] * len(loads)
+
+
+@TYPED
+def test_a_text_with_a_mark_that_may_part_thousands_is_asked_for_in_every_format(form):
+    assert "say decimal=, for 15.009" in error_of(form(loads_of("15,009")))
+
+
+@pytest.mark.parametrize("form", [as_sheet, as_records])
+def test_stored_numbers_have_a_decimal_point_beside_texts_with_a_comma(form):
+    table, told = read(form(loads_of(1354.5, "915,01", 15.009)))
+    assert not told.mistakes
+    assert table.wrench[:, 2].tolist() == [1354.5, 915.01, 15.009]
 
 
 def test_a_data_frame_s_units_are_read_from_its_metadata():

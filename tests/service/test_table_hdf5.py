@@ -106,3 +106,74 @@ def test_a_small_file_cannot_unpack_to_more_than_memory_should_hold(changed):
     content = changed(swollen)
     assert len(content) < 100_000
     assert "unpacks to more than 1024 MiB" in only_error(read_hdf5(content)).message
+
+
+LOADS = ("fx [N]", "fy [N]", "fz [N]", "mx [Nm]", "my [Nm]", "mz [Nm]")
+STORED = np.array([9150, -32768, -40], dtype="i2")
+
+
+def packed(tmp_path, packing, stored=STORED) -> bytes:
+    """Return a file of columns whose fx is packed."""
+    path = tmp_path / "logger.nc"
+    with h5py.File(path, "w") as file:
+        for name in (*LOADS, "ux [m]"):
+            file[name] = np.zeros(len(stored))
+        del file["fx [N]"]
+        file["fx [N]"] = stored
+        file["fx [N]"].attrs.update(packing)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("packing", "loads"),
+    [
+        ({"scale_factor": 0.1}, [915.0, -3276.8, -4.0]),
+        ({"add_offset": 100.0}, [9250.0, -32668.0, 60.0]),
+        ({"scale_factor": np.array([0.01]), "add_offset": -50.0}, [41.5, -377.68, -50.4]),
+    ],
+)
+def test_packed_loads_are_unpacked_as_the_cf_conventions_say(tmp_path, packing, loads):
+    table = read_hdf5(packed(tmp_path, packing))
+    assert table.errors == ()
+    np.testing.assert_allclose(table.wrench[:, 0], loads, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "mark",
+    [
+        {"_FillValue": np.int16(-32768)},
+        {"missing_value": [-32768, 7], "scale_factor": 1.0},
+        {"valid_min": -1000},
+        {"valid_range": [-1000, 10_000]},
+    ],
+)
+def test_a_load_that_the_file_marks_as_missing_is_no_load(tmp_path, mark):
+    table = read_hdf5(packed(tmp_path, mark))
+    assert [(error.row, error.field) for error in table.errors] == [(2, "fx [N]")]
+    assert table.wrench[:, 0].tolist() == [9150.0, -40.0]
+
+
+def test_a_fill_value_of_64_bits_is_one_of_32_bits_too(tmp_path):
+    stored = np.array([1.0, 1e20], dtype="f4")
+    table = read_hdf5(packed(tmp_path, {"_FillValue": 1e20}, stored))
+    assert only_error(table).row == 2
+
+
+def test_a_displacement_that_the_file_marks_as_missing_was_not_measured(tmp_path):
+    path = tmp_path / "logger.h5"
+    with h5py.File(path, "w") as file:
+        matrix = np.tile(np.arange(1, 9), (2, 1))
+        matrix[1, 7] = -1
+        file["log"] = matrix
+        file["log"].attrs.update(columns=[*LOADS, "ux [m]", "uy [m]"], missing_value=-1)
+    table = read_hdf5(path.read_bytes())
+    assert table.errors == ()
+    assert table.displacement[0, :2].tolist() == [7.0, 8.0]
+    assert table.displacement[1, 0] == 7.0
+    assert np.isnan(table.displacement[1, 1])
+
+
+@pytest.mark.parametrize("factor", ["0.1", [0.1, 0.2]])
+def test_a_packing_that_is_no_number_is_named(tmp_path, factor):
+    error = only_error(read_hdf5(packed(tmp_path, {"scale_factor": factor})))
+    assert "fx [N] with the attribute scale_factor" in error.message
