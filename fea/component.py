@@ -10,7 +10,7 @@ import numpy as np
 
 from wrenchbook.fea.coupling.rotation import rotation_less_identity
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
-from wrenchbook.fea.mesh.cad import mesh_geometry
+from wrenchbook.fea.mesh.cad.meshing import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.generators import GENERATORS

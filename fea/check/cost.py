@@ -12,8 +12,7 @@ of a server:
     nonlinear solve    = 0.04 + 2.5 work (3 to 6 iterations; up to 20 by load and part),
                          5.0 work where cells project their volumetric strain
     memory             = 100e6 + 9 x numbers + 8 x entries, nonlinear solves too (one factor at a
-                         time: 0.91 to 1.15 of the peaks of nine, 140 to 590 MB),
-                         and 35e6 of the mesher's library where the mesh is a geometry's
+                         time: 0.91 to 1.15 of the peaks of nine, 140 to 590 MB)
 
 `make bench NAME=check` prints these against time and memory of a solve: within 1.5 on a like
 machine.
@@ -34,7 +33,6 @@ _MOST_CELLS = 100_000
 
 _NONLINEAR = 2.5  # times the work of a linear solve
 _PROJECTED = 2.0  # times that where pressure is an unknown of its own: more, and larger, matrices
-_MESHER = 35e6  # bytes of gmsh, which stays loaded
 
 
 def estimate(component: ComponentModel) -> dict[str, Any]:
@@ -58,7 +56,7 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     count = sum(len(block) for block in mesh.blocks)
     work = 7.2e-8 * entries + 1e-5 * count * np.log2(count + 1) + operations / 19e9
     times = _NONLINEAR * (_PROJECTED if _projects(component) else 1.0)
-    memory = 100e6 + 9 * numbers + 8 * entries + _mesher_bytes(component)
+    memory = 100e6 + 9 * numbers + 8 * entries
     return {
         "unknowns": unknowns,
         "linear_seconds": float(f"{0.04 + work:.2g}"),
@@ -66,12 +64,6 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
         "memory_bytes": int(float(f"{memory:.3g}")),
         "basis": "an estimate from the order of elimination, within 1.5 on a like machine",
     }
-
-
-def _mesher_bytes(component: ComponentModel) -> float:
-    bundle = component.bundle
-    from_geometry = bundle is not None and bundle.mesh is not None and bundle.mesh.geometry
-    return _MESHER if from_geometry else 0.0
 
 
 def _projects(component: ComponentModel) -> bool:

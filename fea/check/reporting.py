@@ -6,7 +6,6 @@ import argparse
 import json
 import tomllib
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from wrenchbook.fea.deck.checking import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
 from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings, stack_problems
-from wrenchbook.fea.mesh.cad import list_shape
+from wrenchbook.fea.mesh.cad.meshing import list_shape
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
@@ -118,9 +117,7 @@ def _geometry_named_in(folder: Path) -> Path | None:
 
 def _list_geometry(path: Path | None, summary: dict[str, Any]) -> None:
     if path is not None:
-        faces, bodies = list_shape(path)
-        summary["faces"] = [asdict(face) for face in faces]
-        summary["bodies"] = [asdict(body) for body in bodies]
+        summary["faces"], summary["bodies"] = list_shape(path)
 
 
 def _look_at_mesh(

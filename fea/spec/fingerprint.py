@@ -83,7 +83,9 @@ def _mesh(source: MeshSource | None) -> object:
         # The ending chooses the reader; the rest of the name changes nothing.
         content: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
         if source.geometry is not None:
-            return content | {"geometry": asdict(source.geometry)}
+            keys = asdict(source.geometry)
+            del keys["circle"]  # the same for all
+            return content | {"geometry": keys}
         order = {} if source.order is None else {"order": source.order}
         return content | {"unit": source.unit} | order
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.fea.geometry import start
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.mesh.cad.session import start
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import FacetGroup, Mesh

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 from contextlib import contextmanager
 
 import pytest
-
-from wrenchbook.fea.mesh.cad.session import start
 
 
 def require_gmsh():
@@ -19,6 +18,13 @@ def require_gmsh():
             raise
         pytest.skip(f'gmsh cannot be imported ({error}); pip install "wrenchbook[cad]"')
     return gmsh
+
+
+def start(gmsh):
+    """Start gmsh, and have a broken pipe stay an error: gmsh lets it end the whole program."""
+    before = signal.getsignal(signal.SIGPIPE)
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    signal.signal(signal.SIGPIPE, before)
 
 
 @contextmanager
@@ -53,3 +59,31 @@ def draw_two_bars(path, space=0.0):
         occ.addBox(0, 0, 0, 50, 10, 10)
         occ.addBox(50 + space, 0, 0, 50, 10, 10)
     return path
+
+
+_ABORTING = """
+import importlib.machinery, importlib.util, os, sys
+places = [place for place in sys.path if place != os.path.dirname(__file__)]
+spec = importlib.machinery.PathFinder.find_spec("gmsh", places)
+gmsh = sys.modules["gmsh"] = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(gmsh)
+generate = gmsh.model.mesh.generate
+
+def aborting(dimension):
+    size = gmsh.option.getNumber("Mesh.MeshSizeMax")
+    optimised = gmsh.option.getNumber("Mesh.HighOrderOptimize") == 1
+    if {condition}:
+        os.write(2, b"  what():  Failed to reach critical value\\n")
+        os.abort()
+    generate(dimension)
+
+gmsh.model.mesh.generate = aborting
+"""
+
+
+def abort_gmsh(monkeypatch, folder, condition):
+    """Have gmsh's processes abort where `condition` holds of ``size`` (mm) and ``optimised``."""
+    require_gmsh()
+    folder.mkdir()
+    (folder / "gmsh.py").write_text(_ABORTING.format(condition=condition))
+    monkeypatch.setenv("PYTHONPATH", str(folder))

@@ -17,11 +17,6 @@ A bundle names the file, the cell size, and groups by face::
 Bodies that touch are glued to each other. ``wrenchbook check`` lists every face with its number,
 area, centre and normal, also while the rest of the bundle has mistakes.
 
-gmsh is imported only when a geometry file is opened, which the solver's and the check's processes
-do and the web process does not.
+gmsh runs in a child process (`child`), one for each geometry, because it aborts on some sound files
+at some sizes. `meshing` is the caller's side. The child imports numpy and gmsh, no finite elements.
 """
-
-from wrenchbook.fea.mesh.cad.entities import Face, Solid, list_shape
-from wrenchbook.fea.mesh.cad.meshing import mesh_geometry
-
-__all__ = ["Face", "Solid", "list_shape", "mesh_geometry"]

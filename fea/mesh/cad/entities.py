@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.mesh.cad.session import METRES, opened
+from wrenchbook.fea.mesh.cad.session import METRES
 
 Array = np.ndarray
 
@@ -54,18 +53,6 @@ class Solid:
     centre: tuple[float, float, float]
     low: tuple[float, float, float]
     high: tuple[float, float, float]
-
-
-def list_shape(path: Path) -> tuple[tuple[Face, ...], tuple[Solid, ...]]:
-    """Return the faces and bodies of a geometry file.
-
-    Raises
-    ------
-    BundleError
-        If it cannot be read.
-    """
-    with opened(path) as gmsh:
-        return faces_of(gmsh), bodies_of(gmsh)
 
 
 def bodies_of(gmsh: Any) -> tuple[Solid, ...]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,9 +42,7 @@ def opened(path: Path) -> Iterator[Any]:
         If gmsh is not there, the file cannot be read or holds no solid body, or gmsh fails.
     """
     gmsh = _gmsh()
-    if gmsh.isInitialized():
-        raise RuntimeError("a geometry file is open already")
-    start(gmsh)
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
         for name, value in _SETTINGS.items():
             gmsh.option.setNumber(name, value)
@@ -55,14 +51,6 @@ def opened(path: Path) -> Iterator[Any]:
         yield gmsh
     finally:
         gmsh.finalize()
-
-
-def start(gmsh: Any) -> None:
-    """Start gmsh, and have a broken pipe stay an error: gmsh lets it end the whole program."""
-    before = signal.getsignal(signal.SIGPIPE)
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    if threading.current_thread() is threading.main_thread():  # no other may set it
-        signal.signal(signal.SIGPIPE, before)
 
 
 def _gmsh() -> Any:

@@ -1,0 +1,74 @@
+"""gmsh aborts on sound geometry at some sizes: that ends its own process, and nothing else."""
+
+import subprocess
+
+import pytest
+
+from tests.fea.accuracy.test_accuracy import BRACKET
+from tests.fea.geometry import abort_gmsh, draw_bracket
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.component import mesh_of
+from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.service.files.program import child_command
+from wrenchbook.service.library.arrival import check_mesh
+
+SIZE = 8.0  # mm: its mesh is beside a coarser one
+
+
+@pytest.fixture
+def part(tmp_path):
+    folder = tmp_path / "part"
+    folder.mkdir()
+    draw_bracket(folder / "bracket.step")
+    (folder / "component.toml").write_text(BRACKET.replace("12e-3", f"{SIZE}e-3"))
+    return folder
+
+
+def mesh_source(folder):
+    source = read_bundle(folder).mesh
+    assert source is not None
+    return source
+
+
+def test_a_size_at_which_the_optimiser_aborts_is_meshed_without_it(part, tmp_path, monkeypatch):
+    source = mesh_source(part)
+    sound = mesh_of(source)
+    abort_gmsh(monkeypatch, tmp_path / "fake", "optimised")
+    assert mesh_of(source).cell_counts == sound.cell_counts
+
+
+def test_a_size_at_which_gmsh_aborts_is_meshed_at_a_size_near_it(part, tmp_path, monkeypatch):
+    source = mesh_source(part)
+    sound = mesh_of(source)
+    abort_gmsh(monkeypatch, tmp_path / "fake", f"abs(size - {SIZE}) < 1e-6")
+    near = mesh_of(source)
+    assert near.cell_counts["tet10"] == pytest.approx(sound.cell_counts["tet10"], rel=0.2)
+    assert near.facet_groups.keys() == sound.facet_groups.keys()
+
+
+def test_an_abort_at_each_size_is_a_problem_of_the_size_and_ends_the_check_with_1(
+    part, tmp_path, monkeypatch
+):
+    abort_gmsh(monkeypatch, tmp_path / "fake", "True")
+    command = child_command("wrenchbook.service.cli", "check", str(part))
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    said = " ".join((done.stdout + done.stderr).split())
+    assert done.returncode == 1
+    assert 'mesh.size: gmsh fails to mesh "bracket.step" with cells of 0.008 m' in said
+    assert "Failed to reach critical value" in said
+    assert "Take another size" in said
+
+
+def test_the_server_names_gmsh_and_not_a_damaged_file(part, tmp_path, monkeypatch):
+    abort_gmsh(monkeypatch, tmp_path / "fake", "True")
+    with pytest.raises(BundleError, match="gmsh fails to mesh") as caught:
+        check_mesh(part)
+    assert "damaged" not in str(caught.value)
+    assert [problem.where for problem in caught.value.problems] == ["mesh.size"]
+
+
+def test_memory_that_ends_in_gmsh_is_named(part, tmp_path, monkeypatch):
+    condition = "os.write(2, b'std::bad_alloc\\n') and os._exit(1)"
+    abort_gmsh(monkeypatch, tmp_path / "fake", condition)
+    with pytest.raises(MemoryError, match="larger size"):
+        mesh_of(mesh_source(part))
