@@ -8,21 +8,22 @@ from typing import Any, Final
 WRENCH_NAMES: Final = ("fx", "fy", "fz", "mx", "my", "mz")
 DISPLACEMENT_NAMES: Final = ("ux", "uy", "uz", "rx", "ry", "rz")
 
-MOMENT_POINT: Final = "the undeformed interface point"
+MOMENT_POINT: Final = "the interface point where it is now"
 
 CONTRACT: Final[dict[str, str]] = {
     "units": "SI: N, N·m, m, rad",
     "wrench": (
-        "force then moment, acting ON the deformable component at the interface reference point, "
-        "expressed in the undeformed interface frame"
+        "force then moment, acting ON the deformable component at the interface reference point "
+        "where it is now (it moves with the section), in axes fixed to the undeformed interface "
+        "frame"
     ),
     "displacement": (
-        "translation then rotation of the same point, in the same frame; the rotation is a "
+        "translation then rotation of the same point, in the same axes; the rotation is a "
         "rotation vector r, applied as R0 · exp(r)"
     ),
     "moment": (
-        "spatial: fixed to the undeformed axes, it does not follow the section as it turns; about "
-        f"{MOMENT_POINT}"
+        f"about {MOMENT_POINT}; spatial: in the fixed axes, it does not follow the section as it "
+        "turns"
     ),
     "sign": "a hanging weight in a z-up frame gives a negative fz",
     "rotation_limit": "20 degrees; rows beyond it are refused",

@@ -50,7 +50,8 @@ def solve_deck(
     bundle
         With a deck.
     wrench
-        Shape (6,), N and N·m: at the interface point, in the undeformed interface frame.
+        Shape (6,), N and N·m: at the interface point where it is now, in the
+        undeformed interface frame's axes.
     progress
         Called with the fraction done and a message.
     folder

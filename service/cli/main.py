@@ -91,7 +91,9 @@ Six = tuple[float, float, float, float, float, float]
 ZERO: Three = (0.0, 0.0, 0.0)
 
 _FORCE = typer.Option(help="force F_x F_y F_z, N", metavar="FX FY FZ")
-_MOMENT = typer.Option(help="moment M_x M_y M_z, N·m", metavar="MX MY MZ")
+_MOMENT = typer.Option(
+    help="moment M_x M_y M_z, N·m, about the interface point where it is now", metavar="MX MY MZ"
+)
 Force = Annotated[Three, _FORCE]
 Moment = Annotated[Three, _MOMENT]
 SomeForce = Annotated[Three | None, _FORCE]

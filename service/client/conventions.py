@@ -1,7 +1,8 @@
 """Wrenches and poses of other programs, to and from the wrench contract, in this one place.
 
-Here: force then moment, N and N·m, acting ON the deformable component, about its interface point,
-in the undeformed interface frame. Three things differ elsewhere, and each converter says which:
+Here: force then moment, N and N·m, acting ON the deformable component, about its interface point
+where it is now (it moves with the section), in axes fixed to the undeformed interface frame. Three
+things differ elsewhere, and each converter says which:
 
 * order: Drake puts torque first;
 * sign: joint sensors of MuJoCo, PyBullet and Drake report what the *parent* does to the *child*. A
@@ -42,9 +43,12 @@ def moved(
     wrench : array_like
         Shape (6,), N and N·m, about the sensor's point, in the sensor's axes.
     rotation : array_like, optional
-        Shape (3, 3): the sensor's axes, as columns, in the interface frame; the same if not given.
+        Shape (3, 3): the sensor's axes as they are now, as columns, in the undeformed interface
+        frame; the same if not given.
     point : array_like, optional
-        Shape (3,), m: the sensor's point as seen from the interface point, in the interface frame.
+        Shape (3,), m: the sensor's point less the interface point, both where they are now, in the
+        undeformed interface frame; not given for a sensor at the interface point, which moves with
+        it. A sensor on the ground at the undeformed point is at minus the translation.
 
     Returns
     -------
@@ -70,7 +74,8 @@ def from_ros(message: Any) -> Vector:
     ----------
     message : object or mapping
         With ``force`` and ``torque``, each with ``x``, ``y``, ``z``. ROS fixes the order, not who
-        acts on whom, nor the point: it must act on the component, at the interface point.
+        acts on whom, nor the point: it must act on the component, at the interface point where
+        it is now.
         (docs.ros.org, geometry_msgs/Wrench: force and torque "separated into its linear and
         angular parts"; the frame is that of the stamped header.)
 

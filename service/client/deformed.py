@@ -148,8 +148,9 @@ class SurfaceCalls:
         name : str
             The component.
         force, moment : array_like
-            Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point,
-            in the undeformed interface frame; or the whole wrench as the force alone, shape (6,).
+            Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point
+            where it is now, in axes fixed to the undeformed interface frame; or the whole wrench as
+            the force alone, shape (6,).
 
         Raises
         ------

@@ -22,8 +22,9 @@ class DisplacementCalls:
     name : str
         The component.
     force, moment : array_like
-        Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point, in
-        the undeformed interface frame; or the whole wrench as the force alone, shape (6,).
+        Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point where
+        it is now, in axes fixed to the undeformed interface frame; or the whole wrench as the force
+        alone, shape (6,).
     loads : mapping, optional
         Instead of force and moment, of a component with several interfaces: the wrench at each by
         its name, shape (6,) or a mapping of ``force`` and ``moment``; zero where it is left out.

@@ -17,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
+from wrenchbook.service.contract import MOMENT_POINT
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.kernel import build
 from wrenchbook.surrogate.kernel.binding import PackedTable
@@ -47,8 +48,9 @@ _UNITS: dict[str, dict[str, str]] = {
     "m/s2": {"m": "1", "s": "-2"},
 }
 _CONTRACT = (
-    "wrench acting ON the component at its interface point, in the undeformed interface frame; "
-    "displacement of the same point in the same frame, rotation as a rotation vector"
+    "wrench acting ON the component at its interface point where it is now (it moves with the "
+    "section), in axes fixed to the undeformed interface frame; displacement of the same point in "
+    "the same axes, rotation as a rotation vector"
 )
 _COVERAGE = (
     "0 covered, 1 thin, 2 outside: a displacement that is not covered is an estimate, and its "
@@ -139,11 +141,12 @@ def _add_variables(root: ElementTree.Element, space: Space) -> None:
     """Add the variables; their value references are their places, as c/fmu.h has them."""
     for one in space.inputs:
         unit, about = _unit(one.unit), "input" if one.kind == "scalar" else "load"
+        point = f", about {MOMENT_POINT}" if one.kind == "moment" else ""
         _add(
             root,
             _named(one),
             "input",
-            f"{about}, {unit}",
+            f"{about}, {unit}{point}",
             {"unit": unit, "start": f"{one.zero:.17g}"},
         )
     for prefix, about in (("", "displacement"), ("error_", "95 % error bar of the displacement")):

@@ -94,7 +94,7 @@ def coupled(compliance: Vector, loads: Vector, lever: float) -> Vector:
     for place, load in enumerate(loads):
         force = np.array([0.0, 0.0, -load])
         for _ in range(ROUNDS):
-            arm = rest[place, :3] + rotation_matrix(rest[place, 3:]) @ [lever, 0.0, 0.0]
+            arm = rotation_matrix(rest[place, 3:]) @ [lever, 0.0, 0.0]
             rest[place] = compliance @ np.concatenate([force, np.cross(arm, force)])
     return rest
 

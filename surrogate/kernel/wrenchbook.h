@@ -2,9 +2,12 @@
  *
  * Units are SI: N, N·m, m, rad. A table has n inputs (loads: force then moment) and m outputs
  * (translation then rotation), 6 and 6 for one interface. The wrench acts ON the deformable
- * component at its interface point, in the undeformed interface frame; wb_json has the contract in
- * words. A table is never written to: any number of threads may answer from one, each with a
- * scratch of its own. No answer allocates memory; wb_answer_many allocates once a call.
+ * component at its interface point where it is now (it moves with the section), in axes fixed to the
+ * undeformed interface frame. A moment M' about the undeformed point is M = M' - u x F here, with the
+ * translation u that the table answers; a sensor at the point s has the lever s - (p0 + u), in these
+ * axes. wb_json has the contract in words. A table is never written to: any number of threads may
+ * answer from one, each with a scratch of its own. No answer allocates memory; wb_answer_many
+ * allocates once a call.
  */
 #ifndef WRENCHBOOK_H
 #define WRENCHBOOK_H

@@ -12,9 +12,10 @@ from .rows import LoadRange, Tolerance
 SCHEMA_VERSION = 2  # 1 had no digest
 CONTRACT = (
     "SI: N, N·m, m, rad. Order: force then moment; translation then rotation. The wrench acts ON "
-    "the deformable component, at the interface reference point, expressed in the undeformed "
-    "interface frame; the moment is spatial. The displacement is of the same point in the same "
-    "frame; the rotation is a rotation vector, applied as R0 exp(r)."
+    "the deformable component at the interface reference point where it is now (it moves with the "
+    "section), in axes fixed to the undeformed interface frame; the moment is about that point. "
+    "The displacement is of the same point in the same axes; the rotation is a rotation vector, "
+    "applied as R0 exp(r)."
 )
 
 

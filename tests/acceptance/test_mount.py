@@ -15,7 +15,7 @@ LEVER = np.array([0.2, 0.0, 0.05])  # m
 
 
 def lever(R, p):
-    return np.concatenate([WEIGHT, np.cross(p + R @ LEVER, WEIGHT)])
+    return np.concatenate([WEIGHT, np.cross(R @ LEVER, WEIGHT)])
 
 
 def test_direct_fea_settles_where_the_table_does(server):

@@ -308,7 +308,7 @@ def test_a_component_tells_its_interface(http):
     assert interface["axes"] == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
     assert interface["coupling"] == "distributed"
     assert interface["locked"] == []
-    assert "undeformed interface point" in interface["moment"]
+    assert interface["moment"] == "about the interface point where it is now"
 
 
 def test_a_table_without_a_setup_has_no_interface(http):

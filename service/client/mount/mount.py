@@ -60,8 +60,9 @@ class Mount:
     method : str, optional
         How the table shall answer; the component's own choice otherwise.
     stiffness : array_like, optional
-        The scene's dw/du at the interface, shape (6, 6), N/m, N/rad, N·m/m, N·m/rad. `step` needs
-        it with ``newton``; with ``aitken`` it gives the first factor; `settle` finds its own.
+        The scene's dw/du at the interface point where it is now, shape (6, 6), N/m, N/rad, N·m/m,
+        N·m/rad. `step` needs it with ``newton``; with ``aitken`` it gives the first factor;
+        `settle` finds its own.
     unmeasured : {"refuse", "rigid"}
         What an output does that the table does not hold, or that its scene does not read: raise,
         or not move.
@@ -185,7 +186,9 @@ class Mount:
     @property
     def pose(self) -> Pose:
         """R0 exp(r), shape (3, 3), and p0 + R0 t, shape (3,), m."""
-        return self._pose(self.displacement)
+        R0, p0 = self._undeformed
+        moved = self.displacement
+        return R0 @ rotation_matrix(moved[3:]), p0 + R0 @ moved[:3]
 
     def wrench_of(self, force: ArrayLike, moment: ArrayLike, point: ArrayLike) -> Vector:
         """Return a wrench read in the world as the contract wants it.
@@ -200,11 +203,17 @@ class Mount:
         Returns
         -------
         numpy.ndarray
-            Shape (6,), N and N·m, for `step`: in the undeformed interface frame, about the
-            undeformed interface point.
+            Shape (6,), N and N·m, for `step`: about the interface point where it is now, in axes
+            fixed to the undeformed interface frame.
+
+        Notes
+        -----
+        The interface stands in `pose`: as `step` or `place` has left it, and within `settle` as
+        the scene is called with it. Read the sensor in that pose.
         """
         vectors = [np.asarray(one, dtype=float).reshape(3) for one in (force, moment, point)]
-        return reading.from_world(vectors[0], vectors[1], vectors[2], self._undeformed)
+        present = self._undeformed[0], self.pose[1]
+        return reading.from_world(vectors[0], vectors[1], vectors[2], present)
 
     def step(self, force: ArrayLike, moment: ArrayLike | None = None) -> Pose:
         """Return the pose of the interface under one wrench; a simulation's sync step.
@@ -212,8 +221,9 @@ class Mount:
         Parameters
         ----------
         force, moment : array_like
-            Shape (3,), N and N·m, acting ON the component about its undeformed interface point, in
-            the undeformed interface frame; or the whole wrench as the force alone, shape (6,).
+            Shape (3,), N and N·m, acting ON the component about its interface point where it is
+            now, in axes fixed to the undeformed interface frame; or the whole wrench as the force
+            alone, shape (6,).
 
         Returns
         -------
@@ -336,7 +346,11 @@ class Mount:
             raise InvalidArgument("accuracy must be over 0, in tolerances, and most at least 1")
 
         def read(displacement: Vector) -> Vector:
-            return _reading_of(scene(*self._pose(within_limit(displacement))))
+            before, self.displacement = self.displacement, within_limit(displacement)
+            try:
+                return _reading_of(scene(*self.pose))  # `wrench_of` takes moments about this pose
+            finally:
+                self.displacement = before
 
         def ask(wrench: Vector) -> tuple[Displacement, Vector]:
             return self._require_answer(source, wrench)
@@ -367,11 +381,6 @@ class Mount:
         self._relaxation.follow(self._scale.measure(residual), driven=True)
         product = np.nan_to_num(answer.derivative) @ self._stiffness
         return self.displacement + np.linalg.solve(np.eye(6) - product, residual)
-
-    def _pose(self, displacement: Vector) -> Pose:
-        """Return the pose of a displacement, shape (6,), m and rad: R0 exp(r) and p0 + R0 t."""
-        R0, p0 = self._undeformed
-        return R0 @ rotation_matrix(displacement[3:]), p0 + R0 @ displacement[:3]
 
 
 def _is_other(pose: Pose, before: Pose) -> bool:

@@ -28,8 +28,8 @@ class MujocoMount:
 
     The rigid system is a child, without joint, of a mocap body at the division point; a ``force``
     and a ``torque`` sensor sit on a site of that child. They report what the parent does to the
-    child, about the site, in its axes: negated, turned and moved, that is the wrench on the
-    component. The mocap body is given the deformed pose.
+    child, about the site, in its axes: negated, turned and moved to the interface point where it
+    is now, that is the wrench on the component. The mocap body is given the deformed pose.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class MujocoMount:
     mount : Mount
         With the coverage of the answers, the last one, and the recorder.
     wrench : numpy.ndarray or None
-        The last reading, shape (6,), N and N·m.
+        The last reading, shape (6,), N and N·m, about the interface point where it then was.
     read_at : float
         The time that it describes, s.
 
@@ -99,8 +99,10 @@ class MujocoMount:
         undeformed = (axes if R0 is None else R0, point if p0 is None else p0)
         self.mount = Mount(source, component, *undeformed, **options)
         R0_, p0_ = self.mount.undeformed
-        # The mocap body as seen from the interface: the two are one rigid piece.
+        # The mocap body as seen from the interface, and the interface point as seen from the mocap
+        # body: the two are one rigid piece.
         self._offset = R0_.T @ axes, R0_.T @ (point - p0_)
+        self._interface = axes.T @ (p0_ - point)
         self._floating = floating(model, cut, gravcomp)
         require_weighed(model, data, cut, R0_)
         self._begin(float(data.time))
@@ -188,6 +190,8 @@ class MujocoMount:
         data = self._data
         self._axes: Vector = data.site_xmat[cut.site].reshape(3, 3)
         self._point: Vector = data.site_xpos[cut.site]
+        self._body_axes: Vector = data.xmat[cut.body].reshape(3, 3)
+        self._body_point: Vector = data.xpos[cut.body]
         self._force: Vector = data.sensordata[cut.force]
         self._torque: Vector = data.sensordata[cut.torque]
         self._position: Vector = data.mocap_pos[cut.mocap]
@@ -211,7 +215,9 @@ class MujocoMount:
             lifts = -self._floating[:, None] * self._model.opt.gravity
             force = force + lifts.sum(axis=0)
             moment = moment + np.cross(self._data.xipos - point, lifts).sum(axis=0)
-        return from_world(force, moment, point, self.mount.undeformed)
+        # As the sensors saw it: the mocap body may have been moved since.
+        present = self._body_point + self._body_axes @ self._interface
+        return from_world(force, moment, point, (self.mount.undeformed[0], present))
 
     def _write(self, R: Vector, p: Vector) -> None:
         """Give the mocap body the pose that goes with the interface's, (3, 3) and (3,), m."""

@@ -64,7 +64,7 @@ def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
 
 
 def from_world(force: Vector, moment: Vector, point: Vector, pose: tuple[Vector, Vector]) -> Vector:
-    """Return a wrench in the undeformed interface frame, about the undeformed point.
+    """Return a wrench about the interface point where it is now, in the undeformed frame's axes.
 
     Parameters
     ----------
@@ -73,12 +73,13 @@ def from_world(force: Vector, moment: Vector, point: Vector, pose: tuple[Vector,
     point : numpy.ndarray
         Shape (3,), m: where the sensor is now, on the deformed component, in the world.
     pose : tuple of numpy.ndarray
-        R0, shape (3, 3), and p0, shape (3,), m.
+        R0, shape (3, 3), the undeformed frame's axes, and p, shape (3,), m, the interface point
+        where it is now.
 
     Returns
     -------
     numpy.ndarray
-        Shape (6,), N and N·m: F = R0^T f and M = R0^T (m + (point - p0) x f).
+        Shape (6,), N and N·m: F = R0^T f and M = R0^T (m + (point - p) x f).
     """
     axes, origin = pose
     x, y, z = (point - origin).tolist()

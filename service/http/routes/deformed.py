@@ -10,6 +10,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
+from wrenchbook.service.contract import MOMENT_POINT
 from wrenchbook.service.fields import surface_files
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.http.openapi import BYTES, answers, refused
@@ -26,7 +27,7 @@ CATCH_UP_S = 25.0
 
 _NAMES = ("fx", "fy", "fz", "mx", "my", "mz", "format")
 _FORCE = Query(allow_inf_nan=False, description="N, in the undeformed interface frame")
-_MOMENT = Query(allow_inf_nan=False, description="N·m, about the undeformed interface point")
+_MOMENT = Query(allow_inf_nan=False, description=f"N·m, about {MOMENT_POINT}")
 
 
 @router.get(

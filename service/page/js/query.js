@@ -19,7 +19,7 @@ const BY_AXES = ["griddata", "additive", "tangent"]; // for one wrench at one in
 
 export async function show(root, about, signal) {
   const answer = el("section", { class: "stack", "aria-live": "polite" },
-    el("p", { class: "empty" }, about.space ? "Enter the loads that act on the component at each interface's point, in its undeformed frame." : "Enter the wrench that acts on the component at its interface point, in the undeformed interface frame."));
+    el("p", { class: "empty" }, about.space ? "Enter the loads that act on the component at each interface's point where it is now, in axes fixed to its undeformed frame." : "Enter the wrench that acts on the component at its interface point where it is now, in axes fixed to the undeformed interface frame."));
   const curl = snippet("From a shell"), python = snippet("From Python");
   const onThin = select(about.has_fea ? ON_THIN : ON_THIN.slice(1), about.has_fea ? "queue" : "estimate", () => tell());
   const methods = about.space ? METHODS.filter(([name]) => !BY_AXES.includes(name)) : METHODS;

@@ -60,11 +60,31 @@ def test_a_wrench_read_in_the_world_is_what_the_conventions_make_of_it(force, mo
     assert np.allclose(found, expected, rtol=0, atol=1e-12)
 
 
-def test_a_moment_is_about_the_undeformed_point_though_the_sensor_has_moved_on():
+def test_a_moment_is_about_the_interface_point_where_it_is_now():
     mount = mounted()
-    sensor = POINT + np.array([0.01, 0.0, 0.0])
-    found = mount.wrench_of([0, 0, -100.0], [0, 0, 0], sensor)
+    _, present = mount.step(WEIGHT)
+    assert np.abs(present - POINT).max() > 1e-4
+    found = mount.wrench_of([0, 0, -100.0], [0, 0, 0], present + np.array([0.01, 0.0, 0.0]))
     assert np.allclose(TURNED @ found[3:], [0, 1.0, 0], rtol=0, atol=1e-12)
+    on_the_ground = mount.wrench_of([0, 0, -100.0], [0, 0, 0], POINT)
+    lever = np.cross(POINT - present, [0, 0, -100.0])
+    assert np.allclose(TURNED @ on_the_ground[3:], lever, rtol=0, atol=1e-12)
+    assert mount.wrench_of([0, 0, -100.0], [0, 0, 0], present)[3:].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_while_a_scene_is_evaluated_the_mount_stands_in_the_pose_of_the_evaluation():
+    mount, stood = mounted(), []
+
+    def scene(R, p):
+        stood.append(bool((mount.pose[0] == R).all() and (mount.pose[1] == p).all()))
+        if len(stood) == 3:
+            raise ZeroDivisionError
+        return mount.wrench_of([0, 0, -40.0], [0, 0, 0], p + R @ [0.3, 0.1, 0.05])
+
+    with pytest.raises(ZeroDivisionError):
+        mount.settle(scene, accuracy=1e-9)
+    assert stood == [True] * 3
+    assert not mount.displacement.any()
 
 
 def test_a_moving_base_takes_the_displacement_along():

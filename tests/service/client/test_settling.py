@@ -20,8 +20,8 @@ STILL = (np.eye(3), np.zeros(3))
 
 
 def lever(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """A weight on a rigid lever on the bar's end: its moment about the undeformed end."""
-    return np.concatenate([WEIGHT, np.cross(p + R @ LEVER, WEIGHT)])
+    """A weight on a rigid lever on the bar's end: its moment about the end where it is now."""
+    return np.concatenate([WEIGHT, np.cross(R @ LEVER, WEIGHT)])
 
 
 def lever_at_rest(compliance: np.ndarray) -> np.ndarray:

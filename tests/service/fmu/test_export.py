@@ -60,7 +60,7 @@ def test_the_same_table_gives_the_same_guid_and_another_table_another(table):
     assert guid(first) != guid(make_fmu("plate2", packed(table)).content)
 
 
-def test_the_description_of_one_interface_is_that_of_version_0_2():
+def test_the_description_of_one_interface_is_the_stored_one():
     summary = "table version 1, 38 rows, method kriging"
     written = (Path(__file__).parent / "modelDescription.xml").read_bytes()
     assert describe("plate", "{0}", "wrenchbook 1", summary) == written
