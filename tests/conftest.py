@@ -26,6 +26,7 @@ LONGEST = (
     "acceptance/test_nothing_lost.py",
     "surrogate/kernel/test_kernel.py",
     "surrogate/kernel/test_parity.py",
+    "surrogate/kernel/test_same_bits.py",
     "service/engines/test_conformance.py",
     "acceptance/test_paper.py",
     "acceptance/test_mount.py",
