@@ -1,6 +1,8 @@
 """For all tests: one BLAS thread, no property judged by its time, the longest files first."""
 
 import os
+import secrets
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,7 @@ LONGEST = (
     "acceptance/test_nothing_lost.py",
     "surrogate/kernel/test_kernel.py",
     "surrogate/kernel/test_parity.py",
+    "surrogate/kernel/test_same_bits.py",
     "service/engines/test_conformance.py",
     "acceptance/test_paper.py",
     "acceptance/test_mount.py",
@@ -99,8 +102,51 @@ LONG = (
     "service/test_client_table.py",
     "service/test_http_protocol.py",
 )
+MOVER = pytest.StashKey["Mover"]()
 # Folders of which each test starts servers, a browser or a cluster.
 STARTING = ("acceptance", "service/engines", "service/page")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--ulp",
+        nargs="?",
+        type=int,
+        const=-1,
+        metavar="SEED",
+        help="move the numbers of all made-up rows and components by one unit in the last place, "
+        "at random; give it behind the paths, or as --ulp=SEED to repeat a run",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.option.ulp is None:
+        return
+    if config.option.ulp < 0:
+        config.option.ulp = secrets.randbelow(2**31)  # which xdist hands on to its workers
+    from tests.ulp import Mover
+
+    mover = Mover(config.option.ulp)
+    mover.install()
+    config.stash[MOVER] = mover
+
+
+def pytest_report_header(config: pytest.Config) -> str | None:
+    seed = config.option.ulp
+    return None if seed is None else f"numbers moved by one ulp: repeat with --ulp={seed}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Leave the numbers of a test marked `exact` as they are."""
+    mover = item.config.stash.get(MOVER, None)
+    if mover is None:
+        return (yield)
+    mover.active = item.get_closest_marker("exact") is None
+    try:
+        return (yield)
+    finally:
+        mover.active = True
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

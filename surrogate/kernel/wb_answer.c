@@ -71,8 +71,8 @@ static void refer(const wb_table *t, const wb_group *g, wb_work *work, const dou
 }
 
 /* |answer - reference| + error of the reference; off the hull at least the step's size. */
-void wb_found_by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                      int method, const wb_composed *c, wb_found *a) {
+static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
+                    int method, const wb_composed *c, wb_found *a) {
     double best[WB_MOST], error[WB_MOST];
     int off = c->state >= WB_OFF_HULL;
     refer(t, g, work, w, c, best, error);
@@ -217,8 +217,8 @@ static void judge_error(const wb_table *t, const wb_group *g, const wb_options *
 }
 
 /* Judge what a method answered; take the row at the wrench where that is not covered. */
-void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-               const double *w, int with_reasons, wb_found *a) {
+static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
+                   const double *w, int with_reasons, wb_found *a) {
     a->row = -1, a->exact = 0;
     if (g->used) {
         judge_interaction(t, g, w, a);
@@ -237,9 +237,9 @@ void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_wor
     }
 }
 
-/* `Surrogate.answer`. */
+/* `Surrogate.answer`. The axes may have been composed before, by the same calls as `wb_compose`. */
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-                     const double *w, int with_reasons, wb_found *a) {
+                     const double *w, const wb_composed *composed, int with_reasons, wb_found *a) {
     wb_composed c;
     a->method = wb_method_of(g, o), a->reasons = 0, a->solved = 0;
     if (!g->used) {
@@ -247,17 +247,19 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
         wb_add_reason(a, g->near ? WB_REASON_FEW_ROWS : rows);
         for (int q = 0; q < t->outputs; q++) a->outputs[q] = a->error[q] = NAN;
         a->coverage = WB_OUTSIDE, a->method = WB_ESTIMATE;
-        wb_finish(t, g, o, work, w, with_reasons, a);
+        finish(t, g, o, work, w, with_reasons, a);
         return;
     }
     int axes = a->method <= WB_TANGENT, exact = a->method == WB_LINEAR && g->exact_fit;
-    if (axes || (!exact && !(g->reference & WB_REF_KRIGING)))
+    if (!composed && (axes || (!exact && !(g->reference & WB_REF_KRIGING)))) {
         wb_compose(&g->composition, t->small, w, a->method == WB_TANGENT, &c);
-    if (axes) wb_found_by_axes(t, g, work, w, a->method, &c, a);
-    else if (a->method == WB_KRIGING) by_kriging(t, g, work, w, &c, a);
-    else if (a->method == WB_LINEAR) by_linear(t, g, work, w, &c, a);
-    else by_nearest(t, g, work, w, &c, a);
-    wb_finish(t, g, o, work, w, with_reasons, a);
+        composed = &c;
+    }
+    if (axes) by_axes(t, g, work, w, a->method, composed, a);
+    else if (a->method == WB_KRIGING) by_kriging(t, g, work, w, composed, a);
+    else if (a->method == WB_LINEAR) by_linear(t, g, work, w, composed, a);
+    else by_nearest(t, g, work, w, composed, a);
+    finish(t, g, o, work, w, with_reasons, a);
 }
 
 /* `Surrogate.derivatives`. */

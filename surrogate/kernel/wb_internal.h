@@ -209,19 +209,14 @@ int wb_leaves_scene(const wb_table *t, const double *w);
 double wb_allowed(const wb_group *g, const wb_options *o, int q);
 wb_reason *wb_add_reason(wb_found *a, int code);
 void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_found *a);
-void wb_found_by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                      int method, const wb_composed *c, wb_found *a);
 int wb_method_of(const wb_group *g, const wb_options *o);
-void wb_finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-               const double *w, int with_reasons, wb_found *a);
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-                     const double *w, int with_reasons, wb_found *a);
+                     const double *w, const wb_composed *composed, int with_reasons, wb_found *a);
 void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                      int method, double *derivative);
-void wb_merge(const wb_table *t, const wb_group *g, const wb_found *found, wb_reply *reply,
-              int *worst);
+void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
+                 const wb_composed *composed, int with_reasons, wb_reply *reply);
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply);
-void wb_begin(const wb_table *t, const double *inputs, wb_reply *reply);
 void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
                          const wb_reply *reply, double *derivative);
 int wb_check(const wb_table *t, const wb_options *o, const double *inputs);

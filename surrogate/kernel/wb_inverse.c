@@ -38,7 +38,7 @@ static void group_outputs(solver *s, const wb_group *g, const double *w, double 
         wb_kriging_outputs(s->t, &g->kriging, &s->work, w, own);
         return;
     }
-    wb_group_answer(s->t, &bare, s->o, &s->work, w, 0, &found);
+    wb_group_answer(s->t, &bare, s->o, &s->work, w, NULL, 0, &found);
     memcpy(own, found.outputs, (size_t)s->t->outputs * sizeof(double));
 }
 

@@ -2,8 +2,8 @@
  *
  * Wrenches are answered in blocks. Within a block those of the axes' methods are looked up axis by
  * axis in the order of the simplices where their walks start, and those of the kriging in the order
- * of their neighbourhoods; each answer is computed as wb_answer does, so that neither blocks nor
- * threads change a bit.
+ * of their neighbourhoods; each answer is made by wb_reply_of, as that of wb_answer is, so that
+ * neither blocks nor threads change a bit.
  */
 #include "wb_internal.h"
 
@@ -142,61 +142,31 @@ static void order_block(const wb_table *t, const wb_kriging *k, size_t count, be
     if (k) sort(&b->order, &b->spare, count);
 }
 
-static void put(const task *own, size_t place, bench *b, wb_reply *reply) {
-    const wb_table *t = own->t;
-    size_t m = (size_t)t->outputs;
-    if (own->derivatives) {
-        double *out = own->derivatives + place * m * (size_t)t->inputs;
-        wb_reply_derivative(t, own->o, &b->work, reply, out);
-        return;
-    }
-    wb_conclude(t, own->o, &b->work, reply);
-    memcpy(own->outputs + m * place, reply->outputs, m * sizeof(double));
-    memcpy(own->errors + m * place, reply->error, m * sizeof(double));
-    own->coverage[place] = (unsigned char)reply->coverage;
-}
-
-/* One group of outputs: the common table. */
+/* Answer a block, each wrench by the routine of single answers. */
 static void answer_block(const task *own, size_t start, size_t count, bench *b) {
     const wb_table *t = own->t;
-    const wb_group *g = &t->group[0];
-    int method = wb_method_of(g, own->o), axes = g->used && method <= WB_TANGENT;
+    const wb_group *g = t->groups == 1 && t->group[0].used ? &t->group[0] : NULL;
+    int method = g ? wb_method_of(g, own->o) : WB_DEFAULT, axes = g && method <= WB_TANGENT;
+    size_t n = (size_t)t->inputs, m = (size_t)t->outputs;
     const wb_kriging *k = NULL;
-    if (g->used && method == WB_KRIGING) k = &g->kriging;
+    if (g && method == WB_KRIGING) k = &g->kriging;
     else if (axes && g->reference & WB_REF_KRIGING) k = &g->kriging;
     else if (axes && g->reference & WB_REF_MISSED) k = &g->missed;
     if (axes) compose_block(t, g, method == WB_TANGENT, count, b);
     order_block(t, k, count, b);
     for (size_t i = 0; i < count; i++) {
-        size_t place = b->order[i].place;
+        size_t within = b->order[i].place, place = start + within;
         wb_reply reply;
-        wb_found found;
-        int worst = -1;
-        wb_begin(t, own->inputs + (start + place) * (size_t)t->inputs, &reply);
-        if (axes) {
-            found.method = method, found.reasons = 0, found.solved = 0;
-            wb_found_by_axes(t, g, &b->work, reply.inputs, method, &b->composed[place], &found);
-            wb_finish(t, g, own->o, &b->work, reply.inputs, 0, &found);
-        } else {
-            wb_group_answer(t, g, own->o, &b->work, reply.inputs, 0, &found);
+        wb_reply_of(t, own->o, &b->work, own->inputs + place * n,
+                    axes ? &b->composed[within] : NULL, 0, &reply);
+        if (own->derivatives) {
+            wb_reply_derivative(t, own->o, &b->work, &reply, own->derivatives + place * m * n);
+            continue;
         }
-        wb_merge(t, g, &found, &reply, &worst);
-        put(own, start + place, b, &reply);
-    }
-}
-
-static void answer_groups(const task *own, size_t start, size_t count, bench *b) {
-    const wb_table *t = own->t;
-    for (size_t place = start; place < start + count; place++) {
-        wb_reply reply;
-        int worst = -1;
-        wb_begin(t, own->inputs + place * (size_t)t->inputs, &reply);
-        for (int i = 0; i < t->groups; i++) {
-            wb_found found;
-            wb_group_answer(t, &t->group[i], own->o, &b->work, reply.inputs, 0, &found);
-            wb_merge(t, &t->group[i], &found, &reply, &worst);
-        }
-        put(own, place, b, &reply);
+        wb_conclude(t, own->o, &b->work, &reply);
+        memcpy(own->outputs + m * place, reply.outputs, m * sizeof(double));
+        memcpy(own->errors + m * place, reply.error, m * sizeof(double));
+        own->coverage[place] = (unsigned char)reply.coverage;
     }
 }
 
@@ -212,8 +182,7 @@ static void run(task *own) {
                 double load = own->inputs[(start + i) * n + k];
                 b.inputs[i * n + k] = t->locked[k] ? 0.0 : load + 0.0;
             }
-        if (t->groups == 1) answer_block(own, start, count, &b);
-        else answer_groups(own, start, count, &b);
+        answer_block(own, start, count, &b);
     }
     close_bench(&b);
 }

@@ -8,7 +8,7 @@ static double larger(double a, double b) { return a > b ? a : b; }
 
 static const wb_options OWN = {WB_DEFAULT, NULL};
 
-void wb_begin(const wb_table *t, const double *inputs, wb_reply *reply) {
+static void begin(const wb_table *t, const double *inputs, wb_reply *reply) {
     reply->coverage = WB_COVERED, reply->within = -1, reply->method = WB_ESTIMATE;
     reply->exact = reply->reasons = reply->group = 0;
     reply->row = reply->place = -1, reply->missing = 0, reply->solved = 0;
@@ -39,8 +39,8 @@ static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int grou
 }
 
 /* Take a group's outputs. The worst group decides; an answer is a row's only if all are. */
-void wb_merge(const wb_table *t, const wb_group *g, const wb_found *found, wb_reply *reply,
-              int *worst) {
+static void merge(const wb_table *t, const wb_group *g, const wb_found *found, wb_reply *reply,
+                  int *worst) {
     int number = (int)(g - t->group);
     for (int q = 0; q < t->outputs; q++) {
         if (!g->outputs[q]) continue;
@@ -239,18 +239,26 @@ static void count_unknown(const wb_table *t, wb_reply *reply) {
     }
 }
 
+/* What the groups of outputs answer: of one wrench and, wrench by wrench, of a batch.
+ * `composed`: the axes of the only group, where a batch has composed them; else NULL. */
+void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
+                 const wb_composed *composed, int with_reasons, wb_reply *reply) {
+    int worst = -1;
+    begin(t, inputs, reply);
+    for (int i = 0; i < t->groups; i++) {
+        wb_found found;
+        wb_group_answer(t, &t->group[i], o, work, reply->inputs, composed, with_reasons, &found);
+        merge(t, &t->group[i], &found, reply, &worst);
+    }
+}
+
 int wb_answer(const wb_table *t, const wb_options *options, const double *inputs, wb_reply *reply,
               void *scratch) {
     const wb_options *o = options ? options : &OWN;
     wb_work work = wb_work_of(t, scratch);
-    int wrong = wb_check(t, o, inputs), worst = -1;
+    int wrong = wb_check(t, o, inputs);
     if (wrong) return wrong;
-    wb_begin(t, inputs, reply);
-    for (int i = 0; i < t->groups; i++) {
-        wb_found found;
-        wb_group_answer(t, &t->group[i], o, &work, reply->inputs, 1, &found);
-        wb_merge(t, &t->group[i], &found, reply, &worst);
-    }
+    wb_reply_of(t, o, &work, inputs, NULL, 1, reply);
     wb_conclude(t, o, &work, reply);
     reply->within = within(t, o, reply);
     count_unknown(t, reply);
@@ -262,14 +270,9 @@ int wb_derivative(const wb_table *t, const wb_options *options, const double *in
     const wb_options *o = options ? options : &OWN;
     wb_work work = wb_work_of(t, scratch);
     wb_reply reply;
-    int wrong = wb_check(t, o, inputs), worst = -1;
+    int wrong = wb_check(t, o, inputs);
     if (wrong) return wrong;
-    wb_begin(t, inputs, &reply);
-    for (int i = 0; i < t->groups; i++) {
-        wb_found found;
-        wb_group_answer(t, &t->group[i], o, &work, reply.inputs, 0, &found);
-        wb_merge(t, &t->group[i], &found, &reply, &worst);
-    }
+    wb_reply_of(t, o, &work, inputs, NULL, 0, &reply);
     wb_reply_derivative(t, o, &work, &reply, du_dw);
     return WB_OK;
 }

@@ -36,6 +36,16 @@ def rates_of(solver, balance, tangent):
     return load_rates(solver._system.coupling, balance, tangent.compliance)
 
 
+def strain_part(solver, balance, tangent):
+    """Return the part of the tensor that strains make, (a, a, a), and the a active inputs."""
+    coupling, inputs = solver._system.coupling, balance.wrench
+    active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))
+    rates = rates_of(solver, balance, tangent)[np.ix_(active, active)]
+    fields = tangent.nodal_response[:, :, active] @ np.linalg.inv(rates)
+    body = solver._system.body.at(solver._system.temperature(inputs))
+    return body.third(balance.state.nodes, fields), active
+
+
 def asymmetry(solver, inputs):
     """Return how far d(u, r)/d(F, mu) is from symmetric, relative to sqrt(C_ii C_jj)."""
     active = solver.component.active

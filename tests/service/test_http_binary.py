@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.service.test_http_displacement import load_plane_table
+from wrenchbook.surrogate.kernel.binding import PackedTable
 
 CALL = "/v1/components/plane/displacements"
 BINARY = {"content-type": "application/octet-stream"}
@@ -30,6 +31,21 @@ def test_the_binary_batch_has_the_numbers_of_the_json_batch(http):
     assert [words[int(code)] for code in block[:, 12]] == plain["coverage"]
     assert set(plain["coverage"]) >= {"covered", "outside"}
     assert int(reply.headers["wrenchbook-table-version"]) == plain["table_version"]
+
+
+def test_single_answers_both_batches_and_the_downloaded_table_have_the_same_bits(http):
+    load_plane_table(http)
+    content = http.get("/v1/components/plane/table", params={"format": "packed"}).content
+    table = PackedTable.from_bytes(content)
+    wrenches = np.random.default_rng(3).uniform(-1.1, 1.1, (21, 6)) * np.repeat([100, 10], 3)
+    block = np.frombuffer(post(http, wrenches).content, dtype="<f8").reshape(-1, 13)
+    np.testing.assert_array_equal(block, np.column_stack(table.batch(wrenches)))
+    plain = http.post(CALL, json={"wrenches": wrenches.tolist(), "on_thin": "estimate"}).json()
+    assert plain["displacements"] == block[:, :6].tolist()
+    for wrench, expected in zip(wrenches.tolist(), block[:, :6].tolist(), strict=True):
+        query = {"force": wrench[:3], "moment": wrench[3:], "on_thin": "estimate"}
+        reply = http.post(CALL[:-1], json=query).json()
+        assert reply["translation"] + reply["rotation"] == expected
 
 
 def test_tolerance_and_method_are_query_parameters(http):

@@ -96,12 +96,13 @@ def test_the_surrogates_own_tolerance_holds_unless_another_is_asked_for() -> Non
 def test_a_row_of_just_this_wrench_is_covered_where_the_table_is_not() -> None:
     wrench = np.array([[100.0, 20, 30, 4, 5, 6]])
     doubt = np.full((1, 6), 1e-9)
-    surrogate = build(Rows.of(wrench, wrench * 1e-8, uncertainty=doubt), RANGE)
-    answer = surrogate.answer(wrench[0].tolist())
+    rows = Rows.of(wrench, wrench * 1e-8, uncertainty=doubt)
+    surrogate = build(rows, RANGE)
+    answer = surrogate.answer(rows.wrench[0].tolist())
     assert answer.coverage == "covered"
     assert answer.method == "row"
-    assert answer.displacement == tuple((wrench[0] * 1e-8).tolist())
-    assert answer.error == (1e-9,) * 6
+    assert answer.displacement == tuple(rows.displacement[0].tolist())
+    assert answer.error == tuple(rows.uncertainty[0].tolist())
     assert surrogate.batch(wrench).coverage.tolist() == [0]
     assert surrogate.answer([100.0, 20, 30, 4, 5, 7]).coverage == "outside"
 
@@ -160,6 +161,6 @@ def test_the_summary_is_plain_values() -> None:
     summary = json.loads(json.dumps(FULL.coverage_summary(), allow_nan=False))
     assert summary["rows"] == len(ROWS)
     assert [axis["dimensions"] for axis in summary["axes"]] == [3, 3, 3]
-    assert summary["axes"][0]["spans"]["fx"] == [-1000, 1000]
+    assert summary["axes"][0]["spans"]["fx"] == pytest.approx([-1000, 1000], rel=1e-15)
     assert summary["axes"][0]["part_of_range"] == pytest.approx(1.0)
     assert json.dumps(build(Rows.empty(), RANGE).coverage_summary(), allow_nan=False)

@@ -10,7 +10,7 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.supports import TABLE
-from tests.fea.third_derivatives import asymmetry, error, range_of, state_of, unpacked
+from tests.fea.third_derivatives import asymmetry, error, range_of, state_of, strain_part, unpacked
 from tests.fea.two_interfaces import column
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.component import build
@@ -33,6 +33,7 @@ Tangents of slender parts have roundoff of 1e-8, which takes a step of 0.1 of th
 """
 
 STEP = 0.03
+EPS = np.finfo(float).eps
 
 TURN = rotation(np.array([0.4, -0.7, 0.3]))
 LOADS = np.array([1.5e-3, 1.5e-3, 4e-3, 4e-3, 4e-3, 4e-3])  # N, N·m: turn it by up to 15 degrees
@@ -138,11 +139,19 @@ def test_the_tangent_by_the_loads_of_the_energy_is_symmetric(name):
 
 @pytest.mark.parametrize("name", [*SHIPPED, *OTHERS])
 def test_third_derivatives_are_symmetric_under_permutations(name):
+    """The part by strains, up to 8,000 times the sum that heat leaves of it, rounds the sum.
+
+    Sums over some hundred cells lose the root of their number times the rounding of one.
+    """
     solver, inputs, scale = case(name, 0.9)
-    tensor = third_derivatives(solver._system, *state_of(solver, inputs))
-    tensor *= scale[:, None, None] * scale[:, None] * scale
+    state = state_of(solver, inputs)
+    tensor = third_derivatives(solver._system, *state)
+    strains, active = strain_part(solver, *state)
+    sizes = scale[:, None, None] * scale[:, None] * scale
+    tensor, strains = tensor * sizes, strains * sizes[np.ix_(active, active, active)]
+    largest = max(np.abs(tensor).max(), np.abs(strains).max())
     for order in permutations(range(3)):
-        assert np.abs(tensor - tensor.transpose(order)).max() <= 1e-12 * np.abs(tensor).max()
+        assert np.abs(tensor - tensor.transpose(order)).max() <= 32 * EPS * largest
 
 
 def test_a_solution_has_the_entries_of_ascending_indices():
