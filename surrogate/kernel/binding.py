@@ -269,33 +269,11 @@ class PackedTable:
             raise mistake(wrong, method, self._packed)
         return found, stiffness
 
+    weakest = staticmethod(weakest)
+
     def sample(self, centre: Floats, places: NDArray[np.intp]) -> Floats:
         """Return the corners of the load range and wrenches within it: see `sample_of`."""
         return sample_of(self.arrays["space/range"], centre, places)
-
-    def weakest(
-        self, wrenches: Floats, at: slice, free: NDArray[np.intp], method: str | None = None
-    ) -> tuple[Floats, Floats, NDArray[np.uint8]]:
-        """Return how far an interface's compliance is from being positive definite.
-
-        Parameters
-        ----------
-        wrenches
-            Shape (k, n), SI.
-        at, free
-            The interface's loads, and which of the six its part does not lock, shape (f,).
-
-        Returns
-        -------
-        least, loads
-            Of `definite.weakest`, shapes (k,) and (k, f).
-        coverage
-            Shape (k,), 0 where the method covers the wrench.
-        """
-        answers = self.batch(wrenches, None, method)
-        slopes = self.derivatives(wrenches, None, method)[:, at, at]
-        scale = self.arrays["space/scale"][at][free]
-        return *weakest(slopes[:, free][:, :, free], scale), answers.coverage
 
     @staticmethod
     def joint_rate(stiffness: Floats, inverse_mass: Floats, dt: float, damping: float) -> Floats:

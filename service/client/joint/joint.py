@@ -97,10 +97,7 @@ class Joint:
         self._at, self.free = moving(table, interface)
         self.inputs = inputs or {}
         self._warned = self._uncovered = False
-        self._remedy = (
-            "Check the masses, the step and the units of the scene, or give the component a wider "
-            "range"
-        )
+        self._remedy = "Check the masses, the step and the units of the scene, or widen the range"
         self.restart()
         self._check_range()
 
@@ -130,34 +127,27 @@ class Joint:
 
     def _check_range(self) -> None:
         """Refuse a table without stiffness; warn where in its range no joint can invert it."""
-        packed, name, at, free = self._table.packed, self._table.name, self._at, self.free
-        if not packed.words["provenance"]["rows"]:
-            raise InvalidArgument(
-                f"{name} has no rows, so that a joint has no stiffness: solve more rows "
-                f"(wrenchbook fill {name} --for-joint), and download the table again"
-            )
+        packed, at, free, how = self._table.packed, self._at, self.free, (None, self._method)
         sample = packed.sample(self._whole(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
-        try:
-            least, loads, coverage = packed.weakest(sample, at, free, self._method)
-        except ValueError as error:  # no such method
-            raise InvalidArgument(f"{name}: {error}") from None
+        answers = packed.batch(sample, *how)
+        slopes = packed.derivatives(sample, *how)[:, at, at][:, free][:, :, free]
+        slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
+        least, loads = packed.weakest(slopes, packed.arrays["space/scale"][at][free])
         known, bad = int(np.isfinite(least).sum()), least < 0.0
         if not known:
             raise InvalidArgument(
-                f"{name} has no known stiffness in its load range by the method "
-                f"{packed.answers_by(self._method)!r}: solve more rows (wrenchbook fill {name} "
-                "--for-joint)"
+                f"{self._table.name} has no rows that give a stiffness: {self._more_rows()}, and "
+                "download the table again"
             )
-        if not bad.any():
-            return
-        worst = int(np.nanargmin(least))
-        self._remedy = f"The compliance is not positive definite everywhere: {self._more_rows()}"
-        warnings.warn(
-            f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at {bad.sum()} of "
-            f"{known} wrenches of the load range, {(bad & (coverage == 0)).sum()} of them covered",
-            JointWarning,
-            stacklevel=3,  # the caller of Joint
-        )
+        if bad.any():
+            worst, covered = int(np.nanargmin(least)), answers.coverage == 0
+            self._remedy = f"The compliance is not positive definite: {self._more_rows()}"
+            warnings.warn(
+                f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at {bad.sum()} of "
+                f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered",
+                JointWarning,
+                stacklevel=3,  # the caller of Joint
+            )
 
     def _more_rows(self) -> str:
         other = "" if self._method is None else f", or leave out method={self._method!r}"
@@ -165,16 +155,13 @@ class Joint:
 
     def _indefinite(self, wrench: Vector, loads: Vector) -> str:
         """Say where the part moves against a load, (f,), in half widths of the range."""
-        shown = " ".join(
-            f"{share:+.2g} {LOADS[place]}"
-            for place, share in zip(self.free, loads, strict=True)
-            if abs(share) >= SHOWN
-        )
+        shares = zip(loads, np.array(LOADS)[self.free], strict=True)
+        shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
         return (
             f"{self._table.name}, method {self._table.packed.answers_by(self._method)!r}: the part "
             f"moves against a load along ({shown}, in parts of the load range) at the wrench "
-            f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m: the compliance is not "
-            f"positive definite there, and a joint would blow up. Remedy: {self._more_rows()}"
+            f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m: its compliance is not "
+            f"positive definite there, and a joint would blow up; {self._more_rows()}"
         )
 
     def step(
@@ -326,31 +313,26 @@ class Joint:
     def _warn_if_uncovered(self) -> None:
         """Warn once that the method does not cover the loads of this step."""
         answer = self._table.packed.answer(self._loads.tolist(), None, self._method)
-        if answer.coverage == "covered":
-            return
-        self._uncovered = True
-        warnings.warn(
-            f"{self._table.name}: the wrench of a step is {answer.coverage} by the method "
-            f"{self._table.packed.answers_by(self._method)!r}: displacement and wrench are "
-            f"estimates ({answer.reason}). Remedy: {self._more_rows()}. This is said once; "
-            "joint.coverage has each step's",
-            JointWarning,
-            stacklevel=4,  # the caller of step
-        )
+        self._uncovered = answer.coverage != "covered"
+        if self._uncovered:
+            warnings.warn(
+                f"{self._table.name}: the wrench of a step is {answer.coverage} by the method "
+                f"{self._table.packed.answers_by(self._method)!r}, and displacement and wrench are "
+                f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
+                JointWarning,
+                stacklevel=4,  # the caller of step
+            )
 
     def _require_definite(self, wrench: Vector, stiffness: Vector) -> None:
         """Refuse a pose at which the part moves against a load."""
-        square = stiffness[np.ix_(self.free, self.free)]
+        square, packed = stiffness[np.ix_(self.free, self.free)], self._table.packed
         try:
             np.linalg.cholesky(square + square.T)
         except np.linalg.LinAlgError:
-            scale = self._table.packed.arrays["space/scale"][self._at][self.free]
-            compliance = np.linalg.inv(square) * np.outer(scale, scale)
-            values, vectors = np.linalg.eigh(compliance + compliance.T)
-            if values[0] >= 0.0:
-                return  # rounding
-            loads = vectors[:, 0] / vectors[np.abs(vectors[:, 0]).argmax(), 0]
-            raise JointError(self._indefinite(wrench, loads)) from None
+            scale = packed.arrays["space/scale"][self._at][self.free]
+            least, loads = packed.weakest(np.linalg.inv(square)[None], scale)
+            if least[0] < 0.0:
+                raise JointError(self._indefinite(wrench, loads[0])) from None
 
     def _leave(self, left: float) -> None:
         """Warn once that the pose is beyond the range; raise where it is far beyond."""

@@ -208,11 +208,11 @@ class MujocoJoint(Joint):
         self._still = 0
         name = engine.mj_id2name(self._model, _OBJECT.mjOBJ_BODY, body) or f"#{body}"
         warnings.warn(
-            f"{self._table.name}: base {self._base!r} moves by body {name!r}, which has been put "
-            "elsewhere between steps (a mocap body): MuJoCo gives such a body no velocity and no "
-            f"acceleration, and tip {self._tip!r} does not feel the motion. Give the base joints "
-            "of its own (slides, or a free joint) and hold it to the mocap body by <weld "
-            'solref="0.002 1" solimp="0.9999 0.9999 0.001"/>',
+            f"{self._table.name}: base {self._base!r} moves by body {name!r}, which is moved "
+            "between steps (a mocap body): MuJoCo gives it no velocity and no acceleration, so tip "
+            f"{self._tip!r} does not feel the motion. Give the base joints of its own (slides or a "
+            'free joint), and hold it to the mocap body by <weld torquescale="10" solref="'
+            f'{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>',
             JointWarning,
             stacklevel=5,  # the caller of step
         )

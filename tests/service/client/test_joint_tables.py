@@ -51,7 +51,7 @@ def test_a_table_without_rows_is_refused_by_name():
 
 def test_a_table_with_rows_beyond_its_range_alone_is_refused_by_name():
     table = packed_table(stiffening(3.0 * np.diag(HIGH)), SPAN)
-    with pytest.raises(InvalidArgument, match=r"bar has no known stiffness in its load range"):
+    with pytest.raises(InvalidArgument, match=r"bar has no rows that give a stiffness"):
         Joint(table)
 
 
