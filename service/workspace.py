@@ -247,6 +247,8 @@ class Workspace:
         budget: int,
         tolerance: Tolerance | None,
         need: Need | None = None,
+        *,
+        for_joint: bool = False,
     ) -> tuple[Design, list[JobRecord]]:
         """Design one round of solves on all rows there are, and accept them.
 
@@ -256,6 +258,8 @@ class Workspace:
             The component's own if None.
         need : Need, optional
             What a scene needs of the table, with its own tolerance; the fill then follows its plan.
+        for_joint : bool
+            Whether a joint will invert the table: see `next_wrenches`.
 
         Raises
         ------
@@ -272,9 +276,8 @@ class Workspace:
         surrogate = self.tables.caught_up(name, CATCH_UP_S).surrogate()
         if need is None:
             span = self.library[name].acting_range
-            design = next_wrenches(
-                surrogate, budget, pending=pending, tolerance=tolerance, span=span
-            )
+            options = {"tolerance": tolerance, "span": span, "for_joint": for_joint}
+            design = next_wrenches(surrogate, budget, pending=pending, **options)
         else:
             design = design_of(surrogate, plan_of(surrogate, need), budget, pending)
         jobs = self.submission.fill(name, design.wrenches)

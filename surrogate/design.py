@@ -21,13 +21,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .answer import allowed_by
 from .build import AnyTable
+from .limits import is_too_far
 from .solves_needed import estimate_of_solves
 from .surrogate import Surrogate
 from .table.axes import AXES
+from .table.definite import sample_of, weakest
 from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
 from .table.spread import spread_wrenches
 
@@ -40,6 +42,9 @@ AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
 # made-up responses, 39 solves, the worst output's part inside its bar rises from 89 to 93 % by it,
 # and errors stay the same.
 EVENLY = 4
+# Of each load's half range: the error of a joint's wrench, stiffness times error bars, that a fill
+# for a joint allows. A stiff freedom asks more of its bar than the tolerance does.
+FORCE_ERROR = 0.05
 FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
 # Candidates chosen between two looks at the bars that they will leave: a look costs as much.
 BETWEEN_LOOKS = 3
@@ -140,6 +145,7 @@ def next_wrenches(
     tolerance: Tolerance | None = None,
     span: LoadRange | None = None,
     outputs: Sequence[int] = (),
+    for_joint: bool = False,
 ) -> Design:
     """Return at most `budget` wrenches that lower the error most, none of them known or pending.
 
@@ -154,6 +160,9 @@ def next_wrenches(
         The part of the load range that a scene needs; all of it by default.
     outputs : sequence of int
         The outputs whose bars count; all where none are named.
+    for_joint : bool
+        Whether the compliance must be positive definite, and the error of the wrench of a
+        displacement at most `FORCE_ERROR` of the load range.
     """
     wrenches = table.rows.wrench
     waiting = np.asarray(() if pending is None else pending, dtype=float)
@@ -175,7 +184,8 @@ def next_wrenches(
         more = first_design(span, known, budget)
         return _first(more, "too few rows for error bars: these wrenches are evenly spread")
     limit = tolerance or surrogate.tolerance
-    return _Refinement(surrogate, known, limit, span, list(outputs)).design(budget)
+    places = np.delete(np.arange(len(outputs)), surrogate.locked) if for_joint else None
+    return _Refinement(surrogate, known, limit, span, list(outputs), places).design(budget)
 
 
 def _first(wrenches: Floats, reason: str) -> Design:
@@ -233,12 +243,21 @@ class _Refinement:
         tolerance: Tolerance | None,
         span: LoadRange,
         outputs: list[int],
+        joint: NDArray[np.intp] | None = None,
     ) -> None:
+        """Take, for a joint, also the places of the loads and outputs that its part moves by."""
         assert surrogate.kriging is not None
         self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
         self.tolerance, self.span, self.outputs = tolerance, span, outputs
         spread = np.maximum(surrogate.ranges, np.finfo(float).tiny)
         self.allowed = np.array(allowed_by(tolerance, span.space)) if tolerance else spread
+        self.joint, self.indefinite = joint, span.low[None][:0]
+        if joint is not None:
+            sample = sample_of(span.ends, span.space.zero, joint)
+            turned = self.kriging.answer_many(sample)[0][:, span.space.is_rotation]
+            sample = sample[~is_too_far(np.linalg.norm(turned, axis=1))]
+            slopes = self.kriging.derivatives(sample)[:, joint][:, :, joint]
+            self.indefinite = sample[weakest(slopes, span.scale[joint])[0] < 0.0]
 
     def design(self, budget: int) -> Design:
         """Return the next round, or none where the tolerance is met once all pending is solved."""
@@ -248,11 +267,16 @@ class _Refinement:
         known = np.isfinite(self.kriging.answer_many(sample)[1]).all(axis=1)
         within = float(((losses <= 1.0) & (known | (len(self.known.pending) > 0))).mean())
         worst = float(np.quantile(losses, ENOUGH))
-        if self.tolerance is not None and within >= ENOUGH:
+        if self.tolerance is not None and within >= ENOUGH and not len(self.indefinite):
             reason = (
                 f"the interpolation error of {within:.0%} of a sample of the range is within the "
                 "tolerance"
             )
+            if self.joint is not None:
+                reason += (
+                    f"; for a joint the compliance is positive definite, and the error of the "
+                    f"wrench at most {FORCE_ERROR:.0%} of the load range"
+                )
             return Design(sample[:0], "met", reason)
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
         reason = f"95 % of the interpolation errors are at most {worst:.3g} times {unit}"
@@ -260,11 +284,17 @@ class _Refinement:
             reason = "the rows do not yet show how large errors are"
         elif self.tolerance is not None and not self.span.space.is_default:
             reason += estimate_of_solves(self.surrogate, worst, self._worst_of, budget)
+        if len(self.indefinite):
+            reason += (
+                f"; the compliance is not positive definite at {len(self.indefinite)} wrenches of "
+                "the range"
+            )
         return Design(self._chosen(budget), "refine", reason)
 
     def _met(self, losses: Floats) -> bool:
         """Return whether bars over what is allowed, (n,), are within the tolerance, if any."""
-        return self.tolerance is not None and float((losses <= 1.0).mean()) >= ENOUGH
+        met = self.tolerance is not None and float((losses <= 1.0).mean()) >= ENOUGH
+        return met and not len(self.indefinite)
 
     def _worst_of(self, surrogate: Surrogate) -> float:
         """Return the error over what is allowed that 95 % of a sample have by another table."""
@@ -280,7 +310,8 @@ class _Refinement:
         bar, so a candidate computed before some were chosen is at most what it was: only those that
         may still be the largest are computed anew (Minoux 1978).
         """
-        candidates = self.known.new(_candidates(self.surrogate, self.span))
+        candidates = np.concatenate((self.indefinite, _candidates(self.surrogate, self.span)))
+        candidates = self.known.new(candidates)
         losses, pending = self._losses(candidates), self.known.pending
         if not np.isfinite(losses).all():  # the kriging's own error bars order them all the same
             own = self.kriging.answer_many(candidates)[1] / self.allowed
@@ -322,8 +353,14 @@ class _Refinement:
 
     def _losses(self, wrenches: Floats) -> Floats:
         """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""
-        over = self._errors(wrenches[:0], wrenches) / self.allowed
-        return over[:, self.outputs].max(axis=1)
+        bars = self._errors(wrenches[:0], wrenches)
+        over = (bars / self.allowed)[:, self.outputs].max(axis=1)
+        if self.joint is None or not len(wrenches):
+            return over
+        slopes = self.kriging.derivatives(wrenches)[:, self.joint][:, :, self.joint]
+        forces = np.sqrt(np.linalg.pinv(slopes) ** 2 @ bars[:, self.joint, None] ** 2)[:, :, 0]
+        share = forces / (FORCE_ERROR * self.span.scale[self.joint])
+        return np.maximum(over, share.max(axis=1))
 
     def _errors(self, solved: Floats, wrenches: Floats) -> Floats:
         """Return the error bars (n, 6), m and rad, at wrenches (n, 6) once others are solved."""

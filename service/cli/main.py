@@ -251,6 +251,9 @@ def fill(
         list[str] | None,
         typer.Option(help="an output whose error bar counts, such as uz; repeatable; default all"),
     ] = None,
+    for_joint: Annotated[
+        bool, typer.Option("--for-joint", help="until a joint can invert the table")
+    ] = False,
     translation: Former = None,
     rotation: Former = None,
     as_json: AsJson = False,
@@ -265,6 +268,7 @@ def fill(
     if force_range and moment_range:
         span = {"force": _pairs(force_range), "moment": _pairs(moment_range)}
     options = {"tolerance": tolerance, "range": span, "outputs": output or None}
+    options["for_joint"] = for_joint
     with connected(server, data) as client:
         filled = render.fill(Screen(stderr=as_json), client, name, budget, options)
     if as_json:

@@ -234,6 +234,7 @@ class JobCalls:
         *,
         range: Mapping[str, Any] | None = None,  # noqa: A002 (the contract's word)
         outputs: Sequence[str] | None = None,
+        for_joint: bool = False,
     ) -> Call[Round]:
         """Queue one round of the solves that lower a table's error most.
 
@@ -250,14 +251,17 @@ class JobCalls:
             of the load range that the table is needed for; all of it otherwise.
         outputs : sequence of str, optional
             Which of ux uy uz rx ry rz are needed; all otherwise.
+        for_joint : bool
+            Whether a joint will use the table: it is then also filled until the compliance is
+            positive definite and the error of a wrench at most 5 % of the load range.
 
         Raises
         ------
         ProblemError
             If the component is a table only and cannot be solved (409), or `range` is not within
-            its load range (422).
+            its load range, or given with `for_joint` (422).
         """
-        return (yield from _fill(name, tolerance, budget, range, outputs))
+        return (yield from _fill(name, tolerance, budget, range, outputs, for_joint))
 
     @sync_and_async_iterator
     def fill_until(
@@ -270,12 +274,13 @@ class JobCalls:
         timeout: float = 3600.0,
         range: Mapping[str, Any] | None = None,  # noqa: A002 (the contract's word)
         outputs: Sequence[str] | None = None,
+        for_joint: bool = False,
     ) -> Items[Round]:
         """Fill a table round by round, each designed on what the one before has found.
 
         Parameters
         ----------
-        name, tolerance, range, outputs
+        name, tolerance, range, outputs, for_joint
             As in `fill`.
         budget : int
             Solves to spend at most, over all rounds.
@@ -297,7 +302,7 @@ class JobCalls:
         """
         while budget > 0:
             count = min(round_size, budget)
-            queued = yield from _fill(name, tolerance, count, range, outputs)
+            queued = yield from _fill(name, tolerance, count, range, outputs, for_joint)
             deadline, ended = time.monotonic() + timeout, ()
             for job in queued.jobs:
                 ended += ((yield from _ended(job, deadline - time.monotonic())),)
@@ -346,9 +351,10 @@ def _fill(
     budget: int | None,
     range_: Mapping[str, Any] | None,
     outputs: Sequence[str] | None,
+    for_joint: bool,
 ) -> Call[Round]:
     """Queue one round of solves."""
     part = {"range": dict(range_) if range_ else None, "outputs": outputs and list(outputs)}
-    body = options(tolerance=tolerance, budget=budget, **part)
+    body = options(tolerance=tolerance, budget=budget, for_joint=for_joint or None, **part)
     path = component_path(name, "fill")
     return Round.read((yield json_request("POST", path, body, repeatable=False)).json())

@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..answer import NAMES
 from ..packed.format import CHECKED, Packed, PackedTableError, checksum_in, map_file, read
 from ..packed.reasons import Reason, text_of
+from ..table.definite import sample_of, weakest
 from ..table.space import Space
 from .library import Work, kernel
 from .replies import AXIS, NO_METHOD, AxisPart, Floats, Replies, Reply, ReplyReader, mistake
@@ -267,6 +268,12 @@ class PackedTable:
         if wrong:
             raise mistake(wrong, method, self._packed)
         return found, stiffness
+
+    weakest = staticmethod(weakest)
+
+    def sample(self, centre: Floats, places: NDArray[np.intp]) -> Floats:
+        """Return the corners of the load range and wrenches within it: see `sample_of`."""
+        return sample_of(self.arrays["space/range"], centre, places)
 
     @staticmethod
     def joint_rate(stiffness: Floats, inverse_mass: Floats, dt: float, damping: float) -> Floats:

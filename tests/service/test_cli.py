@@ -232,6 +232,15 @@ def test_fill_sends_the_range_and_the_outputs_that_are_wanted(stub: Stub, run: R
     assert "thick enough" in out
 
 
+def test_fill_for_a_joint_says_so_to_the_server(stub: Stub, run: Run):
+    stub.answers(
+        Answer({"component": "plate", "jobs": [], "stage": "met", "reason": "thick enough"}),
+        Answer({"name": "plate", "rows": 7}),
+    )
+    assert run("fill", "plate", "--for-joint")[0] == 0
+    assert stub.seen[0].body["for_joint"] is True
+
+
 def test_fill_wants_both_ranges_or_none(stub: Stub, run: Run):
     status, _, says = run("fill", "plate", "--force-range", "-1", "1", "0", "0", "-50", "-20")
     assert status == 2

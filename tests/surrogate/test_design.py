@@ -19,6 +19,7 @@ from wrenchbook.surrogate.design import (
     spread_wrenches,
 )
 from wrenchbook.surrogate.table.axes import clean_rows
+from wrenchbook.surrogate.table.definite import sample_of, weakest
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 EMPTY = build(Rows.empty(), RANGE)
@@ -239,3 +240,41 @@ def test_a_table_of_which_no_row_tells_an_error_covers_nothing_but_has_next_wren
     assert surrogate.kriging is not None
     assert not surrogate.kriging.knows_errors
     assert len(next_wrenches(surrogate, 3, pending=-wrenches).wrenches) == 3
+
+
+def elastic(count: int) -> AnyTable:
+    """A table of a part that stiffens, whose wide tolerance is met."""
+    first = next_wrenches(EMPTY, count).wrenches
+    return build(BENT.rows(first / HIGH), RANGE, tolerance=Tolerance(1.0, 1.0))
+
+
+def test_a_fill_for_a_joint_goes_on_where_the_tolerance_alone_ends_it() -> None:
+    filled = elastic(9)
+    assert next_wrenches(filled, 6).stage == "met"
+    design = next_wrenches(filled, 6, for_joint=True)
+    assert design.stage == "refine"
+    assert 0 < len(design.wrenches) <= 6
+
+
+def test_a_fill_for_a_joint_ends_with_a_positive_definite_compliance() -> None:
+    rows = BENT.rows(next_wrenches(EMPTY, 9).wrenches / HIGH)
+    for _ in range(20):
+        filled = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
+        design = next_wrenches(filled, 12, for_joint=True)
+        if design.stage == "met":
+            break
+        rows = rows + BENT.rows(design.wrenches / HIGH)
+    assert design.stage == "met"
+    assert "positive definite, and the error of the wrench at most 5% " in design.reason
+    kriging = filled.groups[0][1].kriging
+    sample = sample_of(RANGE.ends, np.zeros(6), np.arange(6))
+    assert (weakest(kriging.derivatives(sample), HIGH)[0] > 0).all()
+
+
+def test_a_fill_for_a_joint_does_not_end_while_the_part_moves_against_loads() -> None:
+    rows = BENT.rows(FIRST / HIGH)
+    against = Rows.of(rows.wrench, -rows.displacement, compliance=-rows.compliance)
+    design = next_wrenches(build(against, RANGE, tolerance=Tolerance(1.0, 1.0)), 6, for_joint=True)
+    assert design.stage == "refine"
+    assert "the compliance is not positive definite at 512 wrenches" in design.reason
+    assert len(design.wrenches) == 6

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InvalidArgument
-from .errors import JointRangeError, JointWarning
+from .errors import JointError, JointRangeError, JointWarning
 
 Vector = NDArray[np.float64]
 
@@ -30,6 +30,8 @@ MOST_LEFT = 2.0  # of the range or of LARGEST_TURN: further out the pose is not 
 CLOSE = 1e-9  # of the range: changes of the boundary point below this are rounding
 SMALL_ANGLE = 1e-3  # rad: below it 1/12 is right to 1e-9, and times a^2 to rounding
 MOST_STEPS = 8  # towards the boundary point; each gains some digits
+LOADS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
+SHOWN = 0.05  # of the largest: messages leave out smaller loads of a direction
 
 
 class Joint:
@@ -69,8 +71,15 @@ class Joint:
     Raises
     ------
     InvalidArgument
-        If the table's part moves at several interfaces or at none; if a further input is unknown,
-        missing or beyond its range; if the damping is negative.
+        If the table's part moves at several interfaces or at none; if the table has no rows, or
+        none that give a stiffness; if a further input is unknown, missing or beyond its range; if
+        the damping is negative.
+
+    Warns
+    -----
+    JointWarning
+        If the compliance is not positive definite at some wrenches of the load range; once each if
+        a step's wrench is not covered, and if its pose is beyond the range.
     """
 
     def __init__(
@@ -87,8 +96,10 @@ class Joint:
         self._table, self.damping, self._method = table, float(damping), method
         self._at, self.free = moving(table, interface)
         self.inputs = inputs or {}
-        self._warned = False
+        self._warned = self._uncovered = False
+        self._remedy = "Check the masses, the step and the units of the scene, or widen the range"
         self.restart()
+        self._check_range()
 
     @property
     def inputs(self) -> dict[str, float]:
@@ -111,7 +122,47 @@ class Joint:
     @property
     def coverage(self) -> str:
         """How the table covers the wrench: ``covered``, ``thin`` or ``outside``."""
-        return str(self._table.packed.answer(self._whole(self.wrench).tolist()).coverage)
+        loads = self._whole(self.wrench).tolist()
+        return str(self._table.packed.answer(loads, None, self._method).coverage)
+
+    def _check_range(self) -> None:
+        """Refuse a table without stiffness; warn where in its range no joint can invert it."""
+        packed, at, free, how = self._table.packed, self._at, self.free, (None, self._method)
+        sample = packed.sample(self._whole(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
+        answers = packed.batch(sample, *how)
+        slopes = packed.derivatives(sample, *how)[:, at, at][:, free][:, :, free]
+        slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
+        least, loads = packed.weakest(slopes, packed.arrays["space/scale"][at][free])
+        known, bad = int(np.isfinite(least).sum()), least < 0.0
+        if not known:
+            raise InvalidArgument(
+                f"{self._table.name} has no rows that give a stiffness: {self._more_rows()}, and "
+                "download the table again"
+            )
+        if bad.any():
+            worst, covered = int(np.nanargmin(least)), answers.coverage == 0
+            self._remedy = f"The compliance is not positive definite: {self._more_rows()}"
+            warnings.warn(
+                f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at {bad.sum()} of "
+                f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered",
+                JointWarning,
+                stacklevel=3,  # the caller of Joint
+            )
+
+    def _more_rows(self) -> str:
+        other = "" if self._method is None else f", or leave out method={self._method!r}"
+        return f"solve more rows (wrenchbook fill {self._table.name} --for-joint){other}"
+
+    def _indefinite(self, wrench: Vector, loads: Vector) -> str:
+        """Say where the part moves against a load, (f,), in half widths of the range."""
+        shares = zip(loads, np.array(LOADS)[self.free], strict=True)
+        shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
+        return (
+            f"{self._table.name}, method {self._table.packed.answers_by(self._method)!r}: the part "
+            f"moves against a load along ({shown}, in parts of the load range) at the wrench "
+            f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m: its compliance is not "
+            f"positive definite there, and a joint would blow up; {self._more_rows()}"
+        )
 
     def step(
         self,
@@ -139,6 +190,8 @@ class Joint:
 
         Raises
         ------
+        JointError
+            If the compliance at the pose is not positive definite.
         JointRangeError
             If the pose lies beyond twice the load range or 40 degrees.
         InvalidArgument
@@ -189,8 +242,11 @@ class Joint:
         """
         moved = np.concatenate([translation, rotation])
         wrench, stiffness, left = self._search(moved)
+        self._require_definite(wrench, stiffness)
         if left > 1.0:
             self._leave(left)
+        elif not self._uncovered:
+            self._warn_if_uncovered()
         self.displacement = moved
         turned = stiffness.copy()
         turned[:, 3:] = stiffness[:, 3:] @ vector_per_spin(moved[3:])
@@ -254,14 +310,37 @@ class Joint:
         loads[self._at] = wrench
         return loads
 
+    def _warn_if_uncovered(self) -> None:
+        """Warn once that the method does not cover the loads of this step."""
+        answer = self._table.packed.answer(self._loads.tolist(), None, self._method)
+        self._uncovered = answer.coverage != "covered"
+        if self._uncovered:
+            warnings.warn(
+                f"{self._table.name}: the wrench of a step is {answer.coverage} by the method "
+                f"{self._table.packed.answers_by(self._method)!r}, and displacement and wrench are "
+                f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
+                JointWarning,
+                stacklevel=4,  # the caller of step
+            )
+
+    def _require_definite(self, wrench: Vector, stiffness: Vector) -> None:
+        """Refuse a pose at which the part moves against a load."""
+        square, packed = stiffness[np.ix_(self.free, self.free)], self._table.packed
+        try:
+            np.linalg.cholesky(square + square.T)
+        except np.linalg.LinAlgError:
+            scale = packed.arrays["space/scale"][self._at][self.free]
+            least, loads = packed.weakest(np.linalg.inv(square)[None], scale)
+            if least[0] < 0.0:
+                raise JointError(self._indefinite(wrench, loads[0])) from None
+
     def _leave(self, left: float) -> None:
         """Warn once that the pose is beyond the range; raise where it is far beyond."""
         name = self._table.name
         if left > MOST_LEFT:
             raise JointRangeError(
                 f"{name}: the pose needs {left:.3g} times the load range, or turns by as many "
-                "times 20 degrees. Check the masses, the step and the units of the scene, or give "
-                "the component a wider range"
+                f"times 20 degrees. {self._remedy}"
             )
         if not self._warned:
             self._warned = True

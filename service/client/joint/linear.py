@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from itertools import product
 from typing import Any, Self
 
 import numpy as np
@@ -17,10 +16,6 @@ Vector = NDArray[np.float64]
 
 NAMES = ("ux", "uy", "uz", "rx", "ry", "rz")
 LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
-INSIDE = 448  # wrenches inside the range: with its 64 corners they are answered in 5 ms
-# Steps of an additive sequence that spreads points over a cube of six dimensions evenly: powers of
-# the root of g^7 = g + 1 (Roberts 2018, the generalised golden ratio).
-STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)
 
 
 @dataclass(frozen=True)
@@ -86,7 +81,7 @@ class LinearPart:
                 f"{table.name} has no stiffness at this load: its derivative is unknown or not "
                 "that of springs; fill the table, or give another load"
             )
-        loads = _spread(packed.arrays["space/range"], centre, places)
+        loads = packed.sample(centre, places)
         answers = packed.batch(np.vstack([centre, loads]))
         moved, first = answers.outputs[1:, places], answers.outputs[0, places]
         wrong = moved - first - (loads - centre)[:, places] @ compliance
@@ -155,16 +150,3 @@ def _centre(
     centre = np.concatenate([np.zeros(table.packed.inputs - len(rest)), rest])
     centre[at] = given
     return centre
-
-
-def _spread(ends: Vector, centre: Vector, places: NDArray[np.intp]) -> Vector:
-    """Return the corners of a load range, shape (2, n), and wrenches within it, shape (m, n).
-
-    Inputs at other places are those of `centre`, shape (n,).
-    """
-    (low, high), count = ends, len(places)
-    corners = np.array(list(product((0.0, 1.0), repeat=count)))
-    inside = np.mod(0.5 + np.outer(np.arange(INSIDE), STEPS[:count]), 1.0)
-    loads = np.tile(centre, (len(corners) + INSIDE, 1))
-    loads[:, places] = low[places] + np.vstack([corners, inside]) * (high - low)[places]
-    return loads

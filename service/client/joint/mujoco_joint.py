@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..rotation import rotation_matrix
-from .errors import JointError
+from .errors import JointError, JointWarning
 from .joint import FREEDOMS, Joint
 
 try:
@@ -26,6 +28,8 @@ Vector = NDArray[np.float64]
 engine: Any = mujoco  # compiled: it has no types
 _JOINT, _OBJECT = engine.mjtJoint, engine.mjtObj
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
+# The joints of each MjData by the first freedom of their tips: a step is of all of them.
+_JOINTS: WeakKeyDictionary[Any, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 
 
@@ -87,6 +91,9 @@ class MujocoJoint(Joint):
         if model.body_parentid[body] != parent:
             raise JointError(f"body {tip!r} must be a child of body {base!r}; {_REMEDY}")
         self._find(body, tip)
+        self._base, self._tip, self._still = base, tip, _still(model, parent)
+        self._pose: Vector | None = None
+        _JOINTS.setdefault(data, WeakValueDictionary())[self._dofs.start] = self
 
     def step(self) -> None:  # type: ignore[override]
         """Advance the scene by one time step; call it in the place of ``mj_step``.
@@ -176,6 +183,7 @@ class MujocoJoint(Joint):
         The rest depends on the velocity after the step, and enters the mass matrix.
         """
         model, data, dofs = self._model, self._data, self._dofs
+        self._watch_base()
         moved, turned = self._displacement()
         wrench, stiffness = self.state(moved, turned)
         self._map = self._to_contract(turned)
@@ -187,6 +195,27 @@ class MujocoJoint(Joint):
         if self._diagonal:
             self._law = self._lagged(inverse_mass), np.zeros_like(slope)
         data.qfrc_applied[dofs] = -(self._law[0] + self._law[1] @ data.qvel[dofs])
+
+    def _watch_base(self) -> None:
+        """Warn once that the base has been put elsewhere by a body without velocity."""
+        data, body = self._data, self._still
+        if body == 0:  # the world
+            return
+        pose = np.concatenate([[data.time], data.xpos[body], data.xquat[body]])
+        before, self._pose = self._pose, pose
+        if before is None or pose[0] <= before[0] or (pose[1:] == before[1:]).all():
+            return
+        self._still = 0
+        name = engine.mj_id2name(self._model, _OBJECT.mjOBJ_BODY, body) or f"#{body}"
+        warnings.warn(
+            f"{self._table.name}: base {self._base!r} moves by body {name!r}, which is moved "
+            "between steps (a mocap body): MuJoCo gives it no velocity and no acceleration, so tip "
+            f"{self._tip!r} does not feel the motion. Give the base joints of its own (slides or a "
+            'free joint), and hold it to the mocap body by <weld torquescale="10" solref="'
+            f'{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>',
+            JointWarning,
+            stacklevel=5,  # the caller of step
+        )
 
     def _lagged(self, inverse_mass: Vector) -> Vector:
         """Return the whole wrench of this step, shape (n,), with the last step's constraint forces.
@@ -252,7 +281,8 @@ def step_joints(*joints: MujocoJoint) -> None:
     Raises
     ------
     JointError
-        If the joints are not of one scene and of a tip each, or its step is not above zero.
+        If the joints are not all of one scene, each of a tip, or its step is not above zero; see
+        `Joint.step`.
     JointRangeError
         See `Joint.step`; the scene is where it was.
     """
@@ -276,9 +306,26 @@ def _require_one_scene(joints: Sequence[MujocoJoint]) -> None:
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
     if len({one._dofs.start for one in joints}) < len(joints):
         raise JointError("two joints have one tip, which would feel one of them: leave one out")
+    data, stepped = joints[0]._data, {joint._dofs.start for joint in joints}
+    every = [joint for joint in _JOINTS.get(data, {}).values() if joint._data is data]
+    missing = [repr(joint._tip) for joint in every if joint._dofs.start not in stepped]
+    if missing:
+        tips = ", ".join(repr(joint._tip) for joint in joints)
+        raise JointError(
+            f"the scene has joints at the tips {tips} and {', '.join(missing)}: a step of one "
+            "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
+            "wrenchbook once with all of them, in the place of a.step(); b.step()"
+        )
     step = joints[0]._model.opt.timestep
     if not step > 0:
         raise JointError(f"the scene's time step is {step} s: set it above 0")
+
+
+def _still(model: Any, body: int) -> int:
+    """Return the last body from the world to this one that no freedom of the scene moves."""
+    while model.body_dofnum[top := int(model.body_weldid[body])]:
+        body = int(model.body_parentid[top])
+    return body
 
 
 def _places(model: Any, dofs: NDArray[np.intp]) -> tuple[Any, Any, Any]:

@@ -160,11 +160,22 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     """Design one round of solves on the newest table and accept them."""
     began = time.time()
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
-    need = None
+    need, component = None, workspace.library[name]
+    if order.for_joint:
+        moving = {
+            load.interface
+            for place, load in enumerate(component.space.inputs)
+            if load.kind != "scalar" and place not in component.idle
+        }
+        if len(moving) != 1 or order.range is not None or order.outputs is not None:
+            message = (
+                "a joint needs one interface that moves, all of the load range and all outputs: "
+                "leave out range and outputs"
+            )
+            raise bad_body([{"loc": "for_joint", "msg": message}])
     if order.range is not None or order.outputs is not None:
-        component = workspace.library[name]
         need = need_from(component, order.range, order.outputs, order.tolerance, "range", "outputs")
-    design, jobs = workspace.fill(name, order.budget, limit, need)
+    design, jobs = workspace.fill(name, order.budget, limit, need, for_joint=order.for_joint)
     fewer = (
         f"{len(jobs)} of at most {order.budget} solves: " if 0 < len(jobs) < order.budget else ""
     )

@@ -1,0 +1,154 @@
+"""What a joint says of its table and its scene before its numbers can be wrong."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+from tests.service.client.answers import bar_compliance
+from tests.service.client.joint_scenes import (
+    FREEDOMS,
+    HIGH,
+    SILENT,
+    linear_table,
+    mujoco,
+    packed_table,
+    scene,
+    sphere,
+)
+from wrenchbook.service.client.errors import InvalidArgument
+from wrenchbook.service.client.joint import Joint, JointError, JointWarning
+from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint, step_joints
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
+
+C = bar_compliance()
+SPAN = LoadRange(-HIGH, HIGH)
+
+
+def stiffening(wrenches: np.ndarray) -> Rows:
+    """Rows with tangents of a bar whose side force meets more stiffness the further it bends."""
+    moved, slopes = wrenches @ C.T, np.tile(C, (len(wrenches), 1, 1))
+    share = wrenches[:, 2] / HIGH[2]
+    moved[:, 2] -= 0.1 * C[2, 2] * HIGH[2] * share**3
+    slopes[:, 2, 2] -= 0.3 * C[2, 2] * share**2
+    return Rows.of(wrenches, moved, compliance=slopes, source=["fea"] * len(wrenches))
+
+
+def with_one_negative(place: int) -> np.ndarray:
+    """A compliance that is not positive definite in one freedom."""
+    matrix = np.diag(np.abs(np.diag(C)))
+    matrix[place, place] *= -1
+    return matrix
+
+
+def test_a_table_without_rows_is_refused_by_name():
+    table = packed_table(Rows.of(np.empty((0, 6)), np.empty((0, 6))), SPAN)
+    with pytest.raises(InvalidArgument, match=r"bar has no rows.*solve more rows"):
+        Joint(table)
+
+
+def test_a_table_with_rows_beyond_its_range_alone_is_refused_by_name():
+    table = packed_table(stiffening(3.0 * np.diag(HIGH)), SPAN)
+    with pytest.raises(InvalidArgument, match=r"bar has no rows that give a stiffness"):
+        Joint(table)
+
+
+def test_a_wrench_that_a_thin_table_does_not_cover_is_warned_of_once():
+    model, data = scene(sphere(5))
+    wrenches = np.random.default_rng(1).uniform(-0.1, 0.1, (2, 6)) * HIGH
+    joint = MujocoJoint(model, data, packed_table(stiffening(wrenches), SPAN))
+    with pytest.warns(JointWarning, match=r"bar: the wrench of a step is outside.*solve more rows"):
+        joint.step()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        joint.step()
+
+
+def test_coverage_is_that_of_the_method_of_the_joint():
+    wrenches = np.random.default_rng(2).uniform(-1, 1, (40, 6)) * HIGH
+    table = packed_table(stiffening(wrenches), SPAN)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", JointWarning)
+        joint = Joint(table, method="linear")
+    assert (table.packed.answer([0.0] * 6).coverage, joint.coverage) == ("covered", "thin")
+
+
+def test_a_compliance_that_is_not_positive_definite_is_warned_of_with_its_direction():
+    table = linear_table(with_one_negative(2))
+    with pytest.warns(JointWarning, match=r"along \(\+1 F_z,.*at the wrench.*solve more rows"):
+        Joint(table)
+
+
+def test_a_step_where_the_part_moves_against_a_load_is_refused_by_direction_and_remedy():
+    model, data = scene(sphere(5))
+    with pytest.warns(JointWarning):
+        joint = MujocoJoint(model, data, linear_table(with_one_negative(4)))
+    with pytest.raises(JointError, match=r"along \(\+1 M_y,.*solve more rows"):
+        joint.step()
+
+
+def test_a_freedom_of_no_compliance_is_no_indefinite_one():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Joint(linear_table(np.diag([*np.diag(C)[:5], 0.0])))
+
+
+def mocap_scene():
+    """A mass on the bar, whose base is a mocap body."""
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option gravity="0 0 0"/><worldbody><body name="base" mocap="true">'
+        f'<body name="tip" pos="1 0 0">{FREEDOMS}{sphere(5)}</body></body></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    return data, MujocoJoint(model, data, linear_table())
+
+
+def test_a_mocap_base_that_moves_is_warned_of_once_by_name():
+    data, joint = mocap_scene()
+    joint.step()
+    data.mocap_pos[0, 2] += 1e-3
+    with pytest.warns(JointWarning, match="base 'base' moves by body 'base'.*does not feel"):
+        joint.step()
+    data.mocap_pos[0, 2] += 1e-3
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        joint.step()
+
+
+def test_a_mocap_base_that_is_placed_before_the_first_step_is_not_warned_of():
+    data, joint = mocap_scene()
+    data.mocap_pos[0, 2] = 1.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        joint.step()
+        joint.step()
+
+
+def two_joints():
+    """Two masses on two bars in one scene."""
+    bodies = "".join(
+        f'<body name="base{k}" pos="0 {k} 1"><geom size=".02" mass="50" {SILENT}/>'
+        f'<body name="tip{k}" pos="1 0 0">{FREEDOMS}{sphere(1)}</body></body>'
+        for k in range(2)
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    data, table = mujoco.MjData(model), linear_table()
+    return data, [MujocoJoint(model, data, table, f"base{k}", f"tip{k}") for k in range(2)]
+
+
+def test_a_step_of_one_of_two_joints_is_refused_and_names_the_right_call():
+    data, joints = two_joints()
+    with pytest.raises(JointError, match=r"'tip0' and 'tip1'.*step_joints\(a, b\)"):
+        joints[0].step()
+    assert data.time == 0.0
+    step_joints(*joints)
+    assert data.time > 0.0
+
+
+def test_a_joint_steps_by_itself_once_the_other_is_gone():
+    data, joints = two_joints()
+    joints.pop()
+    joints[0].step()
+    assert data.time > 0.0
