@@ -13,7 +13,13 @@ from starlette.types import Scope as Scope_
 
 from wrenchbook.service.http.access.headers import preflight, sending
 from wrenchbook.service.http.access.origins import check_host, check_origin, is_public
-from wrenchbook.service.http.access.permission import OPEN, PERMISSION, Permission, permission_of
+from wrenchbook.service.http.access.permission import (
+    OPEN,
+    PERMISSION,
+    Permission,
+    Rates,
+    permission_of,
+)
 from wrenchbook.service.http.access.security import SecuritySettings
 from wrenchbook.service.http.body import counted
 from wrenchbook.service.http.problems import HttpProblemError
@@ -40,11 +46,16 @@ class AccessControl:
         The keys of the data directory.
     security : SecuritySettings
         Allowed hosts and origins, and whether keys are needed.
+    rates : Rates, optional
+        What keys may send now, shared by the web workers of a server; of this process if None.
     """
 
-    def __init__(self, keyring: Keyring, security: SecuritySettings) -> None:
+    def __init__(
+        self, keyring: Keyring, security: SecuritySettings, rates: Rates | None = None
+    ) -> None:
         self.security = security
         self.keyring = keyring
+        self._rates = rates or Rates()
         self._permissions: dict[str, Permission] = {}
         self.heads: dict[bytes, Any] = {}  # cache of the fast path, emptied once a key changes
         self._version = keyring.version
@@ -133,7 +144,7 @@ class AccessControl:
             key = self._key(secret)
             if key is None:
                 raise _no_key("The request's key is none of this server's; it may be revoked.")
-            permission = self._permissions[secret] = Permission(key)
+            permission = self._permissions[secret] = Permission(key, self._rates)
         return permission
 
     def _key(self, secret: str) -> Key | None:
