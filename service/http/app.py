@@ -15,6 +15,7 @@ from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events.watch import Watch
 from wrenchbook.service.http import instrumentation, openapi, problems
 from wrenchbook.service.http.access import AccessControl, SecuritySettings
+from wrenchbook.service.http.access.permission import Rates
 from wrenchbook.service.http.fast_path import FastPath
 from wrenchbook.service.http.routes import (
     components,
@@ -39,6 +40,7 @@ from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ops.counts import Counts
 from wrenchbook.service.ops.metrics import Metrics
 from wrenchbook.service.recording.store import RecordingStore
+from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 from wrenchbook.service.workspace import Settings, Workspace
 
 _SUMMARY = (
@@ -130,7 +132,9 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         **openapi.OPTIONS,
     )
     app.state.counts = counts
-    app.state.access = AccessControl(Keyring(settings.folder), security or SecuritySettings())
+    rates = Rates(settings.folder / SHARED / "rates") if settings.part == "web" else None
+    keyring = Keyring(settings.folder)
+    app.state.access = AccessControl(keyring, security or SecuritySettings(), rates)
     return _with_routes(app, settings)
 
 

@@ -78,6 +78,10 @@ class Keyring:
         # Looked up by digest: the time it takes reveals nothing about the secrets.
         return self._keys.get(digest_of(secret))
 
+    def has(self, key: Key) -> bool:
+        """Return whether a key is one of these, with the same scope and limits."""
+        return self._keys.get(key.digest) == key
+
     def look(self, patience: float = LOOK_S) -> int:
         """Read the file if commands have changed it; return a number that differs then."""
         now = time.monotonic()

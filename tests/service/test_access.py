@@ -9,12 +9,13 @@ import pytest
 from starlette.testclient import TestClient
 
 from wrenchbook.service.client import Client
-from wrenchbook.service.http.access import SecuritySettings
+from wrenchbook.service.http.access import Permission, SecuritySettings
+from wrenchbook.service.http.access.permission import Rates
 from wrenchbook.service.http.access.security import security_settings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.body import counted as counted_
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.keys import Keyring
+from wrenchbook.service.keys import Key, Keyring, digest_of
 from wrenchbook.service.keys.needed import is_loopback
 from wrenchbook.service.workspace import Settings
 
@@ -186,6 +187,57 @@ def test_a_key_is_held_to_its_rate_and_told_when_to_come_again(place, locked):
     assert 429 in statuses
     refused = locked.get("/v1/jobs", headers=bearer(secret))
     assert int(refused.headers["retry-after"]) >= 1
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The time of the rates, s, which a test sets."""
+    now = [1000.0]
+    monkeypatch.setattr("wrenchbook.service.http.access.permission.time.monotonic", lambda: now[0])
+    return now
+
+
+def permissions(path, rate, count, name="a"):
+    """The permissions of one key in processes of one server."""
+    key = Key(name, "read", digest_of(name), 0.0, rate)
+    return [Permission(key, Rates(path)) for _ in range(count)]
+
+
+@pytest.mark.parametrize("processes", [1, 3])
+@pytest.mark.parametrize("rate", [0.1, 5.0, 5000.0])
+def test_what_a_key_may_send_does_not_grow_with_the_processes(tmp_path, clock, processes, rate):
+    each, allowed = permissions(tmp_path / "shared" / "rates", rate, processes), 0
+    for _ in range(30):  # of a fifth of a request's time, or of a second
+        clock[0] += min(2.0, 0.2 / rate) if rate < 1 else 0.2
+        asked = max(3, int(rate))
+        allowed += sum(each[k % processes].wait() == 0.0 for k in range(asked))
+    passed = clock[0] - 1000.0
+    # A burst and what the time gives; a process may hold a hundredth of a second's unused.
+    most = max(2.0 * rate, 1.0) + rate * (passed - 0.2)
+    assert most - 1 - processes * max(1, 0.01 * rate) <= allowed <= most + 1
+
+
+def test_a_key_that_asks_too_often_takes_nothing_from_another(tmp_path, clock):
+    path = tmp_path / "rates"
+    busy, other = (permissions(path, 1.0, 1, name)[0] for name in ("busy", "other"))
+    assert [busy.wait() == 0.0 for _ in range(4)] == [True, True, False, False]
+    assert [other.wait() == 0.0 for _ in range(3)] == [True, True, False]
+
+
+def test_a_machine_that_was_started_again_holds_no_key_up(tmp_path, clock):
+    """Its clock begins anew; the file is of the time before."""
+    path = tmp_path / "rates"
+    clock[0] = 1e6
+    while permissions(path, 1.0, 1)[0].wait() == 0.0:
+        pass
+    clock[0] = 10.0
+    assert permissions(path, 1.0, 1)[0].wait() == 0.0
+
+
+def test_a_thousand_keys_have_buckets_of_their_own(tmp_path, clock):
+    each = [permissions(tmp_path / "rates", 0.5, 1, f"key{k}")[0] for k in range(1000)]
+    assert all(permission.wait() == 0.0 for permission in each)
+    assert not any(permission.wait() == 0.0 for permission in each)
 
 
 def test_a_key_is_held_to_the_size_of_its_bodies_told_or_not(place, locked):

@@ -8,10 +8,17 @@ import time
 import pytest
 
 from tests.service.live import add_rows, add_table, as_rows, clean_wrenches, moved, served
-from wrenchbook.service.client import ProblemError, ServerUnreachable
+from wrenchbook.service.client import Client, ProblemError, ServerUnreachable
 from wrenchbook.service.client.events import EventParser
 from wrenchbook.service.events import feed as feed_module
 from wrenchbook.service.events.feed import Feed, TooManyListenersError
+from wrenchbook.service.http.access import (
+    AccessControl,
+    Permission,
+    SecuritySettings,
+    permission_of,
+)
+from wrenchbook.service.keys import Keyring
 
 ROWS = as_rows(clean_wrenches(), moved(clean_wrenches()))
 
@@ -273,3 +280,70 @@ def test_lines_are_read_as_the_standard_says():
     found = list(read_events(lines.splitlines(keepends=True)))
     assert [(one.kind, one.body, one.id) for one in found] == [("job", {}, "a.1")]
     assert json.dumps(found[0].body) == "{}"
+
+
+# -- keys -------------------------------------------------------------------------------------
+
+
+def rest_of(events):
+    """The kinds of all further events of a stream, and the status that its next request got."""
+    kinds = []
+    try:
+        kinds += [event.kind for event in events]
+    except ProblemError as error:
+        return kinds, error.status
+    return kinds, None
+
+
+def test_a_stream_ends_with_its_key_and_tells_nothing_that_comes_later(tmp_path):
+    """It went on delivering events after the key was revoked."""
+    keyring = Keyring(tmp_path)
+    ops, victim = keyring.add("ops", "admin"), keyring.add("victim", "read")
+    with served(tmp_path, key=ops) as client, Client(client.url, key=victim) as listening:
+        events = listening.events(timeout_s=60)
+        assert next(events).kind == "hello"
+        keyring.revoke("victim")
+        assert rest_of(events) == ([], 401)
+        add_table(client, "secret", ROWS[:10])
+        going_on = client.events(timeout_s=60)
+        assert next(going_on).kind == "hello"
+        keyring.add("another", "read")  # a change that is none of this stream's key
+        add_rows(client, "secret", ROWS[10:])
+        assert next(going_on).kind == "table"
+        going_on.close()
+
+
+def test_a_stream_without_a_key_ends_once_there_are_keys(tmp_path):
+    with served(tmp_path) as client:
+        events = client.events(timeout_s=60)
+        assert next(events).kind == "hello"
+        Keyring(tmp_path).add("ops", "admin")
+        assert rest_of(events) == ([], 401)
+
+
+def test_a_key_revoked_while_its_stream_begins_is_seen(tmp_path):
+    """Between the check of the request and the first event a look at the keys may have passed."""
+    keyring = Keyring(tmp_path)
+    secret = keyring.add("victim", "read")
+    access, listener = AccessControl(keyring, SecuritySettings()), Feed().listen(None, None, {})
+    permission = Permission(keyring.find(secret))
+    keyring.revoke("victim")
+    access.end_with_key(listener, permission)
+    assert listener.ended
+
+
+def test_a_private_servers_own_stream_outlives_a_change_of_keys(tmp_path):
+    keyring = Keyring(tmp_path)
+    security = SecuritySettings(own_key="the-server's-own")
+    access, listener = AccessControl(keyring, security), Feed().listen(None, None, {})
+    scope = {
+        "method": "GET",
+        "path": "/v1/events",
+        "headers": [(b"authorization", b"Bearer the-server's-own")],
+    }
+    keyring.add("ops", "admin")
+    access.check(scope)
+    access.end_with_key(listener, permission_of(scope))
+    keyring.revoke("ops")
+    access.check(scope)
+    assert not listener.ended

@@ -148,6 +148,20 @@ def test_every_process_has_the_same_access_control(several):
             until(lambda: statuses_of_each(clients) == {200})
 
 
+def test_a_key_has_one_rate_for_all_processes(several):
+    """Each web worker counted for itself: 109 requests for 40."""
+    keyring = Keyring(several.folder)
+    with clients_of_each(several) as clients:
+        key = keyring.add("slow", "read", rate=1e-4)  # one now, and the next in hours
+        try:
+            until(lambda: 401 in statuses_of_each(clients))
+            found = [statuses_of_each([client], key=key) for client in [*clients, *clients]]
+            assert sorted(map(min, found)) == [200, 429, 429, 429]
+        finally:
+            keyring.revoke("slow")
+            until(lambda: statuses_of_each(clients) == {200})
+
+
 def test_every_process_gives_the_bits_that_a_table_of_one_process_does(several):
     wrenches = np.random.default_rng(3).uniform(-1, 1, (200, 6)) * FULL
     with clients_of_each(several) as clients:

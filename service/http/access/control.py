@@ -7,13 +7,21 @@ from collections.abc import Mapping
 from math import ceil
 from secrets import compare_digest
 from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 from starlette.types import Receive, Send
 from starlette.types import Scope as Scope_
 
+from wrenchbook.service.events.feed import Listener
 from wrenchbook.service.http.access.headers import preflight, sending
 from wrenchbook.service.http.access.origins import check_host, check_origin, is_public
-from wrenchbook.service.http.access.permission import OPEN, PERMISSION, Permission, permission_of
+from wrenchbook.service.http.access.permission import (
+    OPEN,
+    PERMISSION,
+    Permission,
+    Rates,
+    permission_of,
+)
 from wrenchbook.service.http.access.security import SecuritySettings
 from wrenchbook.service.http.body import counted
 from wrenchbook.service.http.problems import HttpProblemError
@@ -40,12 +48,20 @@ class AccessControl:
         The keys of the data directory.
     security : SecuritySettings
         Allowed hosts and origins, and whether keys are needed.
+    rates : Rates, optional
+        What keys may send now, shared by the web workers of a server; of this process if None.
     """
 
-    def __init__(self, keyring: Keyring, security: SecuritySettings) -> None:
+    def __init__(
+        self, keyring: Keyring, security: SecuritySettings, rates: Rates | None = None
+    ) -> None:
         self.security = security
         self.keyring = keyring
+        self._rates = rates or Rates()
+        own = digest_of(security.own_key or "")
+        self._own = Key("own", "admin", own, 0.0, _NO_LIMIT, int(_NO_LIMIT))
         self._permissions: dict[str, Permission] = {}
+        self._streams: WeakKeyDictionary[Listener, Permission] = WeakKeyDictionary()
         self.heads: dict[bytes, Any] = {}  # cache of the fast path, emptied once a key changes
         self._version = keyring.version
 
@@ -66,8 +82,14 @@ class AccessControl:
             return None
         return permission if permission.allows("write") and b"origin" not in head else None
 
+    def end_with_key(self, listener: Listener, permission: Permission) -> None:
+        """End a listener of events once its key is revoked or changed."""
+        self._streams[listener] = permission
+        if not self._holds(permission):  # since it was permitted
+            listener.end()
+
     async def watch(self) -> None:
-        """Look for changed keys from time to time: the fast path caches permissions by head."""
+        """Look for changed keys: streams end with their key, and the fast path caches by head."""
         while True:
             await asyncio.sleep(LOOK_S)
             self._look()
@@ -135,13 +157,13 @@ class AccessControl:
             key = self._key(secret)
             if key is None:
                 raise _no_key("The request's key is none of this server's; it may be revoked.")
-            permission = self._permissions[secret] = Permission(key)
+            permission = self._permissions[secret] = Permission(key, self._rates)
         return permission
 
     def _key(self, secret: str) -> Key | None:
         own = self.security.own_key
         if own is not None and compare_digest(secret.encode(), own.encode()):
-            return Key("own", "admin", digest_of(own), 0.0, _NO_LIMIT, int(_NO_LIMIT))
+            return self._own
         return self.keyring.find(secret)
 
     def _look(self) -> None:
@@ -151,6 +173,14 @@ class AccessControl:
         self._version = self.keyring.version
         self.heads.clear()
         self._permissions.clear()
+        for listener, permission in list(self._streams.items()):
+            if not self._holds(permission):
+                listener.end()
+
+    def _holds(self, permission: Permission) -> bool:
+        """Return whether a request that was permitted would be so now."""
+        key = permission.key
+        return not self.keys_needed if key is None else key is self._own or self.keyring.has(key)
 
 
 def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:

@@ -2,13 +2,79 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import tempfile
 import time
-from typing import Any
+import weakref
+from contextlib import suppress
+from pathlib import Path
+from struct import Struct
+from typing import Any, Final
 
 from wrenchbook.service.keys import Key, Scope
 
-_AT_ONCE_S = 2.0  # a burst is what this many seconds allow
+_AT_ONCE_S: Final = 2.0  # a burst is what this many seconds allow
+# Share of a second's requests that a process takes from the common bucket at a time: a lock costs
+# 2 µs, an answer 50. What a process has taken and not used is at most half a percent of a burst.
+_TAKEN: Final = 0.01
+_SLOT: Final = Struct("=8sd")  # begin of a key's digest; monotonic time at which its burst is whole
+_SLOTS: Final = 4096  # four times as many as there may be keys
+_NEXT: Final = 16  # slots that a key may be in: more keys than that never have the same first one
+_TRIES: Final = 1000  # for the lock, 1 ms; its holder was stopped in the middle of it then
 PERMISSION = "wrenchbook.permission"  # its key in a request's scope
+
+
+class Rates:
+    """How many requests each key may send now, counted together by all processes of a server.
+
+    The generic cell rate algorithm (ITU-T I.371): a bucket is the one time at which it is full
+    again, and one whose time has passed is as good as none. All buckets are in a small file, since
+    a process may end at any time.
+
+    Parameters
+    ----------
+    path : Path, optional
+        The file; one of this process alone if None.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        if path is None:
+            self._file, name = tempfile.mkstemp()
+            os.unlink(name)  # noqa: PTH108
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        weakref.finalize(self, os.close, self._file)
+
+    def take(self, key: Key) -> tuple[int, float]:
+        """Take some requests of a key; return how many, and the seconds until there is one."""
+        name, rate = bytes.fromhex(key.digest[:16]), key.rate
+        at_once = max(_AT_ONCE_S, 1.0 / rate)
+        start = _SLOT.size * (int.from_bytes(name, "big") % _SLOTS)
+        now = time.monotonic()  # the same clock in all processes
+        for _ in range(_TRIES):
+            with suppress(BlockingIOError):
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+        try:
+            content = os.pread(self._file, _NEXT * _SLOT.size, start)
+            slots = list(_SLOT.iter_unpack(content.ljust(_NEXT * _SLOT.size, b"\0")))
+            names = [held for held, _ in slots]
+            past = [full <= now for _, full in slots]
+            place = names.index(name) if name in names else past.index(True) if any(past) else 0
+            held, full = slots[place]
+            # A time beyond a burst is of an earlier start of the machine.
+            if held != name or not now < full < now + 2.0 * at_once:
+                full = now
+            count = min(int((now + at_once - full) * rate + 1e-6), max(1, int(_TAKEN * rate)))
+            if count:
+                with suppress(OSError):  # a full disk: nothing is counted, and answers go on
+                    slot = _SLOT.pack(name, full + count / rate)
+                    os.pwrite(self._file, slot, start + place * _SLOT.size)
+        finally:
+            fcntl.flock(self._file, fcntl.LOCK_UN)
+        return count, full + 1.0 / rate - at_once - now
 
 
 class Permission:
@@ -18,14 +84,16 @@ class Permission:
     ----------
     key : Key, optional
         None allows all and counts nothing.
+    rates : Rates, optional
+        Needed with a key.
     """
 
-    __slots__ = ("_left", "_seen", "key")
+    __slots__ = ("_left", "_rates", "key")
 
-    def __init__(self, key: Key | None = None) -> None:
+    def __init__(self, key: Key | None = None, rates: Rates | None = None) -> None:
         self.key = key
-        self._left = _AT_ONCE_S * key.rate if key else 0.0
-        self._seen = time.monotonic()
+        self._rates = rates
+        self._left = 0
 
     def allows(self, scope: Scope) -> bool:
         """Tell whether it is for a scope."""
@@ -38,16 +106,13 @@ class Permission:
 
     def wait(self) -> float:
         """Count one request; return 0, or the seconds until there is one left."""
-        key = self.key
-        if key is None:
+        if self.key is None or self._rates is None:
             return 0.0
-        now = time.monotonic()
-        left = min(self._left + (now - self._seen) * key.rate, _AT_ONCE_S * key.rate)
-        self._seen = now
-        if left < 1.0:
-            self._left = left
-            return (1.0 - left) / key.rate
-        self._left = left - 1.0
+        if not self._left:
+            self._left, seconds = self._rates.take(self.key)
+            if not self._left:
+                return seconds
+        self._left -= 1
         return 0.0
 
 

@@ -12,6 +12,7 @@ from starlette.types import Receive, Scope, Send
 
 from wrenchbook.service.events.feed import Feed, Listener, TooManyListenersError
 from wrenchbook.service.events.watch import Watch
+from wrenchbook.service.http.access.permission import permission_of
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened
@@ -28,7 +29,7 @@ _STREAM = {
     "of a component's table answers, data {component, table_version, rows}. missed: events since "
     "Last-Event-ID are not there any more, data {reason}: read jobs and components again. "
     "dropped: the listener read too slowly and is disconnected, data {reason}. Comments between "
-    "are heartbeats",
+    "are heartbeats. The stream ends once its key is revoked",
 }
 SEND_S = 20.0  # how long a listener may leave unread what the sockets have no room for
 HEADERS: Mapping[str, str] = {
@@ -66,6 +67,7 @@ async def events(
         raise HttpProblemError(
             503, "too-many-listeners", "Too many listeners", f"{error}. Nothing was changed."
         ) from None
+    request.app.state.access.end_with_key(listener, permission_of(request.scope))
     return EventStream(watch.feed, listener)
 
 
