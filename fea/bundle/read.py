@@ -26,7 +26,7 @@ from wrenchbook.fea.bundle.tables import (
     read_supports,
     read_tolerance,
 )
-from wrenchbook.fea.mesh.deck_content import integrations
+from wrenchbook.fea.mesh.deck_content import deck_text, integrations
 from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
@@ -133,7 +133,7 @@ def _of_deck(source: MeshSource | None) -> list[str]:
     """Return the integrations that an input deck has for its 20-node hexahedra."""
     if source is None or source.file is None or source.file.suffix.lower() != ".inp":
         return []
-    return integrations(source.file.read_text(encoding="utf-8", errors="replace"))
+    return integrations(deck_text(source.file))
 
 
 def _short(path: Path) -> bytes:

@@ -62,8 +62,12 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     found = [f"{where} {words}" for where, words in deck.missing.items()]
     found += _integrated(component, deck)
     found += [words for one in deck.sections for words in _other_material(component, deck, one)]
-    found += [words for one in deck.supports for words in _freed(component, one)]
-    found += [words for one in deck.couplings for words in _uncoupled(component, one)]
+    cases = [
+        [words for one in case.supports for words in _freed(component, one)]
+        + [words for one in case.couplings for words in _uncoupled(component, one)]
+        for case in deck.cases
+    ]
+    found += min(cases, key=len)  # a component is of one case of its deck
     return [BundleProblem("mesh.file", words) for words in found]
 
 

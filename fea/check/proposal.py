@@ -16,13 +16,16 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.check.reporting import report
+from wrenchbook.fea.inspection.bodies import stacked_singly
 from wrenchbook.fea.mesh.deck_content import (
     CoupledGroup,
     DeckContent,
+    LoadCase,
     SolidSection,
+    deck_text,
     in_si,
 )
-from wrenchbook.fea.mesh.element_order import SECOND
+from wrenchbook.fea.mesh.element_order import SECOND, second_order
 from wrenchbook.fea.mesh.io.ansys import read_ansys
 from wrenchbook.fea.mesh.io.nastran import read_nastran
 from wrenchbook.fea.mesh.io.raw import MeshFileError
@@ -36,8 +39,13 @@ _TRANSLATORS: dict[str, Callable[[str], Translated]] = {
     ".cdb": read_ansys,
     **dict.fromkeys((".bdf", ".nas", ".dat"), read_nastran),
 }
+_INCLUDE = re.compile(r"^[ \t]*(INCLUDE\b|/INPUT,|\*USE,)[^$!\n]*", re.I | re.M)
 _CHOOSE = "CHOOSE"  # a group that no mesh has: `check` then lists those there are
-_IN_PASCAL = 1e8  # no elastic constant in MPa is above, few in Pa are below
+_UNITS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
+"""Young's moduli above which a deck's unit is likely: few in Pa are below 1e8, none in MPa is above
+2e6 (diamond 1.2e6), and metals in psi are between (magnesium 6.5e6, aluminium 1e7, steel 3e7)."""
+_IN_KILOGRAMS = 100.0  # kg/m³; t/mm³ and pounds of any kind an inch³ are below 1
+_MOST_CASES = 12  # in one line of `decide`
 _ELASTIC = ("youngs_modulus", "poisson_ratio")
 _FORCE, _LEVER = 100.0, 0.1  # N and m, where the deck has no load
 
@@ -45,11 +53,32 @@ _FORCE, _LEVER = 100.0, 0.1  # N and m, where the deck has no load
 class _Proposal:
     """The lines of a component, and what is open: `decide` and `left`, in words."""
 
-    def __init__(self, mesh: Mesh, unit: str) -> None:
+    def __init__(self, mesh: Mesh, unit: str, case: str | None) -> None:
         self.mesh, self.unit = mesh, unit
         self.deck = mesh.deck or DeckContent()
         self.groups = {*mesh.facet_groups, *mesh.node_groups}
         self.decide: list[str] = []
+        self.left: list[str] = []
+        self.case = self.chosen(case)
+
+    def chosen(self, name: str | None) -> LoadCase:
+        """Return the case of a name, else the last; where cases differ, `decide` lists them."""
+        cases = {own.name.upper(): own for own in self.deck.cases}
+        if name is not None and name.upper() not in cases:
+            names = ", ".join(f'"{own.name}"' for own in cases.values())
+            raise BundleError([BundleProblem("case", f'the deck has no "{name}"; it has {names}')])
+        case = cases[name.upper()] if name is not None else self.deck.cases[-1]
+        alike: dict[str, list[str]] = {}
+        for own in self.deck.cases:
+            alike.setdefault(own.summary(), []).append(f'"{own.name}"')
+        if len(alike) > 1 and name is None:
+            parts = [f"{', '.join(names)} {words}" for words, names in alike.items()]
+            more = [f"{len(parts) - _MOST_CASES} more"][: len(parts) > _MOST_CASES]
+            self.decide.append(
+                f'case: the deck has several, which differ; "{case.name}" stands (--case NAME). '
+                + ". ".join(parts[:_MOST_CASES] + more)
+            )
+        return case
 
     def lines(self, name: str, file: str) -> list[str]:
         """Return the lines of ``component.toml``."""
@@ -69,8 +98,20 @@ class _Proposal:
             *self.interfaces(),
             "",
             "[analysis]",
-            f"nonlinear = {'true' if self.deck.nonlinear else 'false'}",
+            *self.integration(bool(first)),
+            f"nonlinear = {'true' if self.case.nonlinear else 'false'}",
         ]
+
+    def integration(self, first: bool) -> list[str]:
+        """Return full integration for cells that follow each other singly, else nothing."""
+        deck = "".join(self.deck.elements)
+        if len(re.findall("C3D20(?!R)", deck)) or not len(
+            stacked_singly(second_order(self.mesh) if first else self.mesh)
+        ):
+            return []
+        words = "cells follow each other singly; by reduced integration they have hourglass motions"
+        self.decide.append(f'integration = "full": {words}')
+        return ['integration = "full"']
 
     def materials(self) -> list[str]:
         sections = [one for one in self.deck.sections if one.region in self.mesh.regions]
@@ -93,7 +134,7 @@ class _Proposal:
         return all(np.unique(np.concatenate(cells)).size == len(block) for cells, block in pairs)
 
     def supports(self) -> list[str]:
-        own = [one for one in self.deck.supports if one.group in self.groups]
+        own = [one for one in self.case.supports if one.group in self.groups]
         fixed = [one.group for one in own if one.directions == "xyz"]
         sliding = [one for one in own if one.directions != "xyz"]
         if not own:
@@ -112,9 +153,15 @@ class _Proposal:
 
     def interfaces(self) -> list[str]:
         """Return each coupling that is free, else the group with forces, as an interface."""
-        own = [one for one in self.deck.couplings if one.group in self.groups]
+        own = [one for one in self.case.couplings if one.group in self.groups]
+        sections = {one.group for one in own} or set(list(self.case.loads)[:1])
+        self.left += [
+            f'forces on "{group}", which is no interface'
+            for group, loads in self.case.loads.items()
+            if any(loads) and group not in sections
+        ]
         if not own:
-            group, loads = next(iter(self.deck.loads.items()), (_CHOOSE, [0.0] * 6))
+            group, loads = next(iter(self.case.loads.items()), (_CHOOSE, [0.0] * 6))
             group = group if group in self.groups else _CHOOSE
             self.decide.append(f"interface: no free coupling in the deck; section = {group}")
             own = [CoupledGroup("", group, "distributed", (), set(), loads)]
@@ -151,7 +198,9 @@ class _Proposal:
         ]
 
 
-def propose(file: Path, folder: Path, unit: str | None = None) -> dict[str, Any]:
+def propose(
+    file: Path, folder: Path, unit: str | None = None, case: str | None = None
+) -> dict[str, Any]:
     """Write a component's folder from a deck.
 
     Parameters
@@ -161,8 +210,10 @@ def propose(file: Path, folder: Path, unit: str | None = None) -> dict[str, Any]
     folder
         To be made; it must not have a ``component.toml``.
     unit
-        The deck's length unit, a key of `fea.spec.schema.UNITS`; None guesses mm or m by the
-        largest elastic constant.
+        The deck's length unit, a key of `fea.spec.schema.UNITS`; None guesses mm, in or m by the
+        elastic constants and densities.
+    case
+        The step, load case or subcase whose supports and loads are taken over; None takes the last.
 
     Returns
     -------
@@ -173,19 +224,20 @@ def propose(file: Path, folder: Path, unit: str | None = None) -> dict[str, Any]
     Raises
     ------
     BundleError
-        If the deck cannot be read, or the folder has a component.
+        If the deck cannot be read or has no such case, or the folder has a component.
     """
     if (folder / FILE_NAME).exists():
         raise BundleError([BundleProblem(str(folder), f"has a {FILE_NAME}; name a new folder")])
-    text, left = _deck_text(file)
+    text, left, decide = _deck_text(file)
     folder.mkdir(parents=True, exist_ok=True)
     deck = folder / f"{file.stem}.inp"
     deck.write_text(text, encoding="utf-8")
-    proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m")
+    proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m", case)
+    proposal.decide += decide
     if unit is None:
         proposal.unit = _guessed(proposal)
     lines = proposal.lines(_name(file.stem), deck.name)
-    left += [f"{where} {words}" for where, words in proposal.deck.missing.items()]
+    left += proposal.left + [f"{where} {words}" for where, words in proposal.deck.missing.items()]
     notes = [f"# DECIDE: {one}" for one in proposal.decide] + [
         f"# not taken over: {o}" for o in left
     ]
@@ -194,28 +246,34 @@ def propose(file: Path, folder: Path, unit: str | None = None) -> dict[str, Any]
     return {"files": files, "left": left, "decide": proposal.decide, "check": report(folder)}
 
 
-def _deck_text(file: Path) -> tuple[str, list[str]]:
-    """Return an Abaqus deck and what of the file is not in it."""
+def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
+    """Return an Abaqus deck, what of the file is not in it, and what the file leaves open."""
     try:
-        text = file.read_text(encoding="utf-8", errors="replace")
-        left: list[str] = []
+        text = deck_text(file)
+        if include := _INCLUDE.search(text) if file.suffix.lower() != ".inp" else None:
+            where = f"line {text.count(chr(10), 0, include.start()) + 1}: {include[0].strip()}"
+            raise MeshFileError(f"{where} is not read; paste that file's lines in its place")
         if (translate := _TRANSLATORS.get(file.suffix.lower())) is not None:
             found = translate(text)
-            text = "\n".join(found.lines())
             left = [f"{what} ({count})" for what, count in found.left.items() if count]
-        elif file.suffix.lower() != ".inp":
+            return "\n".join(found.lines()), left, found.decide
+        if file.suffix.lower() != ".inp":
             raise MeshFileError(f"is no .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand")
-        return text, left
+        return text, [], []
     except (OSError, MeshFileError) as error:
         raise BundleError([BundleProblem(file.name, str(error))]) from None
 
 
 def _guessed(proposal: _Proposal) -> str:
-    largest = max(
-        (own.get("youngs_modulus", 0.0) for own in proposal.deck.materials.values()), default=0
-    )
-    unit = "m" if largest > _IN_PASCAL else "mm"
-    proposal.decide.append(f"unit: a deck names none; {unit} by its elastic constants (--unit)")
+    materials = proposal.deck.materials.values()
+    largest = max((own.get("youngs_modulus", 0.0) for own in materials), default=0.0)
+    density = max((own.get("density", 0.0) for own in materials), default=0.0)
+    unit = next(unit for least, unit in _UNITS if largest > least)
+    if density > _IN_KILOGRAMS:
+        unit = "m"
+    why = f"; {unit} by its constants" if largest or density else f" and has no constants; {unit}"
+    pounds = ", with pounds and psi" * (unit == "in")
+    proposal.decide.append(f"unit: a deck names none{why}{pounds} (--unit)")
     return unit
 
 
@@ -232,11 +290,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.check.proposal")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--unit", choices=tuple(UNITS))
+    parser.add_argument("--case")
     parser.add_argument("deck", type=Path)
     parser.add_argument("folder", type=Path)
     options = parser.parse_args(arguments)
     try:
-        found = propose(options.deck, options.folder, options.unit)
+        found = propose(options.deck, options.folder, options.unit, options.case)
     except BundleError as error:
         message = str(error)
         print(
@@ -258,6 +317,7 @@ def _as_lines(found: dict[str, Any]) -> list[str]:
         *(f"wrote {file}" for file in found["files"]),
         *(f"not taken over: {one}" for one in found["left"]),
         *(f"decide: {one}" for one in found["decide"]),
+        *(f"warning: {one['where']}: {one['message']}" for one in check["warnings"]),
         *(f"error: {one['where']}: {one['message']}" for one in check["problems"]),
         "ready to solve"
         if check["ok"]

@@ -1,4 +1,4 @@
-"""What an input deck has besides its mesh: materials, sections, supports, couplings, loads.
+"""What an input deck has besides its mesh: materials, sections, and load cases.
 
 All numbers are in the deck's own units, which no deck names; `in_si` takes its length unit and the
 forces that go with it.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from wrenchbook.fea.spec.schema import UNITS
 
@@ -22,6 +23,23 @@ def integrations(text: str) -> list[str]:
     """Return how a deck integrates its 20-node hexahedra: "full" (C3D20), "reduced" (C3D20R)."""
     found = {"reduced" if "R" in letters.upper() else "full" for letters in _HEX20.findall(text)}
     return sorted(found)
+
+
+def deck_text(path: Path) -> str:
+    """Return a deck's text with newlines alone: UTF-8, or UTF-16 by its mark or its zero bytes.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    raw = path.read_bytes()
+    encoding = "utf-8-sig"
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        encoding = "utf-16"
+    elif b"\0" in raw[:2]:
+        encoding = "utf-16-be" if raw[:1] == b"\0" else "utf-16-le"
+    return raw.decode(encoding, errors="replace").replace("\r\n", "\n")
 
 
 def in_si(quantity: str, unit: str) -> float:
@@ -86,6 +104,33 @@ class CoupledGroup:
 
 
 @dataclass
+class LoadCase:
+    """What acts in a step, load case or subcase of a deck; groups are the mesh's.
+
+    `loads` are sums of forces on groups without a coupling, shape (6,).
+    """
+
+    name: str
+    supports: list[HeldGroup] = field(default_factory=list)
+    couplings: list[CoupledGroup] = field(default_factory=list)
+    loads: dict[str, list[float]] = field(default_factory=dict)
+    nonlinear: bool = False
+
+    def summary(self) -> str:
+        """Supports and loads in the deck's units; cases with the same summary are the same."""
+        held = [f"{own.group} ({own.directions})" for own in self.supports]
+        held += [f"{own.group} ({len(own.held)} of 6)" for own in self.couplings if own.held]
+        acting = [*((own.group, own.loads) for own in self.couplings), *self.loads.items()]
+        loads = [
+            f"{group} ({', '.join(f'{load:g}' for load in values)})"
+            for group, values in acting
+            if any(values)
+        ]
+        held, loads = (", ".join(sorted(set(names))) or "nothing" for names in (held, loads))
+        return f"holds {held}; loads {loads}{'; large displacements' * self.nonlinear}"
+
+
+@dataclass
 class DeckContent:
     """What a deck has besides its mesh.
 
@@ -93,27 +138,22 @@ class DeckContent:
     ----------
     materials
         Constants of each, by the keys of ``[[material]]``.
-    sections, supports, couplings
+    sections
         In the order of the deck; they name groups of the mesh.
-    loads
-        Forces on groups without a coupling, their sums, shape (6,).
+    cases
+        In the order of the deck, at least one; what precedes the first step acts in all of them.
     elements
         The number of elements of each type.
     taken, ignored
         Lines of each keyword that is read or compared, and that is neither.
     missing
         By line and keyword, what counts and cannot be taken over, and what to do.
-    nonlinear
-        Whether a step has large displacements.
     """
 
     materials: dict[str, dict[str, float]] = field(default_factory=dict)
     sections: list[SolidSection] = field(default_factory=list)
-    supports: list[HeldGroup] = field(default_factory=list)
-    couplings: list[CoupledGroup] = field(default_factory=list)
-    loads: dict[str, list[float]] = field(default_factory=dict)
+    cases: list[LoadCase] = field(default_factory=list)
     elements: dict[str, int] = field(default_factory=dict)
     taken: dict[str, list[int]] = field(default_factory=dict)
     ignored: dict[str, list[int]] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
-    nonlinear: bool = False

@@ -328,10 +328,15 @@ def new(
         Literal["m", "dm", "cm", "mm", "um", "in", "ft"] | None,
         typer.Option(help="the deck's length unit; by default guessed from its constants"),
     ] = None,
+    case: Annotated[
+        str | None,
+        typer.Option(help="step, load case or subcase to take over; by default the last"),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Propose a component for an input deck, check it, and print what is left to decide."""
     flags = [*(["--json"] if as_json else []), *([f"--unit={unit}"] if unit else [])]
+    flags += [f"--case={case}"] if case is not None else []
     places = str(deck), str(folder or deck.stem)
     words = child_command("wrenchbook.fea.check.proposal", *flags, "--", *places)
     raise typer.Exit(subprocess.run(words, check=False).returncode)

@@ -15,7 +15,8 @@ import pytest
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.mesh.io.abaqus import MeshFileError, read_inp
+from wrenchbook.fea.mesh.io.abaqus_content import read_deck
+from wrenchbook.fea.mesh.io.raw import MeshFileError
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.service.library import arrival, bundle_zip
 from wrenchbook.service.library.arrival import check_mesh, toml_text, unpack
@@ -122,7 +123,7 @@ def test_a_set_of_more_members_than_any_mesh_has_is_refused(tmp_path, lines):
     path = tmp_path / "mesh.inp"
     path.write_text(lines)
     with pytest.raises(MeshFileError):
-        read_inp(path)
+        read_deck(path)
 
 
 @pytest.mark.parametrize("kind", ["a link", "stored elsewhere", "a mapping"])

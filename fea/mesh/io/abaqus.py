@@ -3,7 +3,7 @@
 meshio reads these as well, but forgets the nodes of all ``*NODE`` blocks but the last, gives the
 cells of ``*ELEMENT, ELSET=`` to the wrong block and knows no ``*SURFACE``; decks have all three.
 Nodes and elements are numbered by instance, as the parts of an assembly have them.
-Materials, boundary conditions and steps are not read: a bundle says those itself.
+Materials, supports and loads are read in `fea.mesh.io.abaqus_content`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrenchbook.fea.mesh.deck_content import deck_text
 from wrenchbook.fea.mesh.io.keywords import STRIDE, Frame, Keyword, read_keywords
 from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, MeshFileError, RawMesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
@@ -39,10 +40,10 @@ _LINES = {
 _HEX_FACES = ("1234", "5876", "1562", "2673", "3784", "4851")
 _TET_FACES = ("123", "142", "243", "341")
 _WEDGE_FACES = ("123", "465", "1452", "2563", "3641")
-_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
+SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
 
 _REFUSED = {
-    "INCLUDE": "put the included file's lines into this one, so that the bundle is complete",
+    "INCLUDE": "paste the included file's lines in its place, so that the bundle is complete",
     "SYSTEM": "give the coordinates in the one global system",
     "NGEN": "write the nodes out",
     "NFILL": "write the nodes out",
@@ -74,28 +75,16 @@ class Deck:
     entries: int = 0
 
 
-def read_inp(path: Path) -> RawMesh:
-    """Read the nodes, elements, sets and surfaces of a deck.
-
-    Raises
-    ------
-    MeshFileError
-        If a line cannot be understood, or nodes and elements come by a keyword that is not read.
-    """
-    return raw_mesh(parsed(path))
-
-
 def parsed(path: Path, *takers: Callable[[Deck, Keyword], None]) -> Deck:
     """Return what a deck defines of a mesh; `takers` get each keyword after it.
 
     Raises
     ------
     MeshFileError
-        As `read_inp` does.
+        If a line cannot be understood, or nodes and elements come by a keyword that is not read.
     """
     deck = Deck()
-    text = path.read_text(encoding="utf-8", errors="replace")
-    for one in read_keywords(text):
+    for one in read_keywords(deck_text(path)):
         try:
             for take in (_take, *takers):
                 take(deck, one)
@@ -359,7 +348,7 @@ def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> lis
             )
         block, cell = deck.where[element]
         shape = deck.kinds[block].rstrip("0123456789")
-        table = _FACES.get(shape, ())
+        table = SOLID_FACES.get(shape, ())
         if int(face[1]) > len(table):
             raise MeshFileError(
                 f"has a surface on face {face} of element {element % STRIDE}, a {shape}"

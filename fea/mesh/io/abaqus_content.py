@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, HeldGroup, SolidSection
+from wrenchbook.fea.mesh.deck_content import (
+    CoupledGroup,
+    DeckContent,
+    HeldGroup,
+    LoadCase,
+    SolidSection,
+)
+from wrenchbook.fea.mesh.facets import FACES
 from wrenchbook.fea.mesh.io.abaqus import (
+    SOLID_FACES,
     TAKERS,
     Deck,
     kind_of,
@@ -62,8 +71,9 @@ _MISSING = {
 }
 
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
+_QUIET |= {"END LOAD CASE"}
 
-_PROPOSED = {"CLOAD", "STEP"}
+_PROPOSED = {"CLOAD", "STEP", "LOAD CASE"}
 """What proposes a load range and an analysis for a new component, and is not compared with one."""
 
 
@@ -76,26 +86,59 @@ class _Coupling:
     ref: int | None
     rot: int | None = None
     kind: str = "rigid"
+    radius: float = math.inf
+
+
+@dataclass
+class _Step:
+    """What acts at the end of a step; freedoms are numbers from 0.
+
+    `name` is empty of what is no case, as of a step with load cases. `kind` is "general",
+    "perturbation" or "load case". `motions` are (where, key of a set or empty, labels, freedoms
+    held), `forces` the key and the load by label and freedom. `begun` has the words of the step's
+    keywords and the places of its forces.
+    """
+
+    name: str = ""
+    kind: str = "general"
+    motions: list[tuple[str, str, list[int], set[int]]] = field(default_factory=list)
+    forces: dict[tuple[int, int], tuple[str, float]] = field(default_factory=dict)
+    nonlinear: bool = False
+    begun: set[str | tuple[int, int]] = field(default_factory=set)
+
+    def begin(self, one: Keyword) -> None:
+        """Go on, at a word's first keyword, from what earlier steps set, by OP=NEW from nothing."""
+        if one.word not in self.begun:
+            self.begun.add(one.word)
+            new = one.options.get("OP", "").upper() == "NEW"
+            if one.word == "CLOAD":
+                self.forces = {} if new else dict(self.forces)
+            else:
+                self.motions = [] if new else list(self.motions)
 
 
 @dataclass
 class _Reader:
     """What has been read besides the mesh; groups are keys of the deck's sets until the end.
 
-    Motions and forces are (where, key, labels, what): `what` are the freedoms held, from 0, or one
-    freedom and its load.
+    `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
+    `points` the number of a coupling and the first freedom of each reference node.
     """
 
     content: DeckContent = field(default_factory=DeckContent)
     sections: list[tuple[str, str, str]] = field(default_factory=list)
     couplings: list[_Coupling] = field(default_factory=list)
-    motions: list[tuple[str, str, list[int], set[int]]] = field(default_factory=list)
-    forces: list[tuple[str, list[int], int, float]] = field(default_factory=list)
+    steps: list[_Step] = field(default_factory=lambda: [_Step()])
+    sets: dict[frozenset[int], str] = field(default_factory=dict)
+    points: dict[int, tuple[int, int]] = field(default_factory=dict)
     material: str = ""
 
     def take(self, deck: Deck, one: Keyword) -> None:
         """Take one keyword, after the deck has taken what is of the mesh."""
         taker = _TAKERS.get(one.word)
+        if "INPUT" in one.options and (taker is not None or one.word in TAKERS):
+            message = "paste that file's lines below the keyword"
+            raise MeshFileError(f"has its rows in {one.options['INPUT']}; {message}")
         try:
             if taker is not None:
                 taker(self, deck, one)
@@ -124,7 +167,7 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     Raises
     ------
     MeshFileError
-        As `fea.mesh.io.abaqus.read_inp` does.
+        As `fea.mesh.io.abaqus.parsed` does, or if a keyword has its rows in another file.
     """
     reader = _Reader()
     deck = parsed(path, reader.take)
@@ -168,6 +211,8 @@ def _take_section(reader: _Reader, deck: Deck, one: Keyword) -> None:
 
 
 def _take_boundary(reader: _Reader, deck: Deck, one: Keyword) -> None:
+    step = reader.steps[-1]
+    step.begin(one)
     for target, *rest in one.rows:
         word = rest[0].upper() if rest else ""
         if word in _WORDS:
@@ -178,7 +223,7 @@ def _take_boundary(reader: _Reader, deck: Deck, one: Keyword) -> None:
             if held and float(value or 0.0):
                 reader.lack(one, "moves nodes by what is not 0; they are fixed where they are")
         key, labels = _target(deck, target, one.frame)
-        reader.motions.append((_where(one), key, labels, held))
+        step.motions.append((_where(one), key, labels, held))
 
 
 def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
@@ -192,7 +237,9 @@ def _take_coupling(reader: _Reader, deck: Deck, one: Keyword) -> None:
     name = one.options["SURFACE"]
     sets = deck.surfaces if one.frame.key(name) in deck.surfaces else deck.node_sets
     key = set_key(deck, sets, name, one.frame)
-    reader.couplings.append(_Coupling(one, key, _node(deck, one, "REF NODE")))
+    radius = float(one.options.get("INFLUENCE RADIUS", "inf"))
+    ref = _node(deck, one, "REF NODE")
+    reader.couplings.append(_Coupling(one, key, ref, radius=radius))
 
 
 def _take_coupling_kind(reader: _Reader, _: Deck, one: Keyword) -> None:
@@ -220,14 +267,36 @@ def _node(deck: Deck, one: Keyword, option: str) -> int | None:
 
 
 def _take_force(reader: _Reader, deck: Deck, one: Keyword) -> None:
+    step = reader.steps[-1]
+    step.begin(one)
+    if "AMPLITUDE" in one.options:
+        reader.lack(one, "varies by an amplitude; its values are taken as they are")
     for target, freedom, value, *_ in one.rows:
         key, labels = _target(deck, target, one.frame)
-        reader.forces.append((key, labels, int(freedom) - 1, float(value)))
+        if not 1 <= int(freedom) <= 6:
+            raise ValueError(f"{freedom} is no force or moment")
+        for place in ((label, int(freedom) - 1) for label in labels):
+            before = step.forces[place][1] if place in step.begun else 0.0  # a step's own add up
+            step.forces[place] = key, before + float(value)
+            step.begun.add(place)
 
 
 def _take_step(reader: _Reader, _: Deck, one: Keyword) -> None:
-    if "NLGEOM" in one.options:
-        reader.content.nonlinear |= one.options["NLGEOM"].upper() != "NO"
+    """Begin a step where the last general one ends, or a load case where its step stands."""
+    kinds, kind = ("general",), "perturbation" if "PERTURBATION" in one.options else "general"
+    if one.word == "LOAD CASE":
+        kinds, kind = ("general", "perturbation"), "load case"
+    base = next(step for step in reversed(reader.steps) if step.kind in kinds)
+    if kind == "load case":
+        base.name = ""
+    name = one.options.get("NAME") or f"step {len(reader.steps)}"
+    if any(step.name == name for step in reader.steps):
+        name = f"{name} ({len(reader.steps)})"
+    step = replace(base, name=name, kind=kind, begun=set())
+    if kind == "perturbation":
+        step.forces = {}
+    step.nonlinear |= one.options.get("NLGEOM", "NO").upper() != "NO"
+    reader.steps.append(step)
 
 
 _CONSTANTS = {
@@ -248,19 +317,60 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "DISTRIBUTING": _take_coupling_kind,
     "RIGID BODY": _take_rigid,
     "CLOAD": _take_force,
-    "STEP": _take_step,
+    **dict.fromkeys(("STEP", "LOAD CASE"), _take_step),
 }
 
 
 def _finish(reader: _Reader, deck: Deck) -> None:
-    """Give groups their final names, and motions and forces of reference nodes to couplings."""
-    points = _reference_points(reader, deck)
+    """Make a case of each step: groups by their final names, and what acts on couplings."""
+    content = reader.content
+    reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
+    couplings = _couplings(reader, deck)
+    steps = [step for step in reader.steps if step.name] or reader.steps
+    held: dict[int, tuple[list[HeldGroup], list[set[int]]]] = {}  # steps share their motions
+    for step in reversed(steps):  # from the last: its groups get the plain names
+        case = LoadCase(step.name, nonlinear=step.nonlinear)
+        if id(step.motions) not in held:
+            held[id(step.motions)] = _supports(reader, deck, step, len(couplings))
+        case.supports, freedoms = held[id(step.motions)]
+        case.couplings = [
+            replace(own, held=set(freedoms[i]), loads=[0.0] * 6) for i, own in enumerate(couplings)
+        ]
+        single = {label for (label, _), (key, _) in step.forces.items() if not key}
+        single -= reader.points.keys()
+        rest = _set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
+        for (label, freedom), (key, value) in step.forces.items():
+            number, first = reader.points.get(label, (None, 0))
+            if number is None:
+                loads = case.loads.setdefault(key or rest, [0.0] * 6)
+            else:
+                loads = case.couplings[number].loads
+            loads[(freedom + first) % 6] += value
+        content.cases.insert(0, case)
+    regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
+    faces = set_names(deck, deck.surfaces)
+    content.sections += [SolidSection(w, regions[key], name) for w, key, name in reader.sections]
+    for case in content.cases:
+        case.supports = [replace(own, group=groups[own.group]) for own in case.supports]
+        case.loads = {groups[key]: loads for key, loads in case.loads.items()}
+        for own in list(case.couplings):
+            own.group = faces.get(own.group) or groups[own.group]
+            if len(own.held) == len(own.loads):
+                case.couplings.remove(own)
+                case.supports.append(HeldGroup(own.where, own.group, "xyz"))
+
+
+def _supports(
+    reader: _Reader, deck: Deck, step: _Step, count: int
+) -> tuple[list[HeldGroup], list[set[int]]]:
+    """Return the groups that a step holds, by their keys, and the freedoms of each coupling."""
+    of_couplings: list[set[int]] = [set() for _ in range(count)]
     by_set: dict[str, tuple[str, set[int]]] = {}
     by_node: dict[int, tuple[str, set[int]]] = {}
-    for where, key, labels, freedoms in reader.motions:
-        for own, first in (points[label] for label in labels if label in points):
-            own.held |= {first + i for i in freedoms if first + i < len(own.loads)}
-        rest = [label for label in labels if label not in points]
+    for where, key, labels, freedoms in step.motions:
+        for number, first in (reader.points[own] for own in labels if own in reader.points):
+            of_couplings[number] |= {first + i for i in freedoms if first + i < 6}
+        rest = [label for label in labels if label not in reader.points]
         if key and rest:
             by_set.setdefault(key, (where, set()))[1].update(freedoms)
         for label in rest if not key else ():
@@ -268,69 +378,59 @@ def _finish(reader: _Reader, deck: Deck) -> None:
     together: dict[str, list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
         together[_directions(freedoms)].append(label)
-    held = [(where, key, _directions(freedoms)) for key, (where, freedoms) in by_set.items()]
+    held = [HeldGroup(where, key, _directions(own)) for key, (where, own) in by_set.items()]
     for ways, labels in together.items():
-        key = _set_of(deck, labels, f"nodes_held_in_{ways}")
-        held.append((by_node[labels[0]][0], key, ways))
-    _share_forces(reader, deck, points)
-    _name_groups(reader, deck, [one for one in held if one[2]])
+        key = _set_of(reader, deck, labels, f"nodes_held_in_{ways}")
+        held.append(HeldGroup(by_node[labels[0]][0], key, ways))
+    return [own for own in held if own.directions], of_couplings
 
 
 def _directions(freedoms: set[int]) -> str:
     return "".join(way for i, way in enumerate("xyz") if i in freedoms)
 
 
-def _set_of(deck: Deck, labels: list[int], name: str) -> str:
+def _set_of(reader: _Reader, deck: Deck, labels: list[int], name: str) -> str:
     """Return the key of the set of these nodes, a new one if the deck has none."""
-    for key, own in deck.node_sets.items():
-        if set(own) == set(labels):
-            return key
-    while name.upper() in deck.node_sets:
-        name += "_"
-    deck.names[name.upper()], deck.node_sets[name.upper()] = name, labels
-    return name.upper()
+    nodes = frozenset(labels)
+    if nodes not in reader.sets:
+        while name.upper() in deck.node_sets:
+            name += "_"
+        reader.sets[nodes] = name.upper()
+        deck.names[name.upper()], deck.node_sets[name.upper()] = name, labels
+    return reader.sets[nodes]
 
 
-def _share_forces(reader: _Reader, deck: Deck, points: dict[int, tuple[CoupledGroup, int]]) -> None:
-    """Add the forces to the loads of couplings, or of the sets of nodes they act on."""
-    single = [label for key, labels, *_ in reader.forces for label in labels if not key]
-    single = [label for label in dict.fromkeys(single) if label not in points]
-    rest = _set_of(deck, single, "nodes_with_forces") if single else ""
-    for key, labels, freedom, value in reader.forces:
-        for label in labels:
-            own, first = points.get(label, (None, 0))
-            loads = own.loads if own else reader.content.loads.setdefault(key or rest, [0.0] * 6)
-            loads[(freedom + first) % len(loads)] += value
-
-
-def _reference_points(reader: _Reader, deck: Deck) -> dict[int, tuple[CoupledGroup, int]]:
-    """Return the coupling of each reference node, and the number of the node's first freedom."""
-    points: dict[int, tuple[CoupledGroup, int]] = {}
+def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
+    """Return the couplings whose reference nodes can be used, and note these in the reader."""
+    couplings: list[CoupledGroup] = []
     for one in reader.couplings:
         if one.ref is not None and one.ref not in deck.nodes:
             reader.lack(one.keyword, "has a reference node that is not defined")
             continue
-        place = () if one.ref is None else tuple(deck.nodes[one.ref])
-        own = CoupledGroup(_where(one.keyword), one.key, one.kind, place)
-        if one.ref in points:
+        if one.ref in reader.points:
             reader.lack(one.keyword, "has the reference node of another; unite the two groups")
             continue
-        reader.content.couplings.append(own)
-        points |= {
-            label: (own, i) for label, i in ((one.ref, 0), (one.rot, 3)) if label is not None
-        }
-    return points
+        key, place = one.key, () if one.ref is None else tuple(deck.nodes[one.ref])
+        if place and math.isfinite(one.radius):
+            labels = [n for n in _nodes_of(deck, key) if n in deck.nodes]
+            near = [n for n in labels if math.dist(deck.nodes[n], place) <= one.radius]
+            if not near:
+                reader.lack(one.keyword, f"reaches no node within its radius, {one.radius:g}")
+                continue
+            key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{one.radius:g}")
+        numbers = ((one.ref, 0), (one.rot, 3))
+        reader.points |= {n: (len(couplings), i) for n, i in numbers if n is not None}
+        couplings.append(CoupledGroup(_where(one.keyword), key, one.kind, place))
+    return couplings
 
 
-def _name_groups(reader: _Reader, deck: Deck, held: list[tuple[str, str, str]]) -> None:
-    content = reader.content
-    regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
-    content.sections += [SolidSection(w, regions[key], name) for w, key, name in reader.sections]
-    content.supports += [HeldGroup(where, groups[key], ways) for where, key, ways in held]
-    content.loads = {groups[key]: loads for key, loads in content.loads.items()}
-    faces = set_names(deck, deck.surfaces)
-    for one in list(content.couplings):
-        one.group = faces.get(one.group) or groups[one.group]
-        if len(one.held) == len(one.loads):
-            content.couplings.remove(one)
-            content.supports.append(HeldGroup(one.where, one.group, "xyz"))
+def _nodes_of(deck: Deck, key: str) -> list[int]:
+    """Return the labels of a set's nodes, or of a surface's with those between corners."""
+    labels = dict.fromkeys(deck.node_sets.get(key, ()))
+    for element, face in deck.surfaces.get(key, ()):
+        block, row = deck.where[element]
+        kind, cell = deck.kinds[block], deck.cells[block][row]
+        corners = {int(c) - 1 for c in SOLID_FACES[kind.rstrip("0123456789")][int(face[1]) - 1]}
+        places = next(each for each in FACES[kind] if corners <= set(each))
+        labels |= dict.fromkeys(cell[i] for i in places)
+    return list(labels)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 from wrenchbook.fea.mesh.io.raw import MeshFileError
-from wrenchbook.fea.mesh.io.translated import Translated
+from wrenchbook.fea.mesh.io.translated import Case, Translated
 
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
 _LEFT = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
+_LEFT |= {"CEINTF", "CPINTF", "DSYM", "EKILL", "FCUM", "DCUM", "FSCALE", "DSCALE", "NROTAT"}
+_SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
 _FREEDOMS |= {"ALL": "123456", "FX": "1", "FY": "2", "FZ": "3", "MX": "4", "MY": "5", "MZ": "6"}
@@ -19,54 +22,81 @@ _WEDGE = [0, 1, 2, 4, 5, 6, 8, 9, 11, 12, 13, 15, 16, 17, 18]
 _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 
 
+@dataclass
+class _Archive(Translated):
+    """A deck in the making, and the state of an archive that is read.
+
+    `held` and `forces` are values by node and freedom; `selected` is whether nodes are selected
+    that the archive does not list.
+    """
+
+    types: dict[str, str] = field(default_factory=dict)
+    materials: dict[str, dict[str, str]] = field(default_factory=dict)
+    parameters: dict[str, str] = field(default_factory=dict)
+    held: dict[tuple[str, str], float] = field(default_factory=dict)
+    forces: dict[tuple[str, str], float] = field(default_factory=dict)
+    selected: bool = False
+
+    def end_step(self, name: str) -> None:
+        held = [f"{node}, {way}" for node, way in self.held]
+        loads = [f"{node}, {way}, {value}" for (node, way), value in self.forces.items()]
+        self.cases.append(Case(name, held, loads))
+
+
 def read_ansys(text: str) -> Translated:
     """Return what an archive holds: regions MAT_1, node components, D and F on nodes.
+
+    Each LSWRITE and SOLVE ends a load case; without any, the archive is of one.
 
     Raises
     ------
     MeshFileError
         If a block cannot be read, or cells are collapsed to pyramids.
     """
-    found = Translated(nonlinear=bool(re.search(r"^\s*NLGEOM\s*,\s*(ON|1)", text, re.I | re.M)))
-    types: dict[str, str] = {}
-    constants: dict[str, dict[str, str]] = {}
+    found = _Archive(nonlinear=bool(re.search(r"^\s*NLGEOM\s*,\s*(ON|1)", text, re.I | re.M)))
     lines = enumerate(text.splitlines(), start=1)
     rows = (row for _, row in lines)
     for number, line in lines:
-        word, *fields = (each.strip().upper() for each in line.split("!")[0].split(","))
-        try:
-            if word in _BLOCKS:
-                _BLOCKS[word](found, fields, types, rows)
-            else:
-                _take_command(found, word, fields, types, constants)
-        except (ValueError, LookupError, StopIteration) as error:
-            raise MeshFileError(f"line {number}: {word} cannot be read ({error})") from None
-    for name, own in constants.items():
+        for command in line.split("!")[0].split("$"):
+            word, *fields = (each.strip().upper() for each in command.split(","))
+            try:
+                if word in _BLOCKS:
+                    _BLOCKS[word](found, fields, rows)
+                else:
+                    _take_command(found, word, fields)
+            except (ValueError, LookupError, StopIteration) as error:
+                raise MeshFileError(f"line {number}: {word} cannot be read ({error})") from None
+    if not found.cases:
+        found.end_step("")
+    for name, own in found.materials.items():
         pair = own.pop("E", ""), own.pop("NU", "")
         found.constants[name] = ({"ELASTIC": ", ".join(pair)} if all(pair) else {}) | own
     return found
 
 
-def _take_command(
-    found: Translated,
-    word: str,
-    fields: list[str],
-    types: dict[str, str],
-    constants: dict[str, dict[str, str]],
-) -> None:
-    if word == "ET":
-        types[fields[0]] = re.sub(r"\D", "", fields[1])
-    elif word.startswith("KEYOP") and fields[1:3] == ["2", "1"]:
-        types[fields[0]] += " full"
+def _take_command(found: _Archive, word: str, fields: list[str]) -> None:
+    if assigned := re.fullmatch(r"(\w+)\s*=\s*(.+)", word):
+        word, fields = "*SET", [assigned[1], assigned[2]]
+    values = [found.parameters.get(each, each) for each in fields]
+    if word == "*SET":
+        found.parameters[fields[0]] = "".join(values[1:2])
+    elif word == "ET":
+        found.types[values[0]] = re.sub(r"\D", "", values[1])
+    elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:
+        found.types[values[0]] += " full"
     elif word in ("MP", "MPDATA"):
-        _take_constant(found, word, fields, constants)
-    elif word in ("D", "F"):
-        _take_on_node(found, word, fields)
+        _take_constant(found, word, values)
+    elif word in ("D", "F", "DDELE", "FDELE"):
+        _take_on_nodes(found, word, values)
+    elif word in ("LSWRITE", "SOLVE"):
+        found.end_step(f"LOAD STEP {len(found.cases) + 1}")
+    elif word in _SELECTIONS:
+        found.selected = word != "ALLSEL" and fields[:1] != ["ALL"]
     elif word in _LEFT:
         found.left[word] += 1
 
 
-def _take_nodes(found: Translated, _: list[str], __: dict[str, str], rows: Iterator[str]) -> None:
+def _take_nodes(found: _Archive, _: list[str], rows: Iterator[str]) -> None:
     ints, width, size = map(int, re.findall(r"(\d+)[iI](\d+),\d+[eE](\d+)", next(rows))[0])
     for row in rows:
         if not row[:width].strip().isdigit():
@@ -78,19 +108,17 @@ def _take_nodes(found: Translated, _: list[str], __: dict[str, str], rows: Itera
             found.left["nodes with axes of their own"] += 1
 
 
-def _take_types(_: Translated, __: list[str], types: dict[str, str], rows: Iterator[str]) -> None:
+def _take_types(found: _Archive, _: list[str], rows: Iterator[str]) -> None:
     """Take element types with their options, of newer archives."""
     widths = re.findall(r"i(\d+),\d+a(\d+)", next(rows).lower())[0]
     for row in rows:
         number, *fields = _fixed(row, int(widths[0]))
         if number == "-1":
             return
-        types[number] = fields[0] + (" full" if fields[2:3] == ["1"] else "")
+        found.types[number] = fields[0] + (" full" if fields[2:3] == ["1"] else "")
 
 
-def _take_elements(
-    found: Translated, fields: list[str], types: dict[str, str], rows: Iterator[str]
-) -> None:
+def _take_elements(found: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     if fields[:2] != ["19", "SOLID"]:
         raise ValueError("it is not of the form 19,SOLID; write the archive by CDWRITE,DB")
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
@@ -101,7 +129,10 @@ def _take_elements(
         nodes = numbers[11:]
         while len(nodes) < int(numbers[8]):
             nodes += _fixed(next(rows), width)
-        _take_cell(found, types[numbers[1]], f"MAT_{numbers[0]}", numbers[10], nodes)
+        if numbers[1] not in found.types:
+            known = ", ".join(found.types) or "none"
+            raise ValueError(f"element type {numbers[1]} has no ET by number above; it has {known}")
+        _take_cell(found, found.types[numbers[1]], f"MAT_{numbers[0]}", numbers[10], nodes)
 
 
 def _fixed(row: str, width: int) -> list[str]:
@@ -127,9 +158,7 @@ def _take_cell(found: Translated, kind: str, region: str, number: str, nodes: li
     found.elements[f"C3D{len(nodes)}{integration}", region].append([number, *nodes])
 
 
-def _take_component(
-    found: Translated, fields: list[str], _: dict[str, str], rows: Iterator[str]
-) -> None:
+def _take_component(found: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     """Take a component of nodes; a negative number ends a range."""
     width, count = int(re.findall(r"[iI](\d+)", next(rows))[0]), int(fields[2])
     numbers: list[int] = []
@@ -143,28 +172,40 @@ def _take_component(
         own += [str(one)] if one > 0 else [str(i) for i in range(int(own[-1]) + 1, 1 - one)]
 
 
-def _take_constant(
-    found: Translated, word: str, fields: list[str], constants: dict[str, dict[str, str]]
-) -> None:
+def _take_constant(found: _Archive, word: str, fields: list[str]) -> None:
     label, name, value, *more = fields if word == "MP" else (*fields[2:4], *fields[5:])
-    own = constants.setdefault(f"MAT_{int(name)}", {})
+    own = found.materials.setdefault(f"MAT_{int(name)}", {})
     if label in _CONSTANTS:
-        own[_CONSTANTS[label]] = value
+        if word == "MP" or int(fields[4]) == 1:  # else a table's later rows
+            own[_CONSTANTS[label]] = value
+        first = own.get(_CONSTANTS[label], "")
         found.left[f"{label} at further temperatures"] += any(
-            each != value for each in more if each
+            each != first for each in (value, *more) if each
         )
     elif label == "EY":
         found.left["orthotropic constants"] += 1
 
 
-def _take_on_node(found: Translated, word: str, fields: list[str]) -> None:
-    node, label, value = fields[:3]
-    if word == "F":
-        found.loads.append(f"{node}, {_FREEDOMS[label]}, {value}")
-        return
-    for way in _FREEDOMS.get(label, ""):
-        found.held[way].append(node)
-    found.left["D with a motion that is not 0"] += float(value or 0) != 0.0
+def _take_on_nodes(found: _Archive, word: str, fields: list[str]) -> None:
+    """Set or remove (DDELE, FDELE) what acts on a node, on each from it to NEND, or on a group."""
+    node, label, *rest = (*fields, *[""] * 9)
+    removes, acting = word.endswith("DELE"), found.held if word[0] == "D" else found.forces
+    last, step = rest[:2] if removes else rest[2:4]
+    nodes = found.groups.get(node, [])
+    if node.isdigit():
+        nodes = [str(i) for i in range(int(node), int(last or node) + 1, int(step or 1))]
+    elif node == "ALL" and not found.selected:
+        nodes = [row.partition(",")[0] for row in found.nodes]
+    elif not nodes:
+        raise ValueError(f"{node} names nodes that the file does not list; write their numbers")
+    labels = [label or "ALL", *filter(None, rest[4:] if word == "D" else ())]
+    found.left[f"{word} of {', '.join(labels)}"] += any(each not in _FREEDOMS for each in labels)
+    ways = "".join(_FREEDOMS.get(each, "") for each in labels)
+    for place in ((each, way) for each in nodes for way in ways):
+        acting.pop(place, None)
+        if not removes:
+            acting[place] = float(rest[0] or 0)
+    found.left["D with a motion that is not 0"] += word == "D" and float(rest[0] or 0) != 0.0
 
 
 _BLOCKS = {

@@ -7,10 +7,12 @@ word, and knows no materials, constraints and rigid elements.
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 
 from wrenchbook.fea.mesh.io.raw import MeshFileError
-from wrenchbook.fea.mesh.io.translated import Translated
+from wrenchbook.fea.mesh.io.translated import Case, Translated
 
 _SOLIDS = {
     ("CHEXA", 8): "C3D8",
@@ -25,24 +27,45 @@ _ORDER = {
     "C3D20R": [*range(12), *range(16, 20), *range(12, 16)],
     "C3D15": [*range(9), *range(12, 15), *range(9, 12)],
 }
-_QUIET = {"PARAM", "ENDDATA", "LOAD", "SPCADD", "CORD2R"}
+_QUIET = {"PARAM", "CORD2R", "END BULK", "MPCADD"}
 _EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")
+_MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
+_CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
+_SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
+
+
+@dataclass
+class _Bulk(Translated):
+    """A deck in the making, and what case control selects, by kind ("SPC", "LOAD") and number.
+
+    `sets` have rows of node, freedom and value, `sums` factors and numbers of sets; what nodes hold
+    themselves is the set ("GRID", ""). `mass_factor` is of all densities.
+    """
+
+    sets: dict[tuple[str, str], list[tuple[str, str, float]]] = field(
+        default_factory=lambda: defaultdict(list)
+    )
+    sums: dict[tuple[str, str], list[tuple[float, str]]] = field(default_factory=dict)
+    mass_factor: float = 1.0
 
 
 def read_nastran(text: str) -> Translated:
-    """Return what a bulk data file holds: regions PSOLID_1, groups RBE2_7, all SPC sets.
+    """Return what a bulk data file holds: regions PSOLID_1, groups RBE2_7, a case a subcase.
 
     Raises
     ------
     MeshFileError
         If a card cannot be read, or nodes are in a coordinate system of their own.
     """
-    bulk = re.split(r"^\s*BEGIN\s+BULK.*$", text, maxsplit=1, flags=re.I | re.M)
-    found = Translated(
-        nonlinear=bool(re.search(r"^\s*SOL\s+(106|400|600)\b", bulk[0], re.I | re.M))
-    )
-    skipped = text.count("\n") - bulk[-1].count("\n")
-    for number, name, fields in _cards(bulk[-1].splitlines(), skipped):
+    control, *bulk = re.split(r"^\s*BEGIN[ \t,]+BULK.*$", text, maxsplit=1, flags=re.I | re.M)
+    bulk, control = (bulk[0], control) if bulk else (control, "")
+    found = _Bulk(nonlinear=bool(re.search(r"^\s*SOL\s+(106|400|600)\b", control, re.I | re.M)))
+    if factor := _MASS_FACTOR.search(text):
+        found.mass_factor = _real(factor[1])
+    skipped = text.count("\n") - bulk.count("\n")
+    for number, name, fields in _cards(bulk.splitlines(), skipped):
+        if name == "ENDDATA":
+            break
         taker = _TAKERS.get(name)
         try:
             if taker is not None:
@@ -51,7 +74,64 @@ def read_nastran(text: str) -> Translated:
                 found.left[name] += 1
         except (ValueError, LookupError) as error:
             raise MeshFileError(f"line {number}: {name} cannot be read ({error})") from None
+    _take_cases(found, control)
     return found
+
+
+def _take_cases(found: _Bulk, control: str) -> None:
+    """Make a case of each subcase from the sets that it selects."""
+    used = set()
+    held: dict[str, list[str]] = {}
+
+    def rows(kind: str, number: str) -> Iterator[tuple[str, str, float]]:
+        for factor, part in found.sums.get((kind, number), [(1.0, number)]):
+            used.add((kind, part))
+            for node, way, value in found.sets.get((kind, part), ()):
+                yield node, way, factor * value
+
+    for name, selected in _selections(found, control).items():
+        number = selected.get("SPC", "")
+        if number not in held:
+            held[number] = []
+            for node, way, value in (*rows("GRID", ""), *rows("SPC", number)):
+                held[number].append(f"{node}, {way}")
+                found.left["SPC with a motion that is not 0"] += value != 0.0
+        loads = rows("LOAD", selected.get("LOAD", ""))
+        loads = [f"{node}, {way}, {value:.9g}" for node, way, value in loads if value]
+        found.cases.append(Case(name, held[number], loads))
+    for (kind, number), unused in found.sets.items():
+        if (kind, number) not in used:
+            found.left[f"{kind} set {number}, which no case selects"] += len(unused)
+
+
+def _selections(found: _Bulk, control: str) -> dict[str, dict[str, str]]:
+    """Return by subcase the number of its set of each kind; each set is a case if none selects."""
+    common: dict[str, str] = {}
+    current, cases = common, dict[str, dict[str, str]]()
+    for line in control.upper().splitlines():
+        line = line.partition("$")[0].strip()
+        if match := _CASE.match(line):
+            current = dict(common)
+            if match[1] in ("SUBCASE", "SUBC", "SYM"):
+                cases[f"SUBCASE {match[2]}"] = current
+            else:
+                found.left[f"{match[1]}, a combination of subcases"] += 1
+        elif match := _SELECTION.match(line):
+            current[match[1]] = match[2] if match[2].isdigit() else ""
+    cases = cases or {"": common}
+    for kind in ("SPC", "LOAD"):
+        parts = {part for key in found.sums if key[0] == kind for _, part in found.sums[key]}
+        numbers = [number for of, number in (*found.sums, *found.sets) if of == kind]
+        alone = [number for number in numbers if number not in parts]
+        if alone and not any(own.get(kind) for own in cases.values()):
+            names = ", ".join(f"{kind} {number}" for number in alone)
+            found.decide.append(f"the case control selects no {kind}; taken as cases: {names}")
+            cases = {
+                f"{name} {kind} {number}".strip(): own | {kind: number}
+                for name, own in cases.items()
+                for number in alone
+            }
+    return cases
 
 
 def _cards(lines: list[str], skipped: int) -> Iterator[tuple[int, str, list[str]]]:
@@ -86,15 +166,20 @@ def _real(field: str) -> float:
     return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
 
 
-def _grid(found: Translated, _: str, fields: list[str]) -> None:
+def _grid(found: _Bulk, _: str, fields: list[str]) -> None:
     if fields[1] not in ("", "0") or fields[5] not in ("", "0", "-1"):
         raise ValueError("it has a coordinate system of its own; write the file in the basic one")
     places = ", ".join(f"{_real(each):.12g}" for each in fields[2:5])
     found.nodes.append(f"{fields[0]}, {places}")
-    _hold(found, [fields[0]], fields[6])
+    _hold(found, ("GRID", ""), fields[0], fields[6])
 
 
-def _solid(found: Translated, name: str, fields: list[str]) -> None:
+def _hold(found: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
+    ways = sorted(set(freedoms) & set("123456")) if node else ()
+    found.sets[key] += [(node, way, _real(value)) for way in ways]
+
+
+def _solid(found: _Bulk, name: str, fields: list[str]) -> None:
     nodes = [each for each in fields[2:] if each]
     kind = _SOLIDS.get((name, len(nodes)))
     if kind is None:
@@ -103,7 +188,7 @@ def _solid(found: Translated, name: str, fields: list[str]) -> None:
     found.elements[kind, f"PSOLID_{fields[1] or fields[0]}"].append([fields[0], *nodes])
 
 
-def _material(found: Translated, name: str, fields: list[str]) -> None:
+def _material(found: _Bulk, name: str, fields: list[str]) -> None:
     young, shear, ratio = (_real(each) for each in fields[1:4])
     if not fields[1]:
         young = 2 * shear * (1 + ratio)
@@ -111,37 +196,46 @@ def _material(found: Translated, name: str, fields: list[str]) -> None:
         ratio = young / (2 * shear) - 1
     own = found.constants[f"{name}_{fields[0]}"]
     own["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
-    further = {"DENSITY": _real(fields[4]), "EXPANSION": _real(fields[5])}
+    further = {"DENSITY": _real(fields[4]) * found.mass_factor, "EXPANSION": _real(fields[5])}
     own |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
-def _section(found: Translated, name: str, fields: list[str]) -> None:
+def _section(found: _Bulk, name: str, fields: list[str]) -> None:
     found.sections[f"{name}_{fields[0]}"] = f"MAT1_{fields[1]}"
 
 
-def _hold(found: Translated, nodes: list[str], freedoms: str) -> None:
-    for way in set(freedoms) & set("123456"):
-        found.held[way] += nodes
-
-
 def _listed(fields: list[str]) -> list[str]:
-    """Return the numbers of a list, which may have THRU."""
+    """Return the numbers of a list, which may have first THRU last BY step."""
     fields = [each.upper() for each in fields if each]
-    if "THRU" not in fields:
-        return fields
-    return [str(i) for i in range(int(fields[0]), int(fields[2]) + 1)]
+    numbers: list[str] = []
+    while fields:
+        if fields[1:2] == ["THRU"]:
+            step, end = (int(fields[4]), 5) if fields[3:4] == ["BY"] else (1, 3)
+            numbers += map(str, range(int(fields[0]), int(fields[2]) + 1, step))
+        else:
+            numbers, end = [*numbers, fields[0]], 1
+        fields = fields[end:]
+    return numbers
 
 
-def _constraint(found: Translated, name: str, fields: list[str]) -> None:
+def _constraint(found: _Bulk, name: str, fields: list[str]) -> None:
+    rows = [fields[1:4], fields[4:7]]
     if name == "SPC1":
-        _hold(found, _listed(fields[2:]), fields[1])
-        return
-    for node, freedoms, value in (fields[1:4], fields[4:7]):
-        _hold(found, [node] if node else [], freedoms)
-        found.left["SPC with a motion that is not 0"] += _real(value) != 0.0
+        rows = [[node, fields[1], ""] for node in _listed(fields[2:])]
+    for row in rows:
+        _hold(found, ("SPC", fields[0]), *row)
 
 
-def _rigid(found: Translated, name: str, fields: list[str]) -> None:
+def _sum(found: _Bulk, name: str, fields: list[str]) -> None:
+    """Take SPCADD, and LOAD with a factor of all and of each."""
+    if name == "SPCADD":
+        fields = [fields[0], "1.", *(each for part in fields[1:] for each in ("1.", part))]
+    pairs = zip(fields[2::2], fields[3::2], strict=False)
+    parts = [(_real(fields[1]) * _real(own), part) for own, part in pairs if part]
+    found.sums[name.removesuffix("ADD"), fields[0]] = parts
+
+
+def _rigid(found: _Bulk, name: str, fields: list[str]) -> None:
     nodes = _listed(fields[3:])
     if "." in nodes[-1]:  # the element's thermal expansion
         nodes.pop()
@@ -151,7 +245,7 @@ def _rigid(found: Translated, name: str, fields: list[str]) -> None:
     found.tie(f"{name}_{fields[0]}", nodes, fields[1], "KINEMATIC")
 
 
-def _mean(found: Translated, name: str, fields: list[str]) -> None:
+def _mean(found: _Bulk, name: str, fields: list[str]) -> None:
     """Take an element of one weight; with UM the list ends, and the element is another."""
     weights = [each for each in fields[4:] if "." in each]
     if len(set(weights)) > 1 or "UM" in fields:
@@ -163,21 +257,22 @@ def _mean(found: Translated, name: str, fields: list[str]) -> None:
     found.tie(f"{name}_{fields[0]}", nodes, fields[2], "DISTRIBUTING")
 
 
-def _load(found: Translated, name: str, fields: list[str]) -> None:
+def _load(found: _Bulk, name: str, fields: list[str]) -> None:
     if fields[2] not in ("", "0"):
         found.left[f"{name} in a coordinate system of its own"] += 1
         return
     first, size = (1 if name == "FORCE" else 4), _real(fields[3])
     values = ((first + i, size * _real(each)) for i, each in enumerate(fields[4:7]))
-    found.loads += [f"{fields[1]}, {way}, {value:.9g}" for way, value in values if value]
+    found.sets["LOAD", fields[0]] += [(fields[1], str(way), value) for way, value in values]
 
 
-_TAKERS: dict[str, Callable[[Translated, str, list[str]], None]] = {
+_TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {
     "GRID": _grid,
     **dict.fromkeys(("CHEXA", "CPENTA", "CTETRA"), _solid),
     "MAT1": _material,
     "PSOLID": _section,
     **dict.fromkeys(("SPC", "SPC1"), _constraint),
+    **dict.fromkeys(("SPCADD", "LOAD"), _sum),
     "RBE2": _rigid,
     "RBE3": _mean,
     **dict.fromkeys(("FORCE", "MOMENT"), _load),

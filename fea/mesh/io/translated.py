@@ -8,6 +8,15 @@ from dataclasses import dataclass, field
 
 
 @dataclass
+class Case:
+    """A load case: rows of ``*BOUNDARY`` and of ``*CLOAD``."""
+
+    name: str = ""
+    held: list[str] = field(default_factory=list)
+    loads: list[str] = field(default_factory=list)
+
+
+@dataclass
 class Translated:
     """A deck in the making; all entries are text as it goes into the deck.
 
@@ -23,14 +32,14 @@ class Translated:
         Material by region.
     groups
         Nodes by name.
-    held
-        Nodes by freedom, 1 to 6.
     ties
         Lines of couplings.
-    loads
-        Rows of ``*CLOAD``.
+    cases
+        Each a step.
     left
         How often each thing occurs that is not in the deck.
+    decide
+        What the file leaves open.
     """
 
     nodes: list[str] = field(default_factory=list)
@@ -40,10 +49,10 @@ class Translated:
     constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
     sections: dict[str, str] = field(default_factory=dict)
     groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
-    held: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     ties: list[str] = field(default_factory=list)
-    loads: list[str] = field(default_factory=list)
+    cases: list[Case] = field(default_factory=list)
     left: Counter[str] = field(default_factory=Counter)
+    decide: list[str] = field(default_factory=list)
     nonlinear: bool = False
 
     def lines(self) -> list[str]:
@@ -60,11 +69,17 @@ class Translated:
         known = {region for _, region in self.elements}
         pairs = ((region, name) for region, name in self.sections.items() if region in known)
         found += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
-        held = [f"{node}, {way}" for way, nodes in self.held.items() for node in nodes]
-        found += ["*BOUNDARY", *held] if held else []
         found += self.ties
-        found.append("*STEP, NLGEOM" if self.nonlinear else "*STEP")
-        return [*found, *(["*CLOAD", *self.loads] if self.loads else []), "*END STEP", ""]
+        before = Case()
+        for case in self.cases or [before]:
+            found.append(f"*STEP, NAME={case.name}" + ", NLGEOM" * self.nonlinear)
+            if case.held != before.held:  # a step keeps what it does not change
+                found += ["*BOUNDARY, OP=NEW", *case.held]
+            if case.loads != before.loads:
+                found += ["*CLOAD, OP=NEW", *case.loads]
+            found.append("*END STEP")
+            before = case
+        return [*found, ""]
 
     def tie(self, name: str, nodes: list[str], reference: str, kind: str) -> None:
         """Let nodes follow a reference node ("KINEMATIC"), or it their mean ("DISTRIBUTING")."""
