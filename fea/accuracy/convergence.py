@@ -34,7 +34,7 @@ _RESPONSES = ("ux/Fx", "uy/Fy", "uz/Fz", "rx/Mx", "ry/My", "rz/Mz")
 _STEP = 1.5
 """Between cells that a generator or a geometry makes anew; those of mesh files are halved."""
 
-_LEAST_RATIO = 1.1
+LEAST_RATIO = 1.1
 """Between the sizes of cells of two meshes: what nearer ones differ by is their irregularity."""
 
 
@@ -140,7 +140,7 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
         solvers.append(found)
     sizes = [_size(one) for one in solvers]
     for coarse, fine, one in zip(sizes, sizes[1:], solvers[1:], strict=False):
-        if coarse < _LEAST_RATIO * fine:
+        if coarse < LEAST_RATIO * fine:
             nodes = len(one.component.mesh.points)
             message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
             raise ValueError(

@@ -17,10 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
+from scipy.spatial import KDTree
 
 from wrenchbook.fea.assembly.body import gather
 from wrenchbook.fea.mesh.facets import EDGES
-from wrenchbook.fea.mesh.mesh import NODES_PER_CELL
+from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, Mesh
+from wrenchbook.fea.mesh.quality import volumes
 from wrenchbook.fea.mesh.reference_cell import node_places, reference_element, tabulate
 from wrenchbook.fea.solve import Solver
 
@@ -57,11 +59,43 @@ class _Piece(NamedTuple):
     projected: bool
 
 
-def recovered_error(solver: Solver) -> Array:
-    """Return about what responses to unit inputs lack for the mesh, shape (k, k), SI; symmetric.
+class RecoveredError(NamedTuple):
+    """The mesh's error at unit inputs, and where it is.
 
-    The first 6 i rows are of the displacements of i interfaces. A strain of heat is the same
-    in both fields that are compared, and cancels.
+    Attributes
+    ----------
+    total
+        About what responses to unit inputs lack for the mesh, shape (k, k), SI; symmetric. The
+        first 6 i rows are of the displacements of i interfaces.
+    cells
+        Shape (k, cells): each cell's part of the diagonal.
+    centres, sizes
+        Of the cells: shape (cells, 3), and the cube root of their volumes, shape (cells,), m.
+    """
+
+    total: Array
+    cells: Array
+    centres: Array
+    sizes: Array
+
+    def coarsening(self, other: Mesh) -> Array:
+        """Cell sizes of another mesh over those of this one where each input's error is, (k,).
+
+        The mean over the cells, by each one's part of the error. A mesher that is given twice the
+        size keeps cells at short edges and round holes smaller than that.
+        """
+        corners = [b.nodes[:, : int(np.max(EDGES[b.kind])) + 1] for b in other.blocks]
+        centres = np.concatenate([other.points[nodes].mean(axis=1) for nodes in corners])
+        sizes = np.cbrt(np.concatenate([volumes(other.points, b) for b in other.blocks]))
+        ratio = sizes[KDTree(centres).query(self.centres)[1]] / self.sizes
+        parts = np.where(self.cells.any(axis=1, keepdims=True), self.cells, 1.0)
+        return parts @ ratio / parts.sum(axis=1)
+
+
+def recovered_error(solver: Solver) -> RecoveredError:
+    """Return about what responses to unit inputs lack for the mesh.
+
+    A strain of heat is the same in both fields that are compared, and cancels.
 
     Raises
     ------
@@ -69,11 +103,16 @@ def recovered_error(solver: Solver) -> Array:
         As `Solver.linear` does.
     """
     pieces = list(_pieces(solver))
-    smooth = _at_corners(pieces, len(solver.component.mesh.points))
-    error = np.zeros((solver.linear.fields.shape[2],) * 2)
-    for piece in pieces:
-        error += _energy(piece, smooth[piece.material])
-    return 0.5 * (error + error.T)
+    points = solver.component.mesh.points
+    smooth = _at_corners(pieces, len(points))
+    found = [_energy(piece, smooth[piece.material]) for piece in pieces]
+    total = np.sum([energy for energy, _ in found], axis=0)
+    return RecoveredError(
+        0.5 * (total + total.T),
+        np.concatenate([cells for _, cells in found], axis=1),
+        np.concatenate([points[piece.corners].mean(axis=1) for piece in pieces]),
+        np.cbrt(np.concatenate([piece.weights.sum(axis=1) for piece in pieces])),
+    )
 
 
 def _pieces(solver: Solver) -> Iterator[_Piece]:
@@ -142,8 +181,11 @@ def _sums(corners: Array, nodes: int) -> csr_array:
     return coo_array(entries, shape=(nodes, count)).tocsr()
 
 
-def _energy(piece: _Piece, smooth: Array) -> Array:
-    """Return twice the strain energies (loads, loads) of what smooth and found fields differ by."""
+def _energy(piece: _Piece, smooth: Array) -> tuple[Array, Array]:
+    """Return twice the strain energies of what smooth and found fields differ by.
+
+    (loads, loads), and each cell's part of the diagonal, (loads, cells).
+    """
     cells, corners = piece.corners.shape
     loads = piece.fields.shape[1]
     recovered = piece.functions @ smooth[piece.corners].reshape(cells, corners, -1)
@@ -152,7 +194,8 @@ def _energy(piece: _Piece, smooth: Array) -> Array:
     if piece.projected:
         strain, stress = _deviatoric(strain), _deviatoric(stress)
     strain = strain * piece.weights[:, :, None, None]
-    return strain.reshape(loads, -1) @ stress.reshape(loads, -1).T
+    total = strain.reshape(loads, -1) @ stress.reshape(loads, -1).T
+    return total, np.einsum("lcqij,lcqij->lc", strain, stress)
 
 
 def _deviatoric(tensor: Array) -> Array:

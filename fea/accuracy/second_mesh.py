@@ -9,39 +9,30 @@ from wrenchbook.fea.mesh.split import halved
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 
-COARSER = 0.5
-"""Cells along each direction of the second mesh, over those of the first.
+_COARSER = (0.5, 2 / 3)
+"""Cells along each direction of the second mesh, over those of the first; the next where one fails.
 
-A linear solve of it takes a sixth of the first's (generators) to two thirds (STEP parts whose own
-edges keep cells small). Its error is two to four times the
-first's (first- to second-order convergence of the displacements, by the corners where loads and
-supports end), so that what the two differ by holds what the first still lacks.
+A linear solve of it takes a sixth of the first's (generators) to a half (STEP parts).
 """
-
-_SMALLER = 0.75
-"""Of the first mesh's nodes: one that has more tells nothing, its cells are the geometry's own."""
 
 
 def coarser(solver: Solver) -> Solver | None:
-    """Return the component on a coarser mesh; None if none can be made, or it is no smaller.
+    """Return the component on a coarser mesh, solved; None if none can be made.
 
-    Mesh files have none: only their author can mesh anew. Nor has a mesh of single cells, or one
-    whose cells the geometry's own edges keep small.
+    Mesh files have none: only their author can mesh anew. A mesh of single cells has itself.
     """
     bundle = solver.component.bundle
-    if bundle is None:
-        return None
-    other = refined(bundle, COARSER)
-    if other is None:
-        return None
-    try:
-        found = Solver(build(other))
-        if len(found.component.mesh.points) > _SMALLER * len(solver.component.mesh.points):
+    for factor in _COARSER:
+        other = None if bundle is None else refined(bundle, factor)
+        if other is None:
             return None
-        _ = found.linear
-    except (BundleError, SolveFailed):
-        return None  # too coarse for the shape, or for reduced integration to hold it
-    return found
+        try:
+            found = Solver(build(other))
+            _ = found.linear
+        except (BundleError, SolveFailed):
+            continue  # too coarse for the shape, or for reduced integration to hold it
+        return found
+    return None
 
 
 FINER_UNKNOWNS = 30_000

@@ -166,6 +166,9 @@ def _tell_accuracy(solver: Solver, summary: dict[str, Any]) -> None:
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
         return
     summary["solver_error"] = accuracy_or_why(solver)
+    if summary["solver_error"]["mesh"] is None:
+        why = f"its error bar is not known: {summary['solver_error']['mesh_basis']}"
+        _warn(summary, [BundleProblem("mesh", why)])
     _warn(summary, straight_edges(summary["solver_error"]))
     limit = None if bundle is None else bundle.tolerance
     if limit is not None:

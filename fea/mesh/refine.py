@@ -33,7 +33,10 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
     if mesh is None:
         return None
     if mesh.geometry is not None:
-        geometry = replace(mesh.geometry, size=mesh.geometry.size / factor)
+        own = mesh.geometry
+        circle = max(3, round(own.circle * factor))
+        curvature = own.curvature and max(3, round(own.curvature * factor))
+        geometry = replace(own, size=own.size / factor, circle=circle, curvature=curvature)
         return replace(bundle, mesh=replace(mesh, geometry=geometry))
     if mesh.generator is None or mesh.parameters is None:
         return None

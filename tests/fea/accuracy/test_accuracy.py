@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.benchmarks.step_parts import drill, fillet
 from tests.fea.boxes import box
 from tests.fea.components import component
-from tests.fea.geometry import draw_bracket
+from tests.fea.geometry import draw_bracket, drawing
 from tests.surrogate.law.solver_share import widened, widened_many
 from wrenchbook.fea.accuracy import estimate
 from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
@@ -16,7 +17,9 @@ from wrenchbook.fea.accuracy.recovered import recovered_error
 from wrenchbook.fea.accuracy.second_mesh import coarser
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.component import mesh_of
 from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.mesh.split import halved
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import DeclaredRange
 from wrenchbook.surrogate.solver_error import SolverError
@@ -130,15 +133,66 @@ def test_a_load_that_the_guide_takes_widens_no_bar(tmp_path):
 
 
 def test_the_bar_of_a_bracket_at_12_mm_holds_what_its_mesh_is_off(bracket):
-    """Cells of half the size are 3 % off; those of a sixth, which take a minute, 4.7 %."""
+    """Cells of half the size, round the hole too, answer 3.0 % more; those of a quarter 5.2 %."""
     told = accuracy_of(bracket)
     fine = Solver(refined(bracket.component.bundle, 2.0)).compliance
     bar, own = np.array(told["mesh"]), bracket.compliance
-    assert 0.03 < (fine - own)[0, 0] / own[0, 0] < 0.047
+    assert (fine - own)[0, 0] == pytest.approx(0.03 * own[0, 0], rel=0.05)
     assert (np.diag(bar) >= np.diag(fine - own)).all()
     assert np.median(np.diag(bar) / np.diag(fine - own)) <= 5
-    assert bar[0, 0] >= 0.047 * own[0, 0]
+    assert bar[0, 0] >= 0.052 * own[0, 0]
     assert "finer mesh" in told["mesh_basis"]
+
+
+@pytest.fixture(scope="module")
+def small_holes(tmp_path_factory):
+    """An L of 6 mm plate with a fillet, held at holes of 8 mm and loaded at a bore of 14 mm."""
+    folder = tmp_path_factory.mktemp("holes")
+    with drawing(folder / "bracket.step") as occ:
+        foot, wall = occ.addBox(0, 0, 0, 80, 40, 6), occ.addBox(0, 0, 0, 6, 40, 60)
+        (solid,), _ = occ.fuse([(3, foot)], [(3, wall)])
+        solid = fillet(occ, solid, 8, (6, 0, 6), (6, 40, 6))
+        holes = [(x, y, -1, (0, 0, 8), 4) for x in (35, 65) for y in (10, 30)]
+        drill(occ, solid, *holes, (-1, 20, 40, (8, 0, 0), 7))
+    text = BRACKET.replace("12e-3", "6e-3").replace("distributed", "rigid")
+    text = text.replace('{plane = "z", at = 0.0}', "{radius = 0.004}")
+    text = text.replace('{plane = "z", at = 0.058}', "{radius = 0.007}")
+    (folder / "component.toml").write_text(text)
+    return Solver(read_bundle(folder))
+
+
+def test_the_coarser_mesh_is_coarser_round_small_holes_too(small_holes):
+    """gmsh makes seven cells of each circle, whatever the size: four at twice the size."""
+    bundle = small_holes.component.bundle
+    for mesh, cells in ((small_holes.component.mesh, 7), (mesh_of(refined(bundle, 0.5).mesh), 4)):
+        nodes = mesh.points[mesh.facet_groups["base"].node_ids]
+        x, y, z = nodes.T
+        on_edge = (np.abs(np.hypot(x - 0.035, y - 0.01) - 0.004) < 1e-6) & (np.abs(z) < 1e-9)
+        assert on_edge.sum() == 2 * cells
+
+
+def test_single_loads_on_a_bracket_with_small_holes_are_inside_their_bars(small_holes):
+    fine = Solver(refined(small_holes.component.bundle, 2.4)).compliance
+    bar, off = np.array(accuracy_of(small_holes)["mesh"]), np.abs(fine - small_holes.compliance)
+    counts = off > 1e-4 * np.sqrt(np.outer(np.diag(fine), np.diag(fine)))
+    assert np.mean((bar >= off)[counts]) >= 0.9
+    assert np.median((bar / np.maximum(off, 1e-300))[counts]) <= 5
+
+
+def test_a_coarser_mesh_that_is_no_coarser_where_the_error_is_leaves_it_unknown(
+    small_holes, monkeypatch
+):
+    monkeypatch.setattr(estimate, "LEAST_RATIO", 3.0)
+    told = accuracy_or_why(small_holes)
+    assert told["mesh"] is None
+    assert "no coarser where the error is" in told["mesh_basis"]
+    assert told["loads"] == [200, 200, 200, 5, 5, 5]
+
+
+def test_halved_cells_are_half_as_large_where_the_error_is():
+    part = component(box("hex20", (2, 2, 4), (1, 1, 4)))
+    ratio = recovered_error(Solver(part)).coarsening(halved(part.mesh))
+    np.testing.assert_allclose(ratio, 0.5)
 
 
 def test_a_large_mesh_is_compared_with_a_coarser_one(plate):
@@ -152,7 +206,7 @@ def test_a_large_mesh_file_has_the_recovered_estimate_with_a_margin(bracket, mon
     alone = Solver(replace(bracket.component, bundle=bundle))
     assert coarser(alone) is None
     told = accuracy_of(alone)
-    lacks = 1.25 * np.abs(recovered_error(alone))
+    lacks = 1.25 * np.abs(recovered_error(alone).total)
     own = np.sqrt(np.diag(lacks))
     np.testing.assert_allclose(told["mesh"], lacks + 0.02 * np.outer(own, own))
     assert "no second mesh" in told["mesh_basis"]
@@ -171,13 +225,14 @@ def test_a_field_that_the_cells_hold_exactly_has_no_error(kind):
     """Pulled without Poisson's effect a bar's strain is constant: nothing is left to recover."""
     part = component(box(kind, (2, 2, 4), (1, 1, 4)), poisson=0.0)
     solver = Solver(part)
-    assert recovered_error(solver)[2, 2] <= 1e-10 * solver.compliance[2, 2]
+    assert recovered_error(solver).total[2, 2] <= 1e-10 * solver.compliance[2, 2]
 
 
 @pytest.mark.parametrize("kind", ["hex20", "tet10"])
 def test_the_recovered_error_is_symmetric_and_shrinks_with_the_cells(kind):
     coarse, fine = (
-        recovered_error(Solver(component(box(kind, (n, n, 4 * n), (1, 1, 4))))) for n in (2, 4)
+        recovered_error(Solver(component(box(kind, (n, n, 4 * n), (1, 1, 4))))).total
+        for n in (2, 4)
     )
     np.testing.assert_array_equal(fine, fine.T)
     assert np.linalg.eigvalsh(fine).min() >= -1e-12 * np.abs(fine).max()
@@ -189,7 +244,7 @@ def test_projected_volumetric_strains_do_not_count_as_error():
     for poisson in (0.39, 0.4999):
         mesh = box("hex27", (2, 2, 4), (1, 1, 2))
         solver = Solver(component(mesh, poisson=poisson))
-        errors[poisson] = recovered_error(solver)[0, 0] / solver.compliance[0, 0]
+        errors[poisson] = recovered_error(solver).total[0, 0] / solver.compliance[0, 0]
     assert errors[0.4999] < 3 * errors[0.39]
 
 

@@ -7,6 +7,7 @@ import pytest
 from tests.fea.accuracy.test_accuracy import BRACKET
 from tests.fea.geometry import abort_gmsh, draw_bracket
 from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.check.reporting import report
 from wrenchbook.fea.component import mesh_of
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.service.files.program import child_command
@@ -65,6 +66,17 @@ def test_the_server_names_gmsh_and_not_a_damaged_file(part, tmp_path, monkeypatc
         check_mesh(part)
     assert "damaged" not in str(caught.value)
     assert [problem.where for problem in caught.value.problems] == ["mesh.size"]
+
+
+def test_a_second_mesh_at_which_gmsh_aborts_leaves_the_bar_unknown_and_the_part_sound(
+    part, tmp_path, monkeypatch
+):
+    abort_gmsh(monkeypatch, tmp_path / "fake", f"size > {1.1 * SIZE}")
+    told = report(part)
+    assert told["ok"]
+    assert told["solver_error"]["mesh"] is None
+    assert "gmsh fails to make a second mesh" in told["solver_error"]["mesh_basis"]
+    assert any("error bar is not known" in warning["message"] for warning in told["warnings"])
 
 
 def test_memory_that_ends_in_gmsh_is_named(part, tmp_path, monkeypatch):
