@@ -96,8 +96,7 @@ _Note = Annotated[str | None, typer.Option(help="a note to store with the import
 _Written = Annotated[
     Path,
     typer.Argument(
-        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .mat, .wbt, .fmu or .zip file; - prints "
-        "CSV"
+        help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .wbt, .fmu or .zip file; - prints CSV"
     ),
 ]
 _Method = Annotated[

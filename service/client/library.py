@@ -24,7 +24,6 @@ _ENDINGS = {
     ".hdf5": "hdf5",
     ".xlsx": "xlsx",
     ".parquet": "parquet",
-    ".mat": "mat",
     ".wbt": "packed",
 }
 # The content decides how a file is read; these endings are of other kinds of file.
@@ -203,9 +202,8 @@ class LibraryCalls:
         ----------
         name : str
             The component.
-        format : {"csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed"}
-            Text of csv and json, bytes of the others; mat has breakpoints for lookup blocks, packed
-            is what `Table.open` opens.
+        format : {"csv", "xlsx", "parquet", "hdf5", "json", "packed"}
+            Text of csv and json, bytes of the others; packed is what `Table.open` opens.
         units : mapping, optional
             For csv and xlsx, any of ``force``, ``moment``, ``translation``, ``rotation`` to a unit,
             such as ``{"force": "lbf", "translation": "mm"}``; SI otherwise.
@@ -215,8 +213,7 @@ class LibraryCalls:
         Returns
         -------
         str or bytes
-            What `import_table` loads again; of mat, what MATLAB loads; packed is derived from the
-            rows and not loaded again.
+            What `import_table` loads again; packed is derived from the rows and not loaded again.
         """
         chosen = _known(format)
         query = {"format": chosen, "table_version": table_version, **(units or {})}

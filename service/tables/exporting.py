@@ -40,7 +40,6 @@ ENDINGS: dict[str, str] = {
     "parquet": "parquet",
     "hdf5": "h5",
     "json": "json",
-    "mat": "mat",
 }
 
 

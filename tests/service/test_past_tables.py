@@ -7,7 +7,6 @@ from starlette.testclient import TestClient
 from tests.service.following import wait_for_version
 from tests.service.test_http_library import RIG, load, rows
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.http.routes import table as table_route
 from wrenchbook.service.tables import past
 from wrenchbook.service.workspace import Settings
 
@@ -133,21 +132,6 @@ def test_a_query_that_would_be_overlooked_is_refused(http, rig, call, query):
 def test_a_version_named_twice_is_refused(http, rig):
     path = f"/v1/components/{rig[0]}/displacement?table_version=1&table_version=2"
     assert http.post(path, json=WRENCH).status_code == 422
-
-
-def test_matlab_breakpoints_are_of_the_version_asked(http, rig, monkeypatch):
-    name, ((first, _), _) = rig
-    written = []
-
-    def write(table, component, path):
-        written.append(len(table.rows))
-        path.write_bytes(b"")
-
-    monkeypatch.setattr(table_route, "write_breakpoints", write)
-    path = f"/v1/components/{name}/table"
-    reply = http.get(path, params={"format": "mat", "table_version": first})
-    assert f"-v{first}.mat" in reply.headers["content-disposition"]
-    assert written == [12]
 
 
 def test_a_version_too_large_to_build_is_refused_with_a_way_out(http, rig, monkeypatch):

@@ -31,7 +31,6 @@ from wrenchbook.service.http.table_schemas import Imported, Table
 from wrenchbook.service.ledger import About
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.sandbox import SandboxBusyError
-from wrenchbook.service.tables.breakpoints import NoTableError, write_breakpoints
 from wrenchbook.service.tables.exporting import (
     ENDINGS,
     ExportFormat,
@@ -41,7 +40,6 @@ from wrenchbook.service.tables.exporting import (
 )
 from wrenchbook.service.tables.importing import import_files, solved_compliance
 from wrenchbook.service.tables.packed_files import setup_of
-from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.packed.format import SUFFIX
 
@@ -51,14 +49,13 @@ router = APIRouter(
 _READER_WAIT_S: Final = 60.0
 _reader_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
-Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed"]
+Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed"]
 MEDIA_TYPES = {
     "csv": "text/csv",
     "json": "application/json",
     "hdf5": "application/x-hdf5",
     "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
     "parquet": "application/vnd.apache.parquet",
-    "mat": "application/x-matlab-data",
 }
 PACKED_TYPE = "application/octet-stream"
 _FILES = {MEDIA_TYPES[one]: BYTES for one in ("hdf5", "xlsx", "parquet")} | {
@@ -79,7 +76,7 @@ _PACKED = {
     **BYTES["schema"],
     "description": "packed: the table that answers, for `Table.open` and the kernel's `wb_open`",
 }
-_WRITTEN = {**_FILES, MEDIA_TYPES["mat"]: BYTES, PACKED_TYPE: {"schema": _PACKED}}
+_WRITTEN = {**_FILES, PACKED_TYPE: {"schema": _PACKED}}
 _ETAG = {
     "ETag": {
         "schema": {"type": "string"},
@@ -92,6 +89,7 @@ _TAKEN = frozenset(
     {
         *MEDIA_TYPES.values(),
         "application/csv",
+        "application/x-matlab-data",
         "application/gzip",
         "application/x-gzip",
         "application/octet-stream",
@@ -158,7 +156,7 @@ async def _packed(
 def _export(
     workspace: Workspace,
     name: str,
-    format_: Literal[ExportFormat, "mat"],
+    format_: ExportFormat,
     how: tuple[dict[str, str], int | None, bool],
     if_none_match: str | None,
 ) -> Response:
@@ -169,9 +167,6 @@ def _export(
         tag = _tag(component, workspace.tables.surrogate(name).version)
         if holds(if_none_match, tag):
             return Response(status_code=304, headers=naming(tag))
-    if format_ == "mat":
-        table = _table(workspace, name, table_version)
-        return _file(component, format_, lambda path: _write_mat(table, name, path))
     export_request = ExportRequest(format_, *how)
     try:
         check_units(export_request)
@@ -262,7 +257,7 @@ def _file(component: Component, format_: str, write: Any) -> Response:
         version = write(path)
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
-        if isinstance(error, SheetFullError | NoTableError):
+        if isinstance(error, SheetFullError):
             raise HttpProblemError(
                 409, "export", "This export cannot be made", str(error)
             ) from None
@@ -274,15 +269,6 @@ def _file(component: Component, format_: str, write: Any) -> Response:
     kind = MEDIA_TYPES[format_] + ("; charset=utf-8" if format_ == "csv" else "")
     done = BackgroundTask(shutil.rmtree, folder, ignore_errors=True)
     return FileResponse(path, 200, headers, kind, done)
-
-
-def _table(workspace: Workspace, name: str, version: int | None) -> ServedTable:
-    return workspace.surrogate(name) if version is None else workspace.past.surrogate(name, version)
-
-
-def _write_mat(table: ServedTable, name: str, path: Path) -> int:
-    write_breakpoints(table, name, path)
-    return table.version
 
 
 def _check_kind(request: Request) -> None:

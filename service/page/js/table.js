@@ -5,7 +5,7 @@ import { of, send, trouble } from "./api.js";
 import { importForm } from "./import.js";
 import { versionField } from "./version.js";
 
-const FORMATS = [["csv", "CSV"], ["xlsx", "Excel (XLSX)"], ["parquet", "Parquet"], ["hdf5", "HDF5"], ["json", "JSON"], ["mat", "MATLAB breakpoints"], ["packed", "Packed table"]];
+const FORMATS = [["csv", "CSV"], ["xlsx", "Excel (XLSX)"], ["parquet", "Parquet"], ["hdf5", "HDF5"], ["json", "JSON"], ["packed", "Packed table"]];
 const ENDINGS = { hdf5: "h5", packed: "wbt" };
 const UNITS = { force: ["N", "kN", "lbf"], moment: ["N*m", "N*mm", "lbf*ft"], translation: ["m", "mm", "um", "inch"], rotation: ["rad", "mrad", "deg"] };
 const IN_UNITS = ["csv", "xlsx"]; // programs read the others: always SI
