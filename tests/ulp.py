@@ -28,17 +28,24 @@ def _mixed(keys: np.ndarray) -> np.ndarray:
     return keys ^ (keys >> np.uint64(31))
 
 
-def moved(numbers: np.ndarray, seed: int) -> np.ndarray:
-    """Numbers (n, ...), each by one unit in the last place up, down or not at all."""
+def moved(numbers: np.ndarray, seed: int, rows: np.ndarray | None = None) -> np.ndarray:
+    """Numbers (n, ...), each by one unit in the last place up, down or not at all.
+
+    `rows` (n, k), by default the numbers, tells rows apart: the wrenches of displacements, so that
+    an output that a table lacks changes none of the others.
+    """
     flat = np.array(numbers, dtype=float).reshape(len(numbers), -1)
-    bits = flat.view(np.uint64)
-    columns = np.arange(1, flat.shape[1] + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-    keys = _mixed(bits + columns + np.uint64(seed % 2**63))
-    rows = np.bitwise_xor.reduce(keys, axis=1, keepdims=True)
-    steps = (_mixed(keys + rows) % np.uint64(3)).astype(np.int64) - 1
+    keys = _keys(flat, seed)
+    own = keys if rows is None else _keys(np.array(rows, dtype=float), seed)
+    steps = _mixed(keys + np.bitwise_xor.reduce(own, axis=1, keepdims=True)) % np.uint64(3)
     still = ~np.isfinite(flat) | (np.abs(flat) < np.finfo(float).tiny)
-    found = (bits.view(np.int64) + np.where(still, 0, steps)).view(float)
-    return found.reshape(np.shape(numbers))
+    found = flat.view(np.int64) + np.where(still, 0, steps.astype(np.int64) - 1)
+    return found.view(float).reshape(np.shape(numbers))
+
+
+def _keys(flat: np.ndarray, seed: int) -> np.ndarray:
+    columns = np.arange(1, flat.shape[1] + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    return _mixed(flat.view(np.uint64) + columns + np.uint64(seed % 2**63))
 
 
 class Mover:
@@ -60,7 +67,7 @@ class Mover:
             return replace(
                 rows,
                 **{
-                    name: moved(column, self.seed)
+                    name: moved(column, self.seed, rows.wrench)
                     for name, column in known.items()
                     if column.size and any(column.strides)  # a column of no numbers takes no memory
                 },

@@ -60,7 +60,7 @@ def test_third_derivatives_of_some_rows_are_read_back_to_the_bit(tmp_path: Path)
     rows = Rows.of(np.eye(6)[:3], np.eye(6)[:3], curvature=curvature)
     write_table(tmp_path / "plate.h5", rows, META)
     found, _ = read_table(tmp_path / "plate.h5")
-    assert found.curvature.tobytes() == curvature.tobytes()
+    assert found.curvature.tobytes() == rows.curvature.tobytes()
 
 
 def test_a_file_has_no_third_derivatives_where_no_row_brings_one(tmp_path: Path) -> None:
