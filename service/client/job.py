@@ -317,10 +317,10 @@ def _path(job: Job | int | Displacement) -> str:
     try:
         return f"/v1/jobs/{number.id if isinstance(number, Job) else int(number)}"
     except (TypeError, ValueError):
-        wrong = f"a job is a Job, its number, or an answer that has a job, not {job!r}"
-        if number is None:
-            wrong = f"there is no job to wait for: {job!r} is complete, or nothing was queued"
-        raise InvalidArgument(wrong) from None
+        why = ": it is complete, or nothing was queued" if number is None else ""
+        raise InvalidArgument(
+            f"a job is a Job, its number, or an answer that has a job, not {job!r}{why}"
+        ) from None
 
 
 def _job(job: Job | int | Displacement, wait_s: float | None) -> Call[Job]:
