@@ -251,6 +251,7 @@ class _Refinement:
         self.tolerance, self.span, self.outputs = tolerance, span, outputs
         spread = np.maximum(surrogate.ranges, np.finfo(float).tiny)
         self.allowed = np.array(allowed_by(tolerance, span.space)) if tolerance else spread
+        self.ends = tolerance is not None or joint is not None
         self.joint, self.indefinite = joint, span.low[None][:0]
         if joint is not None:
             sample = sample_of(span.ends, span.space.zero, joint)
@@ -267,34 +268,30 @@ class _Refinement:
         known = np.isfinite(self.kriging.answer_many(sample)[1]).all(axis=1)
         within = float(((losses <= 1.0) & (known | (len(self.known.pending) > 0))).mean())
         worst = float(np.quantile(losses, ENOUGH))
-        if self.tolerance is not None and within >= ENOUGH and not len(self.indefinite):
+        if self.ends and within >= ENOUGH and not len(self.indefinite):
             reason = (
                 f"the interpolation error of {within:.0%} of a sample of the range is within the "
                 "tolerance"
             )
             if self.joint is not None:
-                reason += (
-                    f"; for a joint the compliance is positive definite, and the error of the "
-                    f"wrench at most {FORCE_ERROR:.0%} of the load range"
-                )
+                share = f"{FORCE_ERROR:.0%} of the load range"
+                reason += f", that of a joint's wrench {share}, the compliance positive definite"
             return Design(sample[:0], "met", reason)
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
+        unit += " or a joint's share of the load range" if self.joint is not None else ""
         reason = f"95 % of the interpolation errors are at most {worst:.3g} times {unit}"
         if not np.isfinite(worst):
             reason = "the rows do not yet show how large errors are"
         elif self.tolerance is not None and not self.span.space.is_default:
             reason += estimate_of_solves(self.surrogate, worst, self._worst_of, budget)
         if len(self.indefinite):
-            reason += (
-                f"; the compliance is not positive definite at {len(self.indefinite)} wrenches of "
-                "the range"
-            )
+            reason += f"; not positive definite: the compliance at {len(self.indefinite)} wrenches"
         return Design(self._chosen(budget), "refine", reason)
 
     def _met(self, losses: Floats) -> bool:
         """Return whether bars over what is allowed, (n,), are within the tolerance, if any."""
-        met = self.tolerance is not None and float((losses <= 1.0).mean()) >= ENOUGH
-        return met and not len(self.indefinite)
+        within = float((losses <= 1.0).mean()) >= ENOUGH
+        return self.ends and within and not len(self.indefinite)
 
     def _worst_of(self, surrogate: Surrogate) -> float:
         """Return the error over what is allowed that 95 % of a sample have by another table."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,6 @@ from .request import (
     sync_and_async_iterator,
 )
 from .wrenches import options
-
-if TYPE_CHECKING:
-    from .replies import Displacement
 
 Vector = NDArray[np.float64]
 ENDED = ("done", "failed", "cancelled")
@@ -100,6 +97,14 @@ class Job:
         return np.concatenate(known) if known else None
 
 
+class Answer(Protocol):
+    """A reply that may have a job, such as a `Displacement`."""
+
+    @property
+    def job(self) -> Job | None:
+        """The job of its solve, if there is one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Round:
     """One round of filling a table.
@@ -147,7 +152,7 @@ class JobCalls:
         return (yield from _job(job, wait_s))
 
     @sync_and_async
-    def wait(self, job: Job | int | Displacement, timeout: float = 600.0) -> Call[Job]:
+    def wait(self, job: Job | int | Answer, timeout: float = 600.0) -> Call[Job]:
         """Wait until a job has ended, and return it: look at its `Job.status`.
 
         Parameters
@@ -312,23 +317,23 @@ class JobCalls:
                 return
 
 
-def _path(job: Job | int | Displacement) -> str:
+def _path(job: Job | int | Answer) -> str:
     number: Any = job if isinstance(job, Job) else getattr(job, "job", job)
     try:
         return f"/v1/jobs/{number.id if isinstance(number, Job) else int(number)}"
     except (TypeError, ValueError):
-        wrong = f"a job is a Job, its number, or an answer that has a job, not {job!r}"
-        if number is None:
-            wrong = f"there is no job to wait for: {job!r} is complete, or nothing was queued"
-        raise InvalidArgument(wrong) from None
+        why = ": it is complete, or nothing was queued" if number is None else ""
+        raise InvalidArgument(
+            f"a job is a Job, its number, or an answer that has a job, not {job!r}{why}"
+        ) from None
 
 
-def _job(job: Job | int | Displacement, wait_s: float | None) -> Call[Job]:
+def _job(job: Job | int | Answer, wait_s: float | None) -> Call[Job]:
     query = {"wait_s": wait_s} if wait_s else None
     return Job.read((yield json_request("GET", _path(job), query=query, wait_s=wait_s)).json())
 
 
-def _ended(job: Job | int | Displacement, timeout: float) -> Call[Job]:
+def _ended(job: Job | int | Answer, timeout: float) -> Call[Job]:
     """Return a job once it has ended."""
     deadline = time.monotonic() + timeout
     while True:

@@ -215,13 +215,7 @@ class FillBody(Body):
     budget: Annotated[int, Field(ge=1, le=10_000)] = 24
     range: SpaceSpan | None = None
     outputs: Outputs = None
-    for_joint: Annotated[
-        bool,
-        Field(
-            description="go on until the compliance is positive definite and the error of a "
-            "joint's wrench small; of all the load range and all outputs"
-        ),
-    ] = False
+    for_joint: Annotated[bool, Field(description="fill until a joint can invert the table")] = False
 
 
 class SceneComponent(SpaceSpan):

@@ -314,7 +314,7 @@ def test_wait_takes_the_answer_that_solve_returned(stub: Stub, client: Client):
 
 def test_wait_says_that_a_complete_answer_has_no_job(stub: Stub, client: Client):
     stub.answers(Answer(COVERED))
-    with pytest.raises(InvalidArgument, match=r"no job to wait for: .*complete"):
+    with pytest.raises(InvalidArgument, match=r"an answer that has a job, not.*complete"):
         client.wait(client.displacement("plate", [0, 0, 1]))
 
 

@@ -91,8 +91,11 @@ class MujocoJoint(Joint):
         if model.body_parentid[body] != parent:
             raise JointError(f"body {tip!r} must be a child of body {base!r}; {_REMEDY}")
         self._find(body, tip)
-        self._base, self._tip, self._still = base, tip, _still(model, parent)
-        self._pose: Vector | None = None
+        self._base, self._tip, self._pose = base, tip, None
+        # The last body towards the base that no freedom moves: a mocap body, or the world.
+        while model.body_dofnum[top := int(model.body_weldid[parent])]:
+            parent = int(model.body_parentid[top])
+        self._still = parent
         _JOINTS.setdefault(data, WeakValueDictionary())[self._dofs.start] = self
 
     def step(self) -> None:  # type: ignore[override]
@@ -319,13 +322,6 @@ def _require_one_scene(joints: Sequence[MujocoJoint]) -> None:
     step = joints[0]._model.opt.timestep
     if not step > 0:
         raise JointError(f"the scene's time step is {step} s: set it above 0")
-
-
-def _still(model: Any, body: int) -> int:
-    """Return the last body from the world to this one that no freedom of the scene moves."""
-    while model.body_dofnum[top := int(model.body_weldid[body])]:
-        body = int(model.body_parentid[top])
-    return body
 
 
 def _places(model: Any, dofs: NDArray[np.intp]) -> tuple[Any, Any, Any]:
