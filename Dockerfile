@@ -20,7 +20,7 @@ COPY data/scenes/arm.xml data/scenes/
 RUN /opt/wrenchbook/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
 
 FROM base
-RUN useradd --create-home --uid 10001 wrenchbook && install -d -o wrenchbook /data
+RUN useradd --create-home --uid 10001 wrenchbook && install -d -m 0700 -o wrenchbook /data
 COPY --from=build /opt/wrenchbook /opt/wrenchbook
 ENV PATH=/opt/wrenchbook/bin:$PATH PYTHONUNBUFFERED=1 WRENCHBOOK_DATA=/data
 USER wrenchbook

@@ -1,6 +1,7 @@
 """Who is let in: each call of the document, with each kind of key, and from each kind of place."""
 
 import asyncio
+import errno
 import io
 import zipfile
 from pathlib import Path
@@ -26,11 +27,12 @@ SCOPES = ("read", "write", "admin")
 
 
 def calls():
-    """Every call there is, by the application's own document; no server is needed for that."""
+    """Every call that needs a key, by the application's own document."""
     document = create_app(Settings(Path("no-such-folder"))).openapi()
     for path, of_path in document["paths"].items():
-        for method in of_path:
-            yield method.upper(), path
+        for method, call in of_path.items():
+            if call.get("security") != []:
+                yield method.upper(), path
 
 
 CALLS = sorted(calls())
@@ -103,6 +105,18 @@ def test_every_call_refuses_none_and_a_wrong_key_and_every_write_a_key_for_readi
             401,
             403,
         )
+
+
+def test_a_liveness_probe_needs_no_key_and_is_the_one_call_that_does_not(locked):
+    assert locked.get("/health/live").json() == {"status": "live"}
+    paths = locked.get("/openapi.json").json()["paths"]
+    open_ = [
+        path
+        for path, of_path in paths.items()
+        if any(call.get("security") == [] for call in of_path.values())
+    ]
+    assert open_ == ["/health/live"]
+    assert locked.get("/health/ready").status_code == 401
 
 
 def test_the_document_of_the_calls_needs_no_key_and_says_that_they_do(locked, unlocked):
@@ -232,6 +246,18 @@ def test_a_machine_that_was_started_again_holds_no_key_up(tmp_path, clock):
         pass
     clock[0] = 10.0
     assert permissions(path, 1.0, 1)[0].wait() == 0.0
+
+
+def test_a_disk_that_takes_nothing_lifts_no_limit(tmp_path, clock, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (permission,) = permissions(tmp_path / "rates", 1.0, 1)
+    monkeypatch.setattr("wrenchbook.service.http.access.permission.os.pwrite", full)
+    assert [permission.wait() == 0.0 for _ in range(4)] == [True, True, False, False]
+    monkeypatch.setattr("wrenchbook.service.http.access.permission.os.open", full)
+    (permission,) = permissions(tmp_path / "others", 1.0, 1)
+    assert [permission.wait() == 0.0 for _ in range(4)] == [True, True, False, False]
 
 
 def test_a_thousand_keys_have_buckets_of_their_own(tmp_path, clock):

@@ -1,6 +1,8 @@
-"""The container image and compose.yaml: what is pinned, who may write, which ports are open."""
+"""The container image, compose.yaml and the units: what is pinned, rights, open ports."""
 
 import re
+import shutil
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -11,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
 COMPOSE = yaml.safe_load((ROOT / "compose.yaml").read_text())
 SERVICES = COMPOSE["services"]
+UNITS = sorted((ROOT / "service" / "cluster" / "systemd").glob("*.service"))
 DIGEST = r"@sha256:[0-9a-f]{64}\b"
 
 
@@ -91,3 +94,41 @@ def test_the_proxy_cannot_reach_the_scheduler():
 
 def test_the_server_of_the_containers_makes_a_key():
     assert "--first-key" in SERVICES["server"]["command"]
+
+
+def test_no_file_names_a_build_argument_that_the_image_does_not_have():
+    files = [*(ROOT / "service" / "cluster").glob("*.*"), ROOT / "compose.yaml"]
+    named = {name for file in files for name in re.findall(r"--build-arg (\w+)", file.read_text())}
+    assert named <= set(re.findall(r"^ARG (\w+)", DOCKERFILE, re.MULTILINE))
+
+
+def test_the_data_of_the_image_are_its_users_alone():
+    assert "install -d -m 0700 -o wrenchbook /data" in DOCKERFILE
+
+
+def options_of(unit):
+    lines = [line for line in unit.read_text().splitlines() if line[:1].isalpha()]
+    return dict(line.split("=", 1) for line in lines)
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_what_a_unit_writes_is_its_users_alone(unit: Path):
+    options = options_of(unit)
+    assert (options["UMask"], options["PrivateTmp"]) == ("0077", "true")
+    assert options.get("StateDirectoryMode") == ("0700" if "StateDirectory" in options else None)
+
+
+def test_there_is_a_unit_of_a_server_without_dask():
+    started = [options_of(unit)["ExecStart"] for unit in UNITS]
+    assert "/opt/wrenchbook/bin/wrenchbook serve --data /var/lib/wrenchbook" in started
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd here")
+def test_systemd_finds_no_mistake_in_the_units(tmp_path: Path):
+    for unit in UNITS:  # their programs and user are not on this machine
+        text = unit.read_text().replace("User=wrenchbook\n", "")
+        copy = tmp_path / unit.name.replace("@", "@1")
+        copy.write_text(re.sub(r"(?m)^(ExecStart=).*", r"\1/bin/true", text))
+    command = ["systemd-analyze", "verify", *map(str, tmp_path.iterdir())]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -1,13 +1,16 @@
 """`GET /health/ready`: which tables answer while others are built."""
 
+import errno
 import shutil
 import threading
 
 import pytest
 from starlette.testclient import TestClient
 
+from tests.until import until
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.tables import builders, live
+from wrenchbook.service.tables.files import TableFiles
 from wrenchbook.service.workspace import Settings
 
 RANGE = {"force": [100.0] * 3, "moment": [10.0] * 3}
@@ -50,3 +53,50 @@ def test_a_server_whose_tables_are_still_built_is_not_all_ready_and_names_them(b
 @pytest.mark.parametrize(("name", "status"), [("small", 200), ("big", 503), ("nope", 404)])
 def test_the_readiness_of_one_component_has_its_own_status_code(building, name, status):
     assert building.get(READY, params={"component": name}).status_code == status
+
+
+def full(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def add(http, name, count=3):
+    """Add a component, and rows to its table."""
+    http.post("/v1/components", json={"name": name, "title": name, "range": RANGE})
+    rows = [{"wrench": [n, 0, 0, 0, 0, 0], "displacement": [0.0] * 6} for n in range(count)]
+    http.post(f"/v1/components/{name}/table?format=json", json={"rows": rows})
+
+
+def test_a_table_whose_file_a_full_disk_does_not_take_is_not_ready_and_broken_at_once(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(live, "SAVE_AFTER_QUIET_S", 0.1)
+    with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
+        add(http, "fine")
+        until(lambda: not http.app.state.workspace.tables._unsaved)
+        monkeypatch.setattr(TableFiles, "save", full)
+        add(http, "rig")
+        body = until(lambda: (found := http.get(READY).json())["broken"] and found)
+        assert (body["status"], body["ready"]) == ("degraded", False)
+        assert (body["tables"]["rig"], body["tables"]["fine"]) == ("degraded", "ready")
+        # Its rows answer, so a proxy goes on sending it queries.
+        assert http.get(READY, params={"component": "rig"}).status_code == 200
+
+
+def test_a_full_disk_is_not_ready_whatever_its_tables_are(tmp_path, monkeypatch):
+    with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
+        add(http, "rig")
+        monkeypatch.setattr("wrenchbook.service.workspace.is_full", lambda _: True)
+        reply = http.get(READY)
+        assert (reply.status_code, reply.json()["status"]) == (503, "not ready")
+
+
+def test_a_component_that_cannot_be_read_makes_no_server_ready(tmp_path):
+    with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
+        add(http, "rig")
+    (tmp_path / "components" / "rig" / "component.toml").write_text("")
+    with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
+        reply = http.get(READY)
+        body = reply.json()
+        assert (reply.status_code, body["status"], body["ready"]) == (200, "degraded", False)
+        assert body["tables"]["rig"] == "broken"
+        assert http.get(READY, params={"component": "rig"}).status_code == 503

@@ -9,11 +9,11 @@ from wrenchbook.service.http.problems import HttpProblemError
 
 # Open to every site and without a key: these files contain nothing of the tables.
 _PUBLIC_FOLDERS = ("/page/",)
-_PUBLIC = frozenset({"/", "/docs", "/openapi.json", "/favicon.ico"})
+_PUBLIC = frozenset({"/", "/docs", "/openapi.json", "/favicon.ico", "/health/live"})
 
 
 def is_public(method: str, path: str) -> bool:
-    """Return whether a call needs no key: the page's own files, and the OpenAPI document."""
+    """Return whether a call needs no key: the page's files, the document, a liveness probe."""
     return method in ("GET", "HEAD") and (path in _PUBLIC or path.startswith(_PUBLIC_FOLDERS))
 
 

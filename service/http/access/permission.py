@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import tempfile
 import time
 import weakref
 from contextlib import suppress
@@ -29,8 +28,8 @@ class Rates:
     """How many requests each key may send now, counted together by all processes of a server.
 
     The generic cell rate algorithm (ITU-T I.371): a bucket is the one time at which it is full
-    again, and one whose time has passed is as good as none. All buckets are in a small file, since
-    a process may end at any time.
+    again, and one whose time has passed is as good as none. All buckets are in a small file under
+    a lock. Where a full disk does not take it, each process counts for itself.
 
     Parameters
     ----------
@@ -39,41 +38,42 @@ class Rates:
     """
 
     def __init__(self, path: Path | None = None) -> None:
-        if path is None:
-            self._file, name = tempfile.mkstemp()
-            os.unlink(name)  # noqa: PTH108
-        else:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        weakref.finalize(self, os.close, self._file)
+        self._known: dict[bytes, float] = {}  # what this process has written last
+        self._file: int | None = None
+        if path is not None:
+            with suppress(OSError):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+                weakref.finalize(self, os.close, self._file)
 
     def take(self, key: Key) -> tuple[int, float]:
         """Take some requests of a key; return how many, and the seconds until there is one."""
-        name, rate = bytes.fromhex(key.digest[:16]), key.rate
+        name, rate, file = bytes.fromhex(key.digest[:16]), key.rate, self._file
         at_once = max(_AT_ONCE_S, 1.0 / rate)
-        start = _SLOT.size * (int.from_bytes(name, "big") % _SLOTS)
-        now = time.monotonic()  # the same clock in all processes
-        for _ in range(_TRIES):
-            with suppress(BlockingIOError):
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-        try:
-            content = os.pread(self._file, _NEXT * _SLOT.size, start)
-            slots = list(_SLOT.iter_unpack(content.ljust(_NEXT * _SLOT.size, b"\0")))
-            names = [held for held, _ in slots]
-            past = [full <= now for _, full in slots]
-            place = names.index(name) if name in names else past.index(True) if any(past) else 0
-            held, full = slots[place]
-            # A time beyond a burst is of an earlier start of the machine.
-            if held != name or not now < full < now + 2.0 * at_once:
-                full = now
-            count = min(int((now + at_once - full) * rate + 1e-6), max(1, int(_TAKEN * rate)))
-            if count:
-                with suppress(OSError):  # a full disk: nothing is counted, and answers go on
-                    slot = _SLOT.pack(name, full + count / rate)
-                    os.pwrite(self._file, slot, start + place * _SLOT.size)
-        finally:
-            fcntl.flock(self._file, fcntl.LOCK_UN)
+        start, length = _SLOT.size * (int.from_bytes(name, "big") % _SLOTS), _NEXT * _SLOT.size
+        content, now = b"", time.monotonic()  # the same clock in all processes
+        if file is not None:
+            for _ in range(_TRIES):
+                with suppress(BlockingIOError):
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+            with suppress(OSError):
+                content = os.pread(file, length, start)
+        slots = list(_SLOT.iter_unpack(content.ljust(length, b"\0")))
+        names, past = [held for held, _ in slots], [full <= now for _, full in slots]
+        place = names.index(name) if name in names else past.index(True) if any(past) else 0
+        held, full = slots[place]
+        full = max(full if held == name else now, self._known.get(name, now))
+        if not now < full < now + 2.0 * at_once:  # past, or of an earlier start of the machine
+            full = now
+        count = min(int((now + at_once - full) * rate + 1e-6), max(1, int(_TAKEN * rate)))
+        if count:
+            self._known[name] = full + count / rate
+        if file is not None:
+            with suppress(OSError):
+                slot = _SLOT.pack(name, full + count / rate)
+                os.pwrite(file, slot, start + place * _SLOT.size)
+            fcntl.flock(file, fcntl.LOCK_UN)
         return count, full + 1.0 / rate - at_once - now
 
 

@@ -16,10 +16,12 @@ from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(tags=["health"])
 
-TableState = Literal["ready", "building", "broken"]
+TableState = Literal["ready", "building", "degraded", "broken"]
 
 
-@router.get("/health/live", summary="The process answers")
+@router.get(
+    "/health/live", summary="The process answers; needs no key", openapi_extra={"security": []}
+)
 async def live() -> dict[str, str]:
     return {"status": "live"}
 
@@ -27,10 +29,12 @@ async def live() -> dict[str, str]:
 @router.get(
     "/health/ready",
     summary="Whether jobs are accepted and solved, and which tables answer",
-    description="`status` is `ready`, `building` while tables are built, or `not ready` (503; see "
-    "`faults`). `tables` has `ready`, `building` or `broken` for each component; "
-    "`pending_rows` the rows that are being built into a table. With `component`, "
-    "`ready` and the status code are of its table.",
+    description="`status` is `ready`, `building` while tables are built, `degraded` if something "
+    "is wrong with components (see `broken`), or `not ready` (503; see `faults`). `tables` has "
+    "`ready`, `building`, `degraded` (it answers, but not from all its rows or not from its file) "
+    "or `broken` for each component; `pending_rows` the rows that are being built into a table. "
+    "`ready` is true if the server and all tables are. With `component`, the tables and the status "
+    "code are of its table.",
     responses=answers(dict[str, Any], "ready, or tables are built")
     | answers(dict[str, Any], "not ready; see faults", 503)
     | refused(404, 422),
@@ -41,13 +45,16 @@ def ready(
 ) -> JSONResponse:
     faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
     pending = _pending(workspace)
-    empty = [name for name in pending if not workspace.tables.present()[name].row_count]
-    tables |= dict.fromkeys((name for name in empty if tables[name] == "ready"), "building")
+    for name in pending:
+        if not workspace.tables.present()[name].row_count:  # it has nothing to answer from
+            tables[name] = "broken" if name in broken else "building"
     building = [name for name, state in tables.items() if state == "building"]
     if component is not None:
         tables = {component: tables.get(component) or _unknown(workspace, component)}
+    flawed = broken or any(state in ("degraded", "broken") for state in tables.values())
+    status = "building" if building else "degraded" if flawed else "ready"
     body: dict[str, Any] = {
-        "status": "not ready" if faults else "building" if building else "ready",
+        "status": "not ready" if faults else status,
         "ready": not faults and all(state == "ready" for state in tables.values()),
         "components": len(workspace.library.names()),
         "solvers": workspace.settings.solvers,
@@ -57,20 +64,21 @@ def ready(
         "pending_rows": pending,
         "tables": tables,
     }
-    served = not faults and (component is None or body["ready"])
+    answering = ("ready", "degraded")
+    served = not faults and (component is None or tables[component] in answering)
     return JSONResponse(redact_values(body), 200 if served else 503)
 
 
 def table_states(workspace: Workspace) -> dict[str, TableState]:
-    """Return whether the table of each component answers, by its name."""
+    """Return whether the table of each component answers; what is `broken` is never `ready`."""
     present, broken = workspace.tables.present(), workspace.broken()
     building = workspace.tables.building()
     names = sorted({*workspace.library.names(), *workspace.library.broken()})
     return {
-        name: "building"
-        if name in building and name not in broken
-        else "broken"
-        if name in broken and name not in present
+        name: ("degraded" if name in present else "broken")
+        if name in broken
+        else "building"
+        if name in building
         else "ready"
         for name in names
     }

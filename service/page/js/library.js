@@ -40,9 +40,9 @@ export async function show(root, _, signal, archived = false) {
   const workers = Array.from({ length: AT_ONCE }, async () => {
     for (let name = names.shift(); name; name = names.shift()) await refresh(name, cards, signal);
   });
-  const drawn = components.filter((one) => one.has_fea).map((one) => one.name);
+  const drawn = [...components].sort((one, other) => one.has_fea - other.has_fea); // symbols need no mesh
   workers.push(...[0, 1].map(async () => { // two at once: the server builds each mesh in a process
-    for (let name = drawn.shift(); name && !signal.aborted; name = drawn.shift()) await paint(cards.get(name).picture, name, signal);
+    for (let part = drawn.shift(); part && !signal.aborted; part = drawn.shift()) await paint(cards.get(part.name).picture, part, signal);
   }));
   await Promise.all(workers);
 }

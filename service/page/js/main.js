@@ -56,8 +56,10 @@ async function tellState() {
   const set = (text, kind) => { if (place.textContent !== text) place.textContent = text; place.className = `state ${kind}`; };
   try {
     const state = await (await send("GET", "health/ready", { quiet: true })).json();
-    const building = state.building.length ? `building ${state.building.join(", ")}` : "ready";
-    set(building, "ready");
+    if (state.building.length) set(`building ${state.building.join(", ")}`, "ready");
+    else if (state.status === "degraded") set(`degraded: ${Object.keys(state.broken).join(", ")}`, "faulty");
+    else set("ready", "ready");
+    place.title = Object.entries(state.broken).map(([name, reason]) => `${name}: ${reason}`).join("\n");
   } catch (error) {
     const fault = error.body?.faults?.[0];
     set(fault ? "not ready" : error.status === 401 ? "needs a key" : "no answer", "faulty");

@@ -10,11 +10,13 @@ const RIGHT = [0.82, 0.57, 0], UP = [-0.26, 0.37, 0.89], TOWARDS = [0.51, -0.73,
 const LIGHT = [0.2, -0.5, 0.84];
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
-// Draws a part on a canvas, which stays hidden where there is no mesh to draw.
-export async function paint(canvas, name, signal) {
-  if (!surfaces.has(name)) surfaces.set(name, await get(`${of(name)}/surface`, signal).catch(() => null));
+// Draws a part on a canvas from its mesh, which needs no rows; the symbol of a table where there is no mesh to draw.
+export async function paint(canvas, { name, has_fea: meshed }, signal) {
+  if (meshed && !surfaces.has(name)) surfaces.set(name, await get(`${of(name)}/surface`, signal).catch(() => null));
   if (!surfaces.get(name)?.triangles.length) {
     surfaces.delete(name);
+    canvas.setAttribute("aria-label", meshed ? `${name}: no picture of its mesh` : `${name}: a table without a mesh`);
+    shown(canvas, () => symbol(canvas), signal);
     return;
   }
   const { vertices, triangles } = surfaces.get(name);
@@ -22,20 +24,38 @@ export async function paint(canvas, name, signal) {
   const facing = normals(vertices, triangles);
   const order = triangles.map((corners, k) => [corners, facing[k], corners.reduce((sum, one) => sum + flat[one][2], 0)])
     .filter(([, normal]) => dot(normal, TOWARDS) > 0).sort((one, other) => one[2] - other[2]);
+  shown(canvas, () => fill(canvas, flat, order), signal);
+}
+
+function shown(canvas, draw, signal) {
   canvas.hidden = false;
-  const draw = () => fill(canvas, flat, order);
   draw();
   window.addEventListener("theme", draw, { signal });
 }
 
+function penOf(canvas) {
+  const ratio = window.devicePixelRatio || 1;
+  [canvas.width, canvas.height] = SIZE.map((one) => one * ratio);
+  const pen = canvas.getContext("2d");
+  pen.scale(ratio, ratio);
+  return pen;
+}
+
+// Four rows and three columns.
+function symbol(canvas) {
+  const pen = penOf(canvas), [left, top] = [SIZE[0] / 2 - 45, SIZE[1] / 2 - 36];
+  pen.strokeStyle = pen.fillStyle = colours().muted;
+  pen.lineWidth = 2;
+  pen.globalAlpha = 0.55;
+  pen.fillRect(left, top, 90, 18);
+  for (const row of [0, 1, 2, 3]) for (const column of [0, 1, 2]) pen.strokeRect(left + 30 * column, top + 18 * row, 30, 18);
+}
+
 function fill(canvas, flat, order) {
   const [low, high] = [Math.min, Math.max].map((end) => [0, 1].map((k) => end(...flat.map((one) => one[k]))));
-  const ratio = window.devicePixelRatio || 1, [width, height] = SIZE;
-  [canvas.width, canvas.height] = [width * ratio, height * ratio];
-  const scale = 0.92 * Math.min(width / (high[0] - low[0] || 1), height / (high[1] - low[1] || 1));
+  const scale = 0.92 * Math.min(SIZE[0] / (high[0] - low[0] || 1), SIZE[1] / (high[1] - low[1] || 1));
   const at = (one) => [0, 1].map((k) => SIZE[k] / 2 + scale * (flat[one][k] - (low[k] + high[k]) / 2));
-  const pen = canvas.getContext("2d"), [red, green, blue] = colours().accent.match(/[\d.]+/g).map(Number);
-  pen.scale(ratio, ratio);
+  const pen = penOf(canvas), [red, green, blue] = colours().accent.match(/[\d.]+/g).map(Number);
   for (const [corners, normal] of order) {
     const light = 0.45 + 0.55 * Math.max(0, dot(normal, LIGHT));
     pen.fillStyle = pen.strokeStyle = `rgb(${[red, green, blue].map((one) => Math.round(one * light + 60 * light)).join()})`;

@@ -103,6 +103,30 @@ def test_cards_show_the_part_and_an_error_bar_with_its_discretisation_error(brow
     assert "within tolerance" in card.text
 
 
+def card_of(browser, name):
+    """The card of a component whose picture is drawn, and the label of the picture."""
+    browser.visit("#/")
+    card = browser.named("a.card", name)
+    browser.until(lambda: card.find_elements("css selector", "canvas.part:not([hidden])"))
+    return card, card.find_element("css selector", "canvas").get_attribute("aria-label")
+
+
+def test_a_card_shows_the_part_before_anything_was_asked_or_solved(browser, client):
+    card, label = card_of(browser, "spring")
+    assert client.component("spring")["rows"] == 0
+    assert client.call_json("GET", "/v1/jobs?component=spring")["jobs"] == []
+    assert label == "The part spring"
+    assert "empty table" in card.text
+
+
+def test_the_card_of_a_table_without_a_mesh_has_a_symbol(browser, rig):
+    card, label = card_of(browser, "unmeasured")
+    assert label == "unmeasured: a table without a mesh"
+    drawn = "getContext('2d').getImageData(0, 0, 320, 150).data.some((one) => one > 0)"
+    assert browser.run(f"return arguments[0].querySelector('canvas').{drawn}", card)
+    assert browser.mistakes() == []
+
+
 def test_the_band_of_a_response_is_split_by_cause(browser, plate):
     browser.visit(f"{PLATE}/response")
     browser.drawn("#response")
