@@ -205,10 +205,9 @@ def propose(
 
     Parameters
     ----------
-    file
-        Abaqus or CalculiX (.inp), Nastran (.bdf, .nas, .dat) or Ansys (.cdb).
-    folder
-        To be made; it must not have a ``component.toml``.
+    file, folder
+        Abaqus or CalculiX (.inp), Nastran (.bdf, .nas, .dat) or Ansys (.cdb), and what is to be
+        made; it must not have a ``component.toml``.
     unit
         The deck's length unit, a key of `fea.spec.schema.UNITS`; None guesses mm, in or m by the
         elastic constants and densities.
@@ -238,9 +237,8 @@ def propose(
         proposal.unit = _guessed(proposal)
     lines = proposal.lines(_name(file.stem), deck.name)
     left += proposal.left + [f"{where} {words}" for where, words in proposal.deck.missing.items()]
-    notes = [f"# DECIDE: {one}" for one in proposal.decide] + [
-        f"# not taken over: {o}" for o in left
-    ]
+    notes = [f"# DECIDE: {words}" for words in proposal.decide]
+    notes += [f"# not taken over: {words}" for words in left]
     (folder / FILE_NAME).write_text("\n".join([*lines, "", *notes, ""]), encoding="utf-8")
     files = [str(folder / FILE_NAME), str(deck)]
     return {"files": files, "left": left, "decide": proposal.decide, "check": report(folder)}
@@ -250,10 +248,10 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
     """Return an Abaqus deck, what of the file is not in it, and what the file leaves open."""
     try:
         text = deck_text(file)
-        if include := _INCLUDE.search(text) if file.suffix.lower() != ".inp" else None:
-            where = f"line {text.count(chr(10), 0, include.start()) + 1}: {include[0].strip()}"
-            raise MeshFileError(f"{where} is not read; paste that file's lines in its place")
         if (translate := _TRANSLATORS.get(file.suffix.lower())) is not None:
+            if include := _INCLUDE.search(text):
+                where = f"line {text.count(chr(10), 0, include.start()) + 1}: {include[0].strip()}"
+                raise MeshFileError(f"{where} is not read; paste that file's lines in its place")
             found = translate(text)
             left = [f"{what} ({count})" for what, count in found.left.items() if count]
             return "\n".join(found.lines()), left, found.decide

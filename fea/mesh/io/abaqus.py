@@ -75,8 +75,8 @@ class Deck:
     entries: int = 0
 
 
-def parsed(path: Path, *takers: Callable[[Deck, Keyword], None]) -> Deck:
-    """Return what a deck defines of a mesh; `takers` get each keyword after it.
+def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
+    """Return what a deck defines of a mesh; `take` gets each keyword after it.
 
     Raises
     ------
@@ -86,21 +86,16 @@ def parsed(path: Path, *takers: Callable[[Deck, Keyword], None]) -> Deck:
     deck = Deck()
     for one in read_keywords(deck_text(path)):
         try:
-            for take in (_take, *takers):
-                take(deck, one)
+            if one.word in _REFUSED:
+                raise MeshFileError(f"is not read; {_REFUSED[one.word]}")
+            if one.word in TAKERS:
+                TAKERS[one.word](deck, one)
+            take(deck, one)
         except MeshFileError as error:
             raise one.wrong(error) from None
         except (ValueError, KeyError, IndexError, OverflowError) as error:
             raise one.wrong(f"cannot be read ({error})") from None
     return deck
-
-
-def _take(deck: Deck, one: Keyword) -> None:
-    if one.word in _REFUSED:
-        raise MeshFileError(f"is not read; {_REFUSED[one.word]}")
-    taker = TAKERS.get(one.word)
-    if taker is not None:
-        taker(deck, one)
 
 
 def _take_nodes(deck: Deck, one: Keyword) -> None:

@@ -64,6 +64,7 @@ _MISSING = {
     "USER MATERIAL": "is not solved: materials are elastic, or neo-Hookean",
     "VISCOELASTIC": "is not solved: an answer does not depend on time",
     "CREEP": "is not solved: an answer does not depend on time",
+    "MODEL CHANGE": "is not solved: all elements and contacts are there in each step",
     "MASS": "is not solved: an interface is massless",
     "DLOAD": "is not taken over; own weight is gravity under [analysis], else none acts",
     "DSLOAD": "is not taken over: only wrenches at interfaces act",
@@ -213,6 +214,8 @@ def _take_section(reader: _Reader, deck: Deck, one: Keyword) -> None:
 def _take_boundary(reader: _Reader, deck: Deck, one: Keyword) -> None:
     step = reader.steps[-1]
     step.begin(one)
+    if {"SUBMODEL", "USER"} & one.options.keys():
+        reader.lack(one, "moves nodes by results or code; they are fixed where they are")
     for target, *rest in one.rows:
         word = rest[0].upper() if rest else ""
         if word in _WORDS:

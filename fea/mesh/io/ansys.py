@@ -205,7 +205,8 @@ def _take_on_nodes(found: _Archive, word: str, fields: list[str]) -> None:
         acting.pop(place, None)
         if not removes:
             acting[place] = float(rest[0] or 0)
-    found.left["D with a motion that is not 0"] += word == "D" and float(rest[0] or 0) != 0.0
+    moves = word == "D" and ways and float(rest[0] or 0) != 0.0
+    found.left["D with a motion that is not 0"] += bool(moves)
 
 
 _BLOCKS = {

@@ -213,7 +213,7 @@ def _listed(fields: list[str]) -> list[str]:
             step, end = (int(fields[4]), 5) if fields[3:4] == ["BY"] else (1, 3)
             numbers += map(str, range(int(fields[0]), int(fields[2]) + 1, step))
         else:
-            numbers, end = [*numbers, fields[0]], 1
+            numbers, end = [*numbers, str(int(fields[0]))], 1
         fields = fields[end:]
     return numbers
 
@@ -236,9 +236,7 @@ def _sum(found: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _rigid(found: _Bulk, name: str, fields: list[str]) -> None:
-    nodes = _listed(fields[3:])
-    if "." in nodes[-1]:  # the element's thermal expansion
-        nodes.pop()
+    nodes = _listed([each for each in fields[3:] if "." not in each])  # less its expansion
     if not set("123") <= set(fields[2]):
         found.left[f"{name} of some freedoms only"] += 1
         return
@@ -247,9 +245,13 @@ def _rigid(found: _Bulk, name: str, fields: list[str]) -> None:
 
 def _mean(found: _Bulk, name: str, fields: list[str]) -> None:
     """Take an element of one weight; with UM the list ends, and the element is another."""
-    weights = [each for each in fields[4:] if "." in each]
-    if len(set(weights)) > 1 or "UM" in fields:
+    weights = [i for i, each in enumerate(fields) if i > 3 and "." in each]
+    ways = [fields[i + 1] for i in weights]
+    if len({fields[i] for i in weights}) > 1 or "UM" in fields:
         found.left[f"{name} with several weights or UM"] += 1
+        return
+    if not all(set("123") <= set(each) for each in ways):
+        found.left[f"{name} of some freedoms only"] += 1
         return
     nodes = [
         e for i, e in enumerate(fields[6:], 6) if e and "." not in e and "." not in fields[i - 1]

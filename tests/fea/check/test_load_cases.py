@@ -173,6 +173,21 @@ def test_forces_that_act_on_no_interface_are_named(tmp_path):
     assert proposal(tmp_path, text)["left"] == ['forces on "MID", which is no interface']
 
 
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("*MODEL CHANGE, TYPE=ELEMENT, REMOVE\nEALL\n", "*MODEL CHANGE is not solved"),
+        ("*BOUNDARY, SUBMODEL, STEP=1\nMID, 1\n", "*BOUNDARY moves nodes by results"),
+        ("*CLOAD, AMPLITUDE=A\n9000, 3, 5.\n", "*CLOAD varies by an amplitude"),
+        ("*CLOAD\n9000, 11, 5.\n", "11 is no force or moment"),
+    ],
+)
+def test_what_a_step_does_besides_is_named(tmp_path, more, words):
+    text = HEAD + RIGID + step(f"*BOUNDARY\nROOT, 1, 3\n{PULL}{more}")
+    (left,) = proposal(tmp_path, text)["left"]
+    assert words in left
+
+
 def bulk(control="SPC = 1\nLOAD = 2", more="", root=None):
     """Return the bar as Nastran bulk data with the middle in SPC set 7."""
     order = [*range(12), *range(16, 20), *range(12, 16)]
@@ -248,6 +263,17 @@ def test_a_nastran_list_of_nodes_may_have_ranges_anywhere(tmp_path, numbers, cou
     root = [f"SPC1,9,3,{numbers}", *make.card("SPC1", 1, 123, *at(0.0))]
     found = proposal(tmp_path, bulk(root=root), name="deck.bdf")
     assert f"SPC set 9, which no case selects ({count})" in found["left"]
+
+
+def test_a_nastran_list_with_exceptions_is_refused(tmp_path):
+    with pytest.raises(BundleError, match=r"SPC1 cannot be read .*EXCEPT"):
+        proposal(tmp_path, bulk(root=["SPC1,1,123,1,THRU,9,EXCEPT,5"]), name="deck.bdf")
+
+
+def test_a_nastran_mean_of_some_freedoms_is_named(tmp_path):
+    text = bulk(more="\n".join(make.card("RBE3", 81, "", 9000, 123456, "1.", 3, *at(50.0))))
+    found = proposal(tmp_path, text, name="deck.bdf")
+    assert "RBE3 of some freedoms only (1)" in found["left"]
 
 
 def test_what_follows_the_end_of_bulk_data_is_not_read(tmp_path):
