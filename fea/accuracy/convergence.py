@@ -57,8 +57,13 @@ class Study(NamedTuple):
 
     @property
     def lacking(self) -> Array:
-        """What the own mesh lacks, shape (6 i, k)."""
-        return lacking(self.compliance, self.sizes[-2] / self.sizes[-1])
+        """What the own mesh lacks, shape (6 i, k).
+
+        The finest is taken to lack what an error of first order would still, the slowest: it rules
+        where stresses are singular, at clamped and at re-entrant edges.
+        """
+        own, before, last = self.compliance[0], self.compliance[-2], self.compliance[-1]
+        return last - own + (last - before) / (self.sizes[-2] / self.sizes[-1] - 1)
 
     @property
     def order(self) -> Array:
@@ -81,23 +86,6 @@ class Study(NamedTuple):
         values = np.diagonal(self.compliance, axis1=1, axis2=2)
         ratio = self.sizes[-2] / self.sizes[-1]
         return values[-1] + (values[-1] - values[-2]) / (ratio**self.order - 1)
-
-
-def lacking(compliance: Array, ratio: float) -> Array:
-    """Return what the first of two or more meshes lacks, shape (6 i, k).
-
-    The finest is taken to lack what an error of first order would still, the slowest: it rules
-    where stresses are singular, at clamped and at re-entrant edges.
-
-    Parameters
-    ----------
-    compliance
-        Shape (meshes, 6 i, k), the finest last.
-    ratio
-        Of the cells' sizes of the two finest.
-    """
-    own, before, last = compliance[0], compliance[-2], compliance[-1]
-    return last - own + (last - before) / (ratio - 1)
 
 
 def _order(change: float, first: float, second: float, third: float) -> float:

@@ -97,43 +97,31 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
         return [found[0]], found[1]
     recovered = recovered_error(solver)
     lacks = 0.5 * _MARGIN * recovered.total[: len(compliance)]
-    fine = _solved_finer(solver)
-    second = fine or coarse
-    ratio = np.ones(compliance.shape[1])
+    try:
+        fine = finer(solver, FINER_UNKNOWNS)
+        _ = fine and fine.linear
+    except (BundleError, SolveFailed):
+        fine = None
+    second, ratio = fine or coarse, np.ones(compliance.shape[1])
     if second is not None:
-        sizes = recovered.coarsening(second.component.mesh)
-        ratio = 1 / sizes if fine else sizes
+        ratio = recovered.coarsening(second.component.mesh) ** (-1 if fine else 1)
     if second is None or ratio.min() < LEAST_RATIO:
         if bundle is None or bundle.mesh is None or bundle.mesh.geometry is None:
             return [2 * lacks], "stresses recovered at six unit loads; no second mesh can be made"
-        why = "gmsh fails to make a second mesh"
-        if second is not None:
-            why = "a coarser mesh is no coarser where the error is: the part's edges keep it fine"
+        edges = "a coarser mesh is no coarser where the error is: the part's edges keep it fine"
+        why = edges if second else "no second mesh can be made"
         return [], f"{why}; wrenchbook converge compares it with finer ones"
-    # What an error of first order, the slowest, has left where sizes are in this ratio.
-    left = 1 / (ratio - 1)
+    # What an error of first order, the slowest, is of the change between sizes in this ratio.
+    scale = np.sqrt((ratio if fine else 1) / (ratio - 1))
+    change = (compliance - second.linear.compliance) * np.outer(scale[: len(lacks)], scale)
     basis = (
         f"a {'finer' if fine else 'coarser'} mesh of {len(second.component.mesh.points)} nodes "
         f"beside this one of {len(solver.component.mesh.points)}, cells in the ratio "
         f"{np.median(ratio):.2g} where the error is"
     )
-    change = compliance - second.linear.compliance
     if fine:
-        scale = np.sqrt(1 + left)
-        return [-change * np.outer(scale[: len(change)], scale)], f"{basis}, at six unit loads"
-    scale = np.sqrt(left)
-    parts = [0.5 * change * np.outer(scale[: len(change)], scale), lacks]
-    return parts, f"{basis}, and recovered stresses, at six unit loads"
-
-
-def _solved_finer(solver: Solver) -> Solver | None:
-    """Return a finer mesh, solved; None where it would be large, or no mesh that can be solved."""
-    try:
-        found = finer(solver, FINER_UNKNOWNS)
-        _ = found and found.linear
-    except (BundleError, SolveFailed):
-        return None
-    return found
+        return [-change], f"{basis}, at six unit loads"
+    return [0.5 * change, lacks], f"{basis}, and recovered stresses, at six unit loads"
 
 
 def _of_roundness(found: Roundness, compliance: Array) -> tuple[float, str]:

@@ -81,8 +81,7 @@ class RecoveredError(NamedTuple):
     def coarsening(self, other: Mesh) -> Array:
         """Cell sizes of another mesh over those of this one where each input's error is, (k,).
 
-        The mean over the cells, by each one's part of the error. A mesher that is given twice the
-        size keeps cells at short edges and round holes smaller than that.
+        A mesher that is given twice the size keeps cells at short edges smaller than that.
         """
         corners = [b.nodes[:, : int(np.max(EDGES[b.kind])) + 1] for b in other.blocks]
         centres = np.concatenate([other.points[nodes].mean(axis=1) for nodes in corners])
@@ -182,10 +181,7 @@ def _sums(corners: Array, nodes: int) -> csr_array:
 
 
 def _energy(piece: _Piece, smooth: Array) -> tuple[Array, Array]:
-    """Return twice the strain energies of what smooth and found fields differ by.
-
-    (loads, loads), and each cell's part of the diagonal, (loads, cells).
-    """
+    """Return twice the energies (loads, loads) of what fields differ by, and (loads, cells)."""
     cells, corners = piece.corners.shape
     loads = piece.fields.shape[1]
     recovered = piece.functions @ smooth[piece.corners].reshape(cells, corners, -1)

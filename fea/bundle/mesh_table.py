@@ -93,9 +93,7 @@ def _from_geometry(keys: Keys, file: Path) -> MeshSource | None:
         keys.wrong("regions.all", '"all" is every cell of the mesh; take another name')
     if size is None:
         return None
-    return MeshSource(
-        file=file, geometry=GeometryMeshing(size, curvature or 0, groups=groups, regions=regions)
-    )
+    return MeshSource(file=file, geometry=GeometryMeshing(size, curvature or 0, groups, regions))
 
 
 def _choices(keys: Keys, key: str, ways: tuple[str, ...]) -> dict[str, Selector]:

@@ -75,17 +75,17 @@ class GeometryMeshing:
         Edge length of the cells, m.
     curvature
         Least number of cells round a full turn of a curved face; 0 leaves it to `size`.
-    circle
-        Least number of cells round a full circle, however small; no key of a bundle sets it.
     groups, regions
         Faces that make each facet group, bodies that make each cell group.
+    circle
+        Least number of cells round a full circle, however small; no key of a bundle sets it.
     """
 
     size: float
     curvature: int = 0
-    circle: int = 7  # gmsh's own
     groups: Mapping[str, Selector] = field(default_factory=dict)
     regions: Mapping[str, Selector] = field(default_factory=dict)
+    circle: int = 7  # gmsh's own
 
 
 @dataclass(frozen=True)

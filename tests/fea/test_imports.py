@@ -10,7 +10,7 @@ import pytest
 from wrenchbook import fea
 
 ROOM = Path(fea.__file__).parent
-LATE = {"fea/mesh/cad/session.py": {"gmsh"}}
+LATE = {"fea/mesh/cad/child.py": {"gmsh"}}
 """An optional extra, with a message of its own where it is not installed."""
 
 

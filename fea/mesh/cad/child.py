@@ -1,7 +1,6 @@
-"""The child process in which gmsh lists and meshes a geometry file.
+"""The child process in which gmsh lists and meshes a geometry file; run as a program.
 
-Run as a program. It reads one request from standard input and writes arrays of plain numbers and
-JSON to standard output. It ends when its parent closes the input.
+It reads a request from standard input, writes plain arrays and JSON, and ends with its parent.
 """
 
 from __future__ import annotations
@@ -11,21 +10,38 @@ import os
 import pickle
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.mesh.cad.entities import bodies_of, faces_of
+from wrenchbook.fea.mesh.cad.entities import METRES, bodies_of, faces_of
 from wrenchbook.fea.mesh.cad.select import choose_bodies, choose_faces
-from wrenchbook.fea.mesh.cad.session import METRES, opened
 from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import GeometryMeshing
 
 Array = np.ndarray
+
+_LIBRARIES = "libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1 libgomp1"
+
+_SETTINGS = {
+    "General.Terminal": 0,
+    "General.NumThreads": 1,  # several threads number the mesh by who comes first
+    "Mesh.MaxNumThreads1D": 1,
+    "Mesh.MaxNumThreads2D": 1,
+    "Mesh.MaxNumThreads3D": 1,
+    "Mesh.RandomSeed": 1,
+    "Mesh.Algorithm": 6,  # frontal Delaunay, the most even triangles
+    "Mesh.Algorithm3D": 1,  # Delaunay
+    "Mesh.Optimize": 1,
+    "Mesh.ElementOrder": 2,
+    "Mesh.HighOrderOptimize": 1,  # turns back cells that curved edges turn inside out
+    "Mesh.MeshSizeFromPoints": 0,
+}
 
 _TET10, _TRI6 = 11, 9
 # gmsh has the last two midside nodes of a tetrahedron the other way round than VTK.
@@ -37,9 +53,9 @@ _FINEST = 0.05
 
 
 def main() -> None:
-    """Answer the request: a path, and how to mesh it (None lists it) with or without optimisation.
+    """Answer a request: a path, how to mesh it (None lists it), with optimisation or not.
 
-    The parent wrote the request, so a pickle is safe; the answer, which a file can forge, is none.
+    The request is a pickle of the parent's; the answer, which a file can forge, is none.
     """
     path, geometry, optimise = pickle.load(sys.stdin.buffer)
     threading.Thread(target=lambda: os.read(0, 1) or os._exit(1), daemon=True).start()
@@ -52,7 +68,7 @@ def main() -> None:
                 shapes = {"faces": faces_of(gmsh), "bodies": bodies_of(gmsh)}
                 fields = {key: [asdict(one) for one in own] for key, own in shapes.items()}
             else:
-                fields, arrays = _meshed(gmsh, path, geometry, optimise)
+                fields, arrays = _meshed(gmsh, geometry, optimise)
     except BundleError as error:
         fields = {"problems": [asdict(problem) for problem in error.problems]}
     head = np.frombuffer(json.dumps(fields).encode(), dtype=np.uint8)
@@ -61,7 +77,7 @@ def main() -> None:
 
 
 def _meshed(
-    gmsh: Any, path: Path, geometry: GeometryMeshing, optimise: bool
+    gmsh: Any, geometry: GeometryMeshing, optimise: bool
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     problems: list[BundleProblem] = []
     size = geometry.size
@@ -109,6 +125,61 @@ def _collected(
 def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
     _, nodes = gmsh.model.mesh.getElementsByType(kind, entity)
     return row[nodes.astype(np.int64)].reshape(-1, 10 if kind == _TET10 else 6)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open a geometry file, bodies that touch glued to each other; yields the module gmsh.
+
+    Raises
+    ------
+    BundleError
+        If gmsh is not there, the file cannot be read or holds no solid body, or gmsh fails.
+    """
+    gmsh = _gmsh()
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        for name, value in _SETTINGS.items():
+            gmsh.option.setNumber(name, value)
+        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+        _read(gmsh, path)
+        yield gmsh
+    finally:
+        gmsh.finalize()
+
+
+def _gmsh() -> Any:
+    try:
+        import gmsh
+    except ImportError:
+        message = 'geometry files need gmsh, which is not installed: pip install "wrenchbook[cad]"'
+        raise BundleError([BundleProblem("mesh.file", message)]) from None
+    except OSError as error:
+        message = (
+            f"gmsh cannot load a library of the system ({error}); on Debian: "
+            f"apt install {_LIBRARIES}"
+        )
+        raise BundleError([BundleProblem("mesh.file", message)]) from None
+    return gmsh
+
+
+def _read(gmsh: Any, path: Path) -> None:
+    gmsh.model.add("part")
+    try:
+        # Named, because gmsh knows the ending in lower case only.
+        shapes = gmsh.model.occ.importShapes(str(path), format="step")
+        bodies = [shape for shape in shapes if shape[0] == 3]
+        if len(bodies) > 1:
+            gmsh.model.occ.fragment(bodies, [])
+        gmsh.model.occ.synchronize()
+    except Exception as error:
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        message = f'"{path.name}" cannot be read as a STEP file ({why}); export it anew'
+        raise BundleError([BundleProblem("mesh.file", message)]) from None
+    if not gmsh.model.getEntities(3):
+        there = "surfaces only" if gmsh.model.getEntities(2) else "no shapes"
+        message = f'"{path.name}" holds no solid body ({there}); export the part as a solid'
+        raise BundleError([BundleProblem("mesh.file", message)])
 
 
 if __name__ == "__main__":

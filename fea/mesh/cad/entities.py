@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.mesh.cad.session import METRES
-
 Array = np.ndarray
+
+METRES = 1e-3
+"""gmsh works in mm here: its geometry kernel's tolerances are absolute and made for mm."""
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.mesh.cad.entities import Face, Solid
-from wrenchbook.fea.mesh.cad.session import METRES
+from wrenchbook.fea.mesh.cad.entities import METRES, Face, Solid
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import Selector
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.fea.accuracy.test_rounded import tube
 from wrenchbook.fea.accuracy import convergence, estimate
-from wrenchbook.fea.accuracy.convergence import Study, kept, lacking, studied, write
+from wrenchbook.fea.accuracy.convergence import Study, kept, studied, write
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
 from wrenchbook.fea.accuracy.second_mesh import finer
 from wrenchbook.fea.bundle.read import read_bundle
@@ -75,7 +75,7 @@ def test_what_is_lacking_at_first_order_is_the_distance_to_the_limit():
 @pytest.mark.parametrize("order", [1.0, 1.5, 2.0, 4.0])
 def test_what_is_lacking_covers_higher_orders_at_no_more_than_twice_the_error(order):
     own, fine = (limit_less(order, size) for size in (1.0, 0.5))
-    found = lacking(np.array([own, fine]), 2.0)[0, 0]
+    found = Study([1, 2], [1.0, 0.5], np.array([own, fine])).lacking[0, 0]
     assert 0.1 - 1e-12 <= found <= 0.2
 
 

@@ -1,5 +1,6 @@
 """gmsh aborts on sound geometry at some sizes: that ends its own process, and nothing else."""
 
+import pickle
 import subprocess
 
 import pytest
@@ -55,14 +56,14 @@ def test_an_abort_at_each_size_is_a_problem_of_the_size_and_ends_the_check_with_
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     said = " ".join((done.stdout + done.stderr).split())
     assert done.returncode == 1
-    assert 'mesh.size: gmsh fails to mesh "bracket.step" with cells of 0.008 m' in said
-    assert "Failed to reach critical value" in said
+    assert 'mesh.size: gmsh fails on "bracket.step" (what(): Failed to reach' in said
+    assert "with cells of 0.008 m, also without optimisation" in said
     assert "Take another size" in said
 
 
 def test_the_server_names_gmsh_and_not_a_damaged_file(part, tmp_path, monkeypatch):
     abort_gmsh(monkeypatch, tmp_path / "fake", "True")
-    with pytest.raises(BundleError, match="gmsh fails to mesh") as caught:
+    with pytest.raises(BundleError, match="gmsh fails on") as caught:
         check_mesh(part)
     assert "damaged" not in str(caught.value)
     assert [problem.where for problem in caught.value.problems] == ["mesh.size"]
@@ -75,12 +76,21 @@ def test_a_second_mesh_at_which_gmsh_aborts_leaves_the_bar_unknown_and_the_part_
     told = report(part)
     assert told["ok"]
     assert told["solver_error"]["mesh"] is None
-    assert "gmsh fails to make a second mesh" in told["solver_error"]["mesh_basis"]
+    assert "no second mesh can be made" in told["solver_error"]["mesh_basis"]
     assert any("error bar is not known" in warning["message"] for warning in told["warnings"])
 
 
 def test_memory_that_ends_in_gmsh_is_named(part, tmp_path, monkeypatch):
     condition = "os.write(2, b'std::bad_alloc\\n') and os._exit(1)"
     abort_gmsh(monkeypatch, tmp_path / "fake", condition)
-    with pytest.raises(MemoryError, match="larger size"):
+    with pytest.raises(BundleError, match="more memory or time than it may take"):
         mesh_of(mesh_source(part))
+
+
+def test_gmsh_ends_with_the_process_that_waits_for_it(part, tmp_path, monkeypatch):
+    abort_gmsh(monkeypatch, tmp_path / "fake", "__import__('signal').pause()")
+    command = child_command("wrenchbook.fea.mesh.cad.child")
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as gmsh:
+        source = mesh_source(part)
+        gmsh.communicate(pickle.dumps((source.file, source.geometry, True)), timeout=60)
+    assert gmsh.returncode == 1
