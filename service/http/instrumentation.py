@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import re
@@ -14,7 +15,8 @@ from typing import Any, Final
 from fastapi import FastAPI
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from wrenchbook.service.http.problems import CLIENT_GONE
+from wrenchbook.service.http.access.headers import sending
+from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
 from wrenchbook.service.ops.counts import Counts
 from wrenchbook.service.ops.logs import REQUEST_ID
 
@@ -30,6 +32,14 @@ _DESTINATIONS: Final = (
     "OTEL_EXPORTER_OTLP_ENDPOINT",
     "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT",
     "OTEL_TRACES_EXPORTER",
+)
+_STOPPING: Final = HttpProblemError(
+    503,
+    "stopping",
+    "The server stops",
+    "The request was not finished in the time that a server has to stop. Send it again in a few "
+    "seconds: an import is loaded as a whole or not at all, and rows are never loaded twice.",
+    headers={"Retry-After": "5"},  # s: a start takes three
 )
 
 
@@ -73,6 +83,10 @@ class RequestObserver:
 
         try:
             await self._app(scope, receive, send_with_id)
+        except asyncio.CancelledError:  # see `Server.shutdown`
+            if status == CLIENT_GONE:
+                answer = sending(send_with_id, scope["path"], None)
+                await _STOPPING.response()(scope, receive, answer)
         finally:
             seconds = perf_counter() - started
             self._counts.add_request(_route(scope), _method(scope), status, seconds)

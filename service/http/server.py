@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gc
 import logging
 import resource
 import socket
+from types import FrameType
 from typing import Any
 
 import uvicorn
@@ -19,6 +21,9 @@ log = logging.getLogger(__name__)
 
 OPEN_FILES = 10_240  # more than connections and files together may be
 FINISH_S = 5  # for requests to end after SIGTERM
+# For requests to end once another process answers new ones. An import may wait a minute for its
+# turn and a minute for the sandbox, is parsed for a minute, and its body may come slowly.
+RETIRE_S = 600
 # Objects made before the young, the middle and the old are looked through. A look at the old takes
 # as long as thousands of answers, which all wait for it: by Python's own (700, 10, 10) each build
 # of a large table brings about several.
@@ -44,6 +49,7 @@ class Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start; objects that stay are not looked through for garbage from then on."""
+        self._loop = asyncio.get_running_loop()
         keep_few_heaps()
         await super().startup(sockets)
         gc.collect()
@@ -51,14 +57,30 @@ class Server(uvicorn.Server):
         gc.set_threshold(*GARBAGE_AFTER)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End event streams and long polls, finish requests for at most `FINISH_S`, and stop."""
-        log.info("stopping: finishing requests, for %d s at most", FINISH_S)
+        """End event streams and long polls, finish requests for a limited time, and stop."""
+        limit = self.config.timeout_graceful_shutdown
+        log.info("stopping: finishing requests, for %d s at most", limit)
         app = self.config.app
         if isinstance(app, Application) and (watch := getattr(app.state, "watch", None)):
             watch.feed.close()
             app.state.workspace.let_go()
         await super().shutdown(sockets)
         log.info("stopped; %d requests were answered", self.server_state.total_requests)
+
+    def retire(self) -> None:
+        """Stop, with `RETIRE_S` for requests to end; for the loop."""
+        self.config.timeout_graceful_shutdown = RETIRE_S
+        self.should_exit = True
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Stop at a signal; end the requests of a retired server after `FINISH_S`."""
+        if self.should_exit:
+            self._loop.call_soon_threadsafe(self._loop.call_later, FINISH_S, self._end_requests)
+        super().handle_exit(sig, frame)
+
+    def _end_requests(self) -> None:
+        for task in self.server_state.tasks:
+            task.cancel()
 
 
 def raise_open_files() -> None:

@@ -159,7 +159,7 @@ class _ForkServer:
                     pass_fds=[theirs.fileno()],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
-                    env=os.environ | _ONE_THREAD,
+                    env=os.environ | _ONE_THREAD | {"TMPDIR": tempfile.gettempdir()},
                     start_new_session=True,  # Ctrl-C is for the server
                 )
         return self._connection

@@ -19,6 +19,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from multiprocessing import forkserver
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,6 +38,7 @@ WEB_WORKER: Final = "wrenchbook.service.workers.web_worker:WebWorker"
 # For an answer to a ping, and for the start of a web worker at SIGHUP: on a machine with ten times
 # the work it can do, a thread waited for 3 s and a start took 20 s.
 HEALTH_S: Final = 30
+RETIRE: Final = signal.SIGUSR1  # to a web worker that is replaced: see `Server.retire`
 STOP_S: Final = 30.0  # for a process to end after SIGTERM
 LOOK_S: Final = 0.05  # between two looks at processes that start
 # From SIGTERM until connections are refused: web workers take those that wait within 0.1 s.
@@ -67,6 +69,14 @@ class Worker(multiprocess.Process):
         make: Any = self.config.app
         self._server = make()
         super().target(sockets)
+
+    def _healthcheck(self, timeout: float) -> bool | None:
+        """Return whether it has started; None if it does not answer a ping, or ends meanwhile."""
+        with suppress(OSError, EOFError):
+            self.parent_conn.send(b"ping")
+            if self.parent_conn in wait([self.parent_conn, self.process.sentinel], timeout):
+                return self.parent_conn.recv()
+        return None
 
 
 def _wait_for_end(worker: multiprocess.Process) -> None:
@@ -101,6 +111,7 @@ class Supervisor(multiprocess.Multiprocess):
         super().__init__(web, [bound])
         self._builder_config, self._ready = builder, ready
         self._builder = Worker(builder, [])
+        self._retired: list[multiprocess.Process] = []  # replaced, and finishing their requests
         self.failed = ""
 
     def init_processes(self) -> None:
@@ -121,6 +132,7 @@ class Supervisor(multiprocess.Multiprocess):
         """Replace processes that have ended or do not answer a ping."""
         if self.should_exit.is_set():
             return
+        self._retired = [worker for worker in self._retired if worker.process.is_alive()]
         super().keep_subprocess_alive()
         if self.should_exit.is_set():
             self._fail("a web worker could not be started again; its log says why")
@@ -134,18 +146,36 @@ class Supervisor(multiprocess.Multiprocess):
             self._builder = Worker(self._builder_config, [])
             self._builder.start()
 
+    def restart_all(self) -> None:
+        """Replace the web workers; those before them finish their requests meanwhile."""
+        for index, worker in enumerate(self.processes):
+            successor = Worker(self.config, self.sockets)
+            successor.start()
+            if not successor.wait_until_ready(HEALTH_S, self.should_exit):
+                successor.kill()
+                successor.join()
+                log.error("a new web worker did not start in %d s; the rest stays", HEALTH_S)
+                return
+            self.processes[index] = successor
+            assert worker.pid is not None
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                os.kill(worker.pid, RETIRE)
+            self._retired.append(worker)
+
     def terminate_all(self) -> None:
         """End the web workers; a further signal ends all processes at once."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, _: os._exit(128 + number))
         super().terminate_all()
+        for worker in self._retired:
+            worker.terminate()
         time.sleep(REFUSE_AFTER_S)
         with suppress(OSError):  # a connection is refused, rather than left to wait for the end
             self.sockets[0].shutdown(socket.SHUT_RDWR)
 
     def join_all(self) -> None:
         """Return once the web workers, then the builder have ended."""
-        for process in self.processes:
+        for process in (*self.processes, *self._retired):
             _wait_for_end(process)
         self._builder.terminate()
         _wait_for_end(self._builder)

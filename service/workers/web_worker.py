@@ -7,16 +7,19 @@ web worker takes one at a time, and later the more connections it has.
 from __future__ import annotations
 
 import asyncio
+import shutil
 import socket
 from collections.abc import Mapping
 from typing import Any, Final
 
+from wrenchbook.service.files.scratch import take_scratch
 from wrenchbook.service.http.access.security import security_of_options
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.http.server import Server, raise_open_files, server_config
 from wrenchbook.service.sandbox import warm_up
 from wrenchbook.service.settings import settings_of_options
+from wrenchbook.service.workers.supervisor import RETIRE
 
 DELAY_S: Final = 0.001  # for each open connection, in which a worker with fewer takes the next one
 LONGEST_DELAY_S: Final = 0.01
@@ -39,6 +42,7 @@ class WebWorker(Server):
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         raise_open_files()
+        self._scratch = take_scratch()
         security = security_of_options(options)
         app = create_app(settings_of_options(options, "web"), security)
         super().__init__(server_config(app, options["log_level"], log_config=None))
@@ -55,7 +59,7 @@ class WebWorker(Server):
             self._listening = sockets[0]
             self._listening.setblocking(False)
             self._listening.listen(self.config.backlog)
-            self._loop = asyncio.get_running_loop()
+            self._loop.add_signal_handler(RETIRE, self.retire)
             self._loop.add_reader(self._listening, self._look)
             if self._warms_up:
                 warm_up(*PARSERS)
@@ -69,6 +73,7 @@ class WebWorker(Server):
         self._listening.close()
         await asyncio.gather(*self._begun)
         await super().shutdown([])
+        shutil.rmtree(self._scratch, ignore_errors=True)
 
     def _look(self) -> None:
         """Take connections that wait, after a delay in which other web workers can take them."""

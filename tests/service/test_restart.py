@@ -2,9 +2,12 @@
 
 import http.client
 import json
+import logging
 import os
 import signal
+import socket
 import subprocess
+import sys
 import threading
 from contextlib import contextmanager, suppress
 
@@ -12,12 +15,22 @@ import psutil
 import pytest
 
 from tests.until import until
+from wrenchbook.service.files import scratch
 from wrenchbook.service.files.program import child_command
+from wrenchbook.service.http import server as servers
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
 
 LIMIT_S = 60.0
 BODY = json.dumps({"force": [0, 0, -10], "moment": [0, 0, 0], "on_thin": "estimate"})
 CONNECTIONS = 4
 QUERY, USUAL = "/v1/components/spring/displacement", "/v1/components/spring"
+
+
+def temporary(folder):
+    """The folder of a server's temporary files."""
+    (path := folder.with_name(f"{folder.name}-temporary")).mkdir(exist_ok=True)
+    return path
 
 
 @contextmanager
@@ -26,7 +39,12 @@ def serving(folder, processes):
         "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
     )
     words = ["--processes", str(processes), "--solvers", "0", "--log-level", "error"]
-    server = subprocess.Popen([*command, *words], stdout=subprocess.PIPE, text=True)
+    server = subprocess.Popen(
+        [*command, *words],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(temporary(folder))},
+    )
     try:
         yield server, int(server.stdout.readline().rsplit(":", 1)[1])
     finally:
@@ -101,3 +119,111 @@ def test_the_last_reply_of_each_connection_says_that_it_closes_when_the_server_e
             thread.join(LIMIT_S)
         assert server.wait(LIMIT_S) == 0
         assert load.end() == []
+
+
+COUNT = 40_000  # rows: more than a body in memory may have
+TABLE = "fz [N],uz [m]\n" + "".join(f"{n},{n:030.3f}e-9\n" for n in range(COUNT))
+RIG = {"name": "rig", "title": "rig", "range": {"force": [1e5] * 3, "moment": [1e5] * 3}}
+
+
+class HalfImport:
+    """An import of which the server has all but the last byte."""
+
+    def __init__(self, port):
+        self.connection = http.client.HTTPConnection("127.0.0.1", port, timeout=LIMIT_S)
+        self.connection.request(
+            "POST", "/v1/components", json.dumps(RIG), {"Content-Type": "application/json"}
+        )
+        assert self.connection.getresponse().read()
+        self.connection.putrequest("POST", "/v1/components/rig/table?wait_s=0&missing_loads=zero")
+        self.connection.putheader("Content-Type", "text/csv")
+        self.connection.putheader("Content-Length", str(len(TABLE)))
+        self.connection.endheaders(TABLE[:-1].encode())
+
+    def finish(self):
+        self.connection.send(TABLE[-1:].encode())
+        return self.reply()
+
+    def reply(self):
+        reply = self.connection.getresponse()
+        body = json.loads(reply.read())
+        self.connection.close()
+        return reply, body
+
+
+def test_an_import_that_has_begun_is_finished_while_the_web_worker_is_replaced_twice(tmp_path):
+    with serving(tmp_path, 1) as (server, port):
+        begun, seen = HalfImport(port), web_workers(server)
+        until(lambda: list(temporary(tmp_path).glob("*/*/body")))
+        for count in (2, 3):
+            os.kill(server.pid, signal.SIGHUP)
+            until(lambda: len(seen.update(web_workers(server)) or seen) == count)  # noqa: B023
+        reply, body = begun.finish()
+        assert (reply.status, body.get("inserted")) == (200, COUNT)
+    assert list(temporary(tmp_path).glob("wrenchbook-*")) == []
+
+
+def test_the_body_of_an_import_is_removed_once_a_killed_web_worker_is_started_again(tmp_path):
+    with serving(tmp_path, 1) as (server, port):
+        begun = HalfImport(port)
+        until(lambda: list(temporary(tmp_path).glob("*/*/body")))
+        (killed,) = web_workers(server)
+        os.kill(killed, signal.SIGKILL)
+        until(lambda: not list(temporary(tmp_path).glob("*/*/body")))
+        begun.connection.close()
+
+
+@pytest.mark.parametrize("retired", [False, True])
+def test_a_request_that_a_stopping_server_cannot_finish_is_503_with_retry_after(
+    tmp_path, monkeypatch, caplog, retired
+):
+    monkeypatch.setattr(servers, "FINISH_S", 0.01)
+    bound = socket.create_server(("127.0.0.1", 0))
+    config = servers.server_config(create_app(Settings(tmp_path, solvers=0)), log_config=None)
+    server = servers.Server(config)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, daemon=True)
+    thread.start()
+    begun = HalfImport(bound.getsockname()[1])
+    until(lambda: server.server_state.tasks)
+    if retired:
+        server.retire()
+    server.handle_exit(signal.SIGTERM, None)
+    reply, body = begun.reply()
+    assert (reply.status, body["type"]) == (503, "urn:wrenchbook:problem:stopping")
+    assert reply.getheader("content-type") == "application/problem+json"
+    assert int(reply.getheader("retry-after")) > 0
+    thread.join(LIMIT_S)
+    assert not any(record.exc_info for record in caplog.records if record.levelno > logging.INFO)
+
+
+TAKES = """
+import sys, tempfile
+from wrenchbook.service.files.scratch import take_scratch
+take_scratch()
+tempfile.mkstemp()
+print("ready", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_temporary_files_of_a_killed_process_are_removed_by_the_next_and_those_of_others_stay(
+    tmp_path, monkeypatch
+):
+    def started():
+        environment = {**os.environ, "TMPDIR": str(tmp_path)}
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "env": environment}
+        process = subprocess.Popen([sys.executable, "-c", TAKES], **pipes)
+        assert process.stdout.readline() == b"ready\n"
+        return process
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with started() as killed:
+        (left,) = tmp_path.iterdir()
+        killed.kill()
+    with started() as living:
+        assert not left.exists()
+        (held,) = tmp_path.iterdir()
+        new = scratch.take_scratch()
+        assert {*tmp_path.iterdir()} == {held, new}
+        assert list(held.iterdir())
+        living.stdin.close()
