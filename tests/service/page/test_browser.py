@@ -186,7 +186,10 @@ def test_where_the_point_of_the_moments_matters_an_import_asks_for_the_load_cell
     browser.visit("#/c/cell/table")
     browser.drop(".drop", "cell.csv", f"{header}\n-100,0,5,0,-1,0,0,0,12\n")
     assert "--load-cell moving" in browser.one("#mistakes").text
-    browser.choose("#load-cell", "fixed")
+    browser.run(
+        "const cell = document.querySelector('#load-cell'); cell.value = 'fixed';"
+        "cell.dispatchEvent(new Event('change', {bubbles: true}));"
+    )
     browser.named("#preview caption", "in SI")
     shown = browser.one("#preview tbody tr:last-child").text.split()
     assert shown[1:7] == ["−100", "0", "5", "0", "0.2", "0"]  # -1 N·m less 0.012 m x -100 N
