@@ -63,8 +63,9 @@ _Point = Annotated[
     str | None,
     typer.Option(metavar="X,Y,Z", help="of the readings, from the interface's point, m"),
 ]
+_LoadCell = Annotated[str | None, typer.Option(metavar="moving|fixed", help="the moments' point")]
 _Rig = Annotated[
-    Path | None, typer.Option(help="TOML of name, frame and points", exists=True, dir_okay=False)
+    Path | None, typer.Option(help="TOML of these four and name", exists=True, dir_okay=False)
 ]
 _Moved = Annotated[
     Path | None,
@@ -131,6 +132,7 @@ def import_table(
     frame: _Frame = None,
     load_point: _Point = None,
     displacement_point: _Point = None,
+    load_cell: _LoadCell = None,
     rig: _Rig = None,
     lag: _Lag = "0",
     note: _Note = None,
@@ -150,6 +152,7 @@ def import_table(
         "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
         "time_offset_s": None if lag == "0" else lag,
         "displacements": displacements,
+        "load_cell": load_cell,
         "mapping": dict(map(_pair, column or ())),
         "ignore": ignore or (),
     }
@@ -298,7 +301,9 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
         )
     if rig := reply.get("rig"):  # servers before 0.3 have none
         axes = "left-handed" if rig["left_handed"] else "right-handed"
-        render.plain(out, f"Readings were taken to the interface from rig {rig['name']}, {axes}.")
+        cell = f", load cell {rig['load_cell']}" if rig.get("load_cell") else ""
+        taken = f"Readings were taken to the interface from rig {rig['name']}, {axes}{cell}."
+        render.plain(out, taken)
     for finding in reply.get("findings", ()):  # servers before 0.3 have none
         _print_finding(name, finding, reply.get("import"))
         if finding["rows"]:

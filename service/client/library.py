@@ -169,7 +169,8 @@ class LibraryCalls:
             ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` or
             ``lag`` (s, or ``"auto"``), ``wait_s`` (10 s: until answers come from the rows),
             ``frame`` (a rig's axes, a text or shape (3, 3)), ``load_point``,
-            ``displacement_point`` ((3,), m), ``rig`` (a TOML file).
+            ``displacement_point`` ((3,), m), ``load_cell`` (``"moving"``: moments are about the
+            point where it is now, ``"fixed"``: where it was on the ground), ``rig`` (a TOML file).
 
         Returns
         -------

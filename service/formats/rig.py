@@ -1,7 +1,8 @@
 """The frame and the reference points of a test rig; readings in them as rows of the interface.
 
 Forces and translations are polar vectors. Moments and rotations are axial ones: left-handed axes
-turn their sign. Points are in the interface's frame, from the interface's point, undeformed.
+turn their sign. Points are in the interface's frame, from the interface's point. A moment of the
+table is about that point where it is now; that of a load cell on the ground is about where it was.
 """
 
 from __future__ import annotations
@@ -17,21 +18,32 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.formats.column_names import DISPLACEMENT
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.table_rows import FEA, MEASURED, Array, ParsedTable, Problem
+from wrenchbook.service.formats.table_rows import (
+    FEA,
+    LOAD_LIMIT,
+    MEASURED,
+    Array,
+    ParsedTable,
+    Problem,
+    largest_loads,
+)
+from wrenchbook.surrogate.table.space import PER_INTERFACE
 
 MOST_RIG = 4000  # characters of a TOML: it is sent in a URL
 _MOST_NAME = 100  # characters
 _SKEW = 1e-3  # axes written as 0.707 are perpendicular unit vectors to 2e-4
 _FARTHEST = 100.0  # m: a point given in mm is refused
-_KEYS = ("name", "frame", "load_point", "displacement_point")
+_KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
+_LOAD_CELLS = ("moving", "fixed")
+_SMALL_SHIFT = 0.01  # of the moment's range: as large as the default tolerance of an output
+_FEW_ROWS = 0.1  # of the rows: outliers and the corners of the load range alone do not ask
 _AXES = dict(zip("xyz", np.eye(3), strict=True))
 _PART = re.compile(r"\s*([xyz])\s*=\s*([+-]?)\s*([xyz])\s*")
 _MARK = ", rig "  # in a row's source, before the rig's name
 _DONE = (
     "is of the interface already: a solve, a tangent, or imported with a rig before; load such "
-    "rows without frame, load_point, displacement_point and rig"
+    "rows without frame, load_point, displacement_point, load_cell and rig"
 )
 _LOOSE = (
     "is not measured, and a displacement_point needs all three rotations: measure them, or the "
@@ -41,9 +53,20 @@ _LOST = (
     "is not measured, and all axes of the interface need it in this frame: measure all three, or "
     "leave the frame out and name the columns by the interface's axes"
 )
+_NO_SHIFT = (
+    "is not measured, and load_cell=fixed takes translation x force off the moment: measure it, or "
+    "give the moment about the interface's point where it is now, and load_cell=moving"
+)
 _ONE_INTERFACE = (
-    "a rig is of one interface, and the component has several or further inputs; convert the rows "
-    "and leave frame, load_point, displacement_point and rig out"
+    "axes and points are of one interface, and the component has several or further inputs; "
+    "convert the rows and leave frame, load_point and displacement_point out"
+)
+_WHICH_POINT = (
+    "the point of the moments matters: translation x force exceeds 1 % of the moment's range{more} "
+    "in {count} of {rows} rows, by up to {value:.3g} N*m (row {row}, {share:.2g} %). Choose "
+    "load_cell=moving (--load-cell moving) if the moments are about the interface's point where it "
+    "is now, as of a cell on the moving side, or load_cell=fixed if about the undeformed point, as "
+    "of a cell on the ground: translation x force is then taken off each row's moment"
 )
 
 
@@ -62,12 +85,15 @@ class Rig:
     load_point, displacement_point : numpy.ndarray
         Shape (3,), m: the point that moments are about, and the one whose translation was measured.
     name : str
+    load_cell : {"moving", "fixed", ""}
+        Whether the load point moves with the interface or stays where it was; empty: not known.
     """
 
     axes: Array
     load_point: Array
     displacement_point: Array
     name: str = ""
+    load_cell: str = ""
 
     @classmethod
     def read(cls, text: str) -> Rig:
@@ -81,8 +107,11 @@ class Rig:
         name = values.get("name", hashlib.sha256(text.encode()).hexdigest()[:8])
         if not isinstance(name, str) or len(name) > _MOST_NAME or text_problem(name):
             raise RigError(f"name: is not a text of at most {_MOST_NAME} characters")
-        loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in _KEYS[2:])
-        return cls(_axes(values.get("frame", "x=x,y=y,z=z")), loads, moved, name.strip())
+        cell = values.get("load_cell", "")
+        if cell not in ("", *_LOAD_CELLS):
+            raise RigError(f"load_cell: is moving or fixed, not {str(cell)[:100]!r}")
+        loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in _KEYS[2:4])
+        return cls(_axes(values.get("frame", "x=x,y=y,z=z")), loads, moved, name.strip(), cell)
 
     @property
     def turn(self) -> Array:
@@ -113,14 +142,14 @@ class Rig:
 
     def as_json(self) -> dict[str, Any]:
         """Return the rig as JSON-able values."""
-        arrays = zip(_KEYS[1:], (self.axes, self.load_point, self.displacement_point), strict=True)
-        left_handed = bool(np.linalg.det(self.axes) < 0)
-        return {"name": self.name, "left_handed": left_handed, **{k: v.tolist() for k, v in arrays}}
+        arrays = zip(_KEYS[1:4], (self.axes, self.load_point, self.displacement_point), strict=True)
+        values = {"name": self.name, "left_handed": bool(np.linalg.det(self.axes) < 0)}
+        return values | {k: v.tolist() for k, v in arrays} | {"load_cell": self.load_cell or None}
 
 
 def rig_text(*parts: str) -> str:
-    """Return the TOML of frame, load point and displacement point, of those that are not empty."""
-    pairs = zip(_KEYS[1:], parts, strict=True)
+    """Return the TOML of frame, load point, displacement point and load cell, but of empty ones."""
+    pairs = zip(_KEYS[1:], parts, strict=False)
     return "".join(f"{key} = {json.dumps(text)}\n" for key, text in pairs if text.strip())
 
 
@@ -131,43 +160,111 @@ def rigged(
     if not options.rig:
         yield from pieces
         return
-    if not options.space.is_default:
+    rig, names = Rig.read(options.rig), options.columns.displacement
+    at_interface = (rig.axes == np.eye(3)).all() and not np.any(
+        [rig.load_point, rig.displacement_point]
+    )
+    if not at_interface and not options.space.is_default:
         report.mistakes.ruin(0, "rig", _ONE_INTERFACE)
         return
-    rig = Rig.read(options.rig)
     for piece in pieces:
+        loads, moved, uncertainty = piece.wrench, piece.displacement, piece.uncertainty
+        if not at_interface:
+            loads, moved = rig.loads(loads), rig.displacements(moved)
+            stated = any(uncertainty.strides)
+            uncertainty = rig.uncertainties(uncertainty) if stated else uncertainty
+        shift = _shift(loads, moved) if rig.load_cell == "fixed" else np.zeros(loads.shape)
         good = np.ones(len(piece), dtype=bool)
-        for at, name, message in _problems(piece, rig):
+        for at, name, message in _problems(piece, rig, moved, shift, names):
             good[at] = False
-            label = report.label(name, options.columns) if name in DISPLACEMENT else name
+            label = report.label(name, options.columns) if name in names else name
             report.mistakes.add(int(piece.row[at]), label, message)
-        piece = piece.take(good)
-        known = any(piece.uncertainty.strides)
-        yield replace(
-            piece,
-            wrench=rig.loads(piece.wrench),
-            displacement=rig.displacements(piece.displacement),
-            uncertainty=rig.uncertainties(piece.uncertainty) if known else piece.uncertainty,
-            source=tuple(f"{source or MEASURED}{_MARK}{rig.name}" for source in piece.source),
-        )
+        source = tuple(f"{source or MEASURED}{_MARK}{rig.name}" for source in piece.source)
+        columns = {"uncertainty": uncertainty, "source": source}
+        yield replace(piece, wrench=loads - shift, displacement=moved, **columns).take(good)
 
 
-def _problems(piece: ParsedTable, rig: Rig) -> Iterator[Problem]:
-    """Yield the rows that are of the interface already, and those that cannot be moved to it."""
-    missing = np.isnan(piece.displacement)
-    tangents = np.asarray(np.isfinite(piece.compliance).any(axis=(1, 2)))
+def with_known_point(
+    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield the rows of the interface; ruin a file that must say which point its moments are about.
+
+    It must where translation x force exceeds 1 % of a moment's range, or moves the answer of a
+    component with solves by more than the row's stated uncertainty, in over 10 % of the rows. Rows
+    of an export, solves and rows with slopes are about the interface's point where it is now.
+    """
+    span, solved = options.load_range, options.solved
+    if span is None or Rig.read(options.rig).load_cell:
+        yield from pieces
+        return
+    size = largest_loads(span) / LOAD_LIMIT
+    count, rows, row, value, worst = np.zeros(len(size) + 1), 0, 0, 0.0, 0.0
+    for piece in pieces:
+        yield piece
+        asked = np.ones(len(piece), dtype=bool)
+        if not options.rig:  # the source of an export's rows is known
+            asked = ~_of_interface(piece)
+            asked &= [not source.startswith(MEASURED) for source in piece.source]
+        shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[asked]
+        share, rows = np.abs(shift) / size, rows + len(shift)
+        count[:-1] += (share > _SMALL_SHIFT).sum(axis=0)
+        if solved is not None and any(piece.uncertainty.strides):
+            effect = np.abs(shift @ np.transpose(solved))
+            count[-1] += (effect > piece.uncertainty[asked]).any(axis=1).sum()
+        if share.max(initial=0.0) > worst:
+            at, load = np.unravel_index(share.argmax(), share.shape)
+            worst, value = float(share[at, load]), float(np.abs(shift[at, load]))
+            row = int(piece.row[asked][at])
+    if (count > _FEW_ROWS * rows).any():
+        more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
+        words = {"count": int(count.max()), "rows": rows, "row": row, "value": value, "more": more}
+        report.mistakes.ruin(0, "load_cell", _WHICH_POINT.format(share=100.0 * worst, **words))
+
+
+def _shift(wrench: Array, displacement: Array) -> Array:
+    """Return translation x force of each interface at its moments, (n, inputs), N·m; else zeros.
+
+    NaN where a force that is not zero meets a translation that was not measured.
+    """
+    shift = np.zeros(wrench.shape)
+    for first in range(0, displacement.shape[1], PER_INTERFACE):
+        force, moved = (values[:, first : first + 3] for values in (wrench, displacement))
+        for axis in range(3):
+            one, other = (axis + 1) % 3, (axis + 2) % 3
+            ahead, back = force[:, other] != 0.0, force[:, one] != 0.0
+            shift[ahead, first + 3 + axis] += moved[ahead, one] * force[ahead, other]
+            shift[back, first + 3 + axis] -= moved[back, other] * force[back, one]
+    return shift
+
+
+def _of_interface(piece: ParsedTable) -> Array:
+    """Return which rows, (n,), are solves, have slopes, or were imported with a rig before."""
+    known = np.asarray(np.isfinite(piece.compliance).any(axis=(1, 2)))
     if piece.curvature is not None:
-        tangents |= np.isfinite(piece.curvature).any(axis=1)
+        known |= np.isfinite(piece.curvature).any(axis=1)
+    pairs = zip(piece.source, piece.fingerprint, strict=True)
+    named = [source == FEA or bool(setup) or _MARK in source for source, setup in pairs]
+    return np.asarray(known | np.array(named, dtype=bool))
+
+
+def _problems(
+    piece: ParsedTable, rig: Rig, moved: Array, shift: Array, names: tuple[str, ...]
+) -> Iterator[Problem]:
+    """Yield the rows that are of the interface already, and those that cannot be moved to it."""
+    missing, done = np.isnan(piece.displacement), _of_interface(piece)
     loose = np.asarray(missing[:, 3:].any(axis=1) & ~missing[:, :3].all(axis=1))
     loose &= rig.displacement_point.any()
-    lost = np.asarray(np.isnan(_product(piece.displacement, rig.turn)).all(axis=1))
-    for at, (source, setup) in enumerate(zip(piece.source, piece.fingerprint, strict=True)):
-        if source == FEA or setup or tangents[at] or _MARK in source:
+    lost = np.asarray(np.isnan(moved).all(axis=1))
+    for at in np.flatnonzero(done | loose | lost | np.isnan(shift).any(axis=1)).tolist():
+        if done[at]:
             yield at, "source", _DONE
         elif loose[at]:
-            yield at, DISPLACEMENT[3 + int(missing[at, 3:].argmax())], _LOOSE
+            yield at, names[3 + int(missing[at, 3:].argmax())], _LOOSE
         elif lost[at]:
-            yield at, DISPLACEMENT[int(missing[at].argmax())], _LOST
+            yield at, names[int(missing[at].argmax())], _LOST
+        else:
+            first = int(np.isnan(shift[at]).argmax()) // PER_INTERFACE * PER_INTERFACE
+            yield at, names[first + int(np.isnan(moved[at, first:]).argmax())], _NO_SHIFT
 
 
 def _product(values: Array, matrix: Array) -> Array:

@@ -24,7 +24,7 @@ from wrenchbook.service.formats.findings import FindingsSample
 from wrenchbook.service.formats.json_table import read_json
 from wrenchbook.service.formats.measured_logs import joined_loads, with_loads, zeroed
 from wrenchbook.service.formats.options import Format, Options, ReadReport
-from wrenchbook.service.formats.rig import rigged
+from wrenchbook.service.formats.rig import rigged, with_known_point
 from wrenchbook.service.formats.table_rows import ParsedTable, with_own_setup, within_limits
 from wrenchbook.service.formats.units import FORCE, si_factor
 from wrenchbook.service.formats.xlsx_table import read_xlsx
@@ -175,12 +175,13 @@ def _corrected(
     """Yield the rows of the interface that may be loaded, from readings in SI.
 
     The order of all corrections: meaning, sign and unit of each column (the readers), the join of
-    two logs by time, the zero offset, the rig's frame, its load point and displacement point. Then
-    come the limits, the setup, and outside of this the findings.
+    two logs by time, the zero offset, the rig's frame, its load point and displacement point, the
+    moment of a load cell on the ground. Then come the limits, the setup, whether the point of the
+    moments must be known, and outside of this the findings.
     """
     pieces = rigged(zeroed(pieces, options, report), options, report)
     pieces = (within_limits(piece, options, report) for piece in pieces)
-    yield from with_own_setup(pieces, options, report)
+    yield from with_known_point(with_own_setup(pieces, options, report), options, report)
 
 
 def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:

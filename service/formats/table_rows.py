@@ -153,8 +153,8 @@ def _excesses(piece: ParsedTable, options: Options) -> Iterator[Problem]:
         yield from _loads(piece.wrench, options.load_range)
 
 
-def _largest_loads(load_range: LoadRange) -> Array:
-    """Return the largest size of each input, shape (n,), N and N·m.
+def largest_loads(load_range: LoadRange) -> Array:
+    """Return the largest size of each input that a table may have, shape (n,), N and N·m.
 
     A load without a range of its own (0 to 0) has the largest of its kind: the cross-loads of a rig
     are a part of its main load. If all of a kind have none there is no limit.
@@ -204,7 +204,7 @@ def _uncertainties(uncertainty: Array, columns: Columns) -> Iterator[Problem]:
 
 
 def _loads(wrench: Array, load_range: LoadRange) -> Iterator[Problem]:
-    limit = _largest_loads(load_range)
+    limit = largest_loads(load_range)
     for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
         one = load_range.space.inputs[load]
         unit, what = one.unit.replace("·", "*"), "input" if one.kind == "scalar" else "load"

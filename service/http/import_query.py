@@ -16,6 +16,7 @@ _MOST_COLUMNS = 1000
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MOST_WAIT_S = 600.0  # a million rows take minutes
 _POINT = "x,y,z from the interface's point in its frame, m: the point that"
+_LOAD_CELL = "the point where it is now, or where it was: translation x force is taken off them"
 _Text = Annotated[str, Field(max_length=1000)]
 
 
@@ -64,8 +65,11 @@ class ImportQuery(Body):
     ] = ""
     load_point: Annotated[_Text, Field(description=f"{_POINT} moments are about")] = ""
     displacement_point: Annotated[_Text, Field(description=f"{_POINT} was measured")] = ""
+    load_cell: Annotated[
+        Literal["moving", "fixed"] | None, Field(description=f"moments are about {_LOAD_CELL}")
+    ] = None
     rig: Annotated[
-        str, Field(max_length=MOST_RIG, description="TOML: these three, name; kept with the import")
+        str, Field(max_length=MOST_RIG, description="TOML: these four, name; kept with the import")
     ] = ""
     time_offset_s: Annotated[
         Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
@@ -103,11 +107,16 @@ class ImportQuery(Body):
 
     @model_validator(mode="after")
     def _has_one_rig(self) -> ImportQuery:
-        parts = rig_text(self.frame, self.load_point, self.displacement_point)
-        if parts and self.rig:
+        if self.rig and rig_text(self.frame, self.load_point, self.displacement_point):
             raise ValueError("rig has the frame and the points: send either it or these three")
-        Rig.read(self.rig or parts)
+        if self.load_cell and Rig.read(self.rig).load_cell:
+            raise ValueError("rig has the load_cell already: send it once")
+        Rig.read(self._rig_text())
         return self
+
+    def _rig_text(self) -> str:
+        parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
+        return "\n".join(filter(None, (self.rig, rig_text(*parts))))
 
     @field_validator("note", "filename", "rig")
     @classmethod
@@ -131,7 +140,7 @@ class ImportQuery(Body):
             missing_loads=self.missing_loads,
             zero_rows=self.tare,
             sheet=self.sheet,
-            rig=self.rig or rig_text(self.frame, self.load_point, self.displacement_point),
+            rig=self._rig_text(),
             time_offset_s=self.time_offset_s,
             max_gap_s=self.max_gap_s,
         )

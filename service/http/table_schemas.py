@@ -89,7 +89,7 @@ Imported = TypedDict(
         "format": Annotated[str, text("found from the content")],
         "gzip": bool,
         "import": Annotated[int | None, text("its number, in imports")],
-        "rig": Annotated[dict[str, Any] | None, text("its name, axes, handedness and points, m")],
+        "rig": Annotated[dict[str, Any] | None, text("name, handedness, axes, points, load cell")],
         "rows": Annotated[
             dict[Literal["read", "loaded", "refused", "tare", "unmatched"], int],
             text("read = loaded + refused + tare + unmatched, but of a dry run"),

@@ -138,6 +138,7 @@ async function load(state) {
 // The mistakes by row, each row with its line to mend where the file is text.
 function mistakes(state, errors, told) {
   const byRow = new Map();
+  if (errors.some((one) => one.field === "load_cell")) state.options.rig.root.open = true; // it has the choice
   for (const one of errors) byRow.set(one.row, [...(byRow.get(one.row) || []), one]);
   const shown = [...byRow].slice(0, MENDED), edits = new Map(), mended = state.text && !state.options.displacements();
   const mend = () => { for (const [row, input] of edits) state.text = withLine(state.text, row, input.value.replace(/[\r\n]+/g, " ")); };

@@ -1,6 +1,6 @@
 // The frame and the reference points of the readings of an import, with a picture of them.
 
-import { el, field, put } from "./dom.js";
+import { el, field, put, select } from "./dom.js";
 import { pointsOf, rigPicture } from "./rig_picture.js";
 
 const AXES = ["x", "y", "z"];
@@ -12,6 +12,8 @@ export function rigOptions(changed) {
   const input = (id, placeholder) => el("input", { id, placeholder, autocomplete: "off", spellcheck: "false", maxlength: 1000, oninput: () => draw(), onchange: changed });
   const frame = input("rig-frame", PLAIN), load = input("rig-load-point", "0,0,0"), moved = input("rig-displacement-point", "0,0,0");
   const parts = { frame, load_point: load, displacement_point: moved };
+  const cell = select([["", "not said"], ["moving", "moves with the interface"], ["fixed", "stays on the ground"]], "", changed);
+  cell.id = "load-cell";
   const state = { toml: "" };
   const file = el("input", { type: "file", id: "rig-file", accept: ".toml", onchange: () => take(file.files[0]) });
   const remove = el("button", { type: "button", class: "small", hidden: true, onclick: () => { file.value = ""; take(null); } }, "Remove the file");
@@ -30,11 +32,13 @@ export function rigOptions(changed) {
         field("Where the rig’s axes point in the interface’s frame, such as x=-y,y=x,z=z, or nine numbers", frame),
         field("Load point: the point that moments are about, x,y,z in m", load),
         field("Displacement point: the point whose translation was measured, x,y,z in m", moved),
-        field("Or a rig file (TOML) with name, frame, load_point, displacement_point", file), el("div", {}, remove)),
+        field("Load cell: the point of the moments", cell),
+        field("Or a rig file (TOML) with name, frame, load_point, displacement_point, load_cell", file), el("div", {}, remove)),
       picture));
   const tell = (asked) => {
     if (state.toml) asked.set("rig", state.toml);
     else for (const [name, one] of Object.entries(parts)) if (one.value.trim()) asked.set(name, one.value.trim());
+    if (cell.value) asked.set("load_cell", cell.value);
   };
   // `rig` of the reply of a check: what the server has read.
   const show = (rig) => { if (state.toml && rig) put(picture, drawn({ rig })); };

@@ -179,6 +179,22 @@ def test_the_axes_and_points_of_a_rig_are_drawn_while_they_are_typed(browser, ga
     assert "three numbers in metres" in browser.one("#rig-picture").text
 
 
+def test_where_the_point_of_the_moments_matters_an_import_asks_for_the_load_cell(browser, client):
+    spans = {"force": [250, 20, 20], "moment": [10, 20, 20]}
+    client.call_json("POST", "/v1/components", {"name": "cell", "title": "C", "range": spans})
+    header = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm],ux [mm],uy [mm],uz [mm]"
+    browser.visit("#/c/cell/table")
+    browser.drop(".drop", "cell.csv", f"{header}\n-100,0,5,0,-1,0,0,0,12\n")
+    assert "--load-cell moving" in browser.one("#mistakes").text
+    browser.run(
+        "const cell = document.querySelector('#load-cell'); cell.value = 'fixed';"
+        "cell.dispatchEvent(new Event('change', {bubbles: true}));"
+    )
+    browser.named("#preview caption", "in SI")
+    shown = browser.one("#preview tbody tr:last-child").text.split()
+    assert shown[1:7] == ["−100", "0", "5", "0", "0.2", "0"]  # -1 N·m less 0.012 m x -100 N
+
+
 def test_a_rig_file_is_applied_drawn_and_kept_with_the_import(browser, client, tmp_path):
     spans = {"force": [600] * 3, "moment": [60] * 3}
     client.call_json("POST", "/v1/components", {"name": "bench", "title": "B", "range": spans})
