@@ -33,7 +33,6 @@ from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.live import Tables
 from wrenchbook.service.tables.mapped import MappedTables
-from wrenchbook.service.tables.past import PastTables
 from wrenchbook.service.tables.rows import own_rows, table_rows
 from wrenchbook.service.tables.served import ServedTable, TableBehindError, row_table
 from wrenchbook.service.tables.solver_errors import SolverErrors
@@ -75,7 +74,6 @@ class Workspace:
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
         self.errors = SolverErrors(settings.folder / "solver_errors")
         self.tables = self._open_tables(settings.folder / "tables")
-        self.past = PastTables(self.ledger, self.library, self.tables, self.errors)
         self._retention = Retention(self.ledger, self._jobs_folder, settings.keep)
         self.fields = FieldStore(settings.folder / "fields")
         self.shapes = DeformedSurfaces(self.fields)

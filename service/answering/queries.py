@@ -147,7 +147,7 @@ class QueuedWrench:
     own : bool
         Whether the job solves this very wrench, not one near by.
     reason : str
-        ``beyond-range``, ``queue-limit`` or ``table-version`` if there is no job.
+        ``beyond-range`` or ``queue-limit`` if there is no job.
     """
 
     index: int

@@ -122,10 +122,6 @@ OnThinWord = Annotated[
 Method = Annotated[
     str | None, typer.Option(help="interpolation, such as griddata; by default the component's")
 ]
-TableVersion = Annotated[
-    int | None,
-    typer.Option(help="answer from this earlier version of the table; nothing is queued"),
-]
 ToleranceTranslation = Annotated[
     float | None,
     typer.Option(help="largest error bar of a translation, m; by default the component's"),
@@ -171,7 +167,6 @@ def query(
         bool, typer.Option("--derivatives", help="add du/dw, 6 x 6, to what --json prints")
     ] = False,
     beyond_range: BeyondRange = False,
-    table_version: TableVersion = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -190,7 +185,6 @@ def query(
             detail=detail,
             derivatives=derivatives,
             beyond_range=beyond_range,
-            table_version=table_version,
         )
     _print_answer(answer, as_json, data)
 

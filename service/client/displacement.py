@@ -44,9 +44,6 @@ class DisplacementCalls:
     beyond_range : bool
         Whether a wrench outside the component's load range may be solved. If not, ``queue`` answers
         it flagged and without a job, and ``wait`` and `solve` refuse it.
-    table_version : int, optional
-        Answer from the table as it was at that version (an answer's `table_version`), with the same
-        digits; nothing is queued then, and ``wait`` is refused.
     """
 
     @sync_and_async
@@ -65,7 +62,6 @@ class DisplacementCalls:
         detail: bool = False,
         derivatives: bool = False,
         beyond_range: bool = False,
-        table_version: int | None = None,
     ) -> Call[Displacement]:
         """Return the displacement of a component's interface under one wrench, N and N·m.
 
@@ -81,7 +77,7 @@ class DisplacementCalls:
         ValueError
             If a number is not finite or a shape is wrong; nothing was sent.
         ProblemError
-            404 without such a component or version; 409 if ``reject`` finds the wrench not covered
+            404 without such a component; 409 if ``reject`` finds the wrench not covered
             or ``wait`` finds it beyond the load range; 424 if its solve failed.
         """
         body = loads_body(force, moment, loads, inputs)
@@ -94,7 +90,7 @@ class DisplacementCalls:
             derivatives=derivatives or None,
             beyond_range=beyond_range or None,
         )
-        return (yield from _one(name, "displacement", body, chosen, table_version))
+        return (yield from _one(name, "displacement", body, chosen))
 
     @sync_and_async
     def displacements(
@@ -108,7 +104,6 @@ class DisplacementCalls:
         method: str | None = None,
         derivatives: bool = False,
         beyond_range: bool = False,
-        table_version: int | None = None,
         binary: bool | None = None,
     ) -> Call[Displacements]:
         """Return the displacements under many wrenches, shape (n, inputs), SI, in one call.
@@ -132,12 +127,11 @@ class DisplacementCalls:
             beyond_range=beyond_range or None,
         )
         if len(block) >= BINARY_FROM if binary is None else binary:
-            request = _binary_batch(name, block, chosen, table_version)
+            request = _binary_batch(name, block, chosen)
             return Displacements.read_binary(name, block, (yield request))
         body = {"wrenches": block.tolist()} | chosen
         path = component_path(name, "displacements")
-        query = {"table_version": table_version}
-        reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen), query=query)
+        reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen))
         return Displacements.read(name, block, reply.json())
 
     @sync_and_async
@@ -177,23 +171,14 @@ class DisplacementCalls:
         return (yield from _one(name, "solve", body, chosen))
 
 
-def _one(
-    name: str,
-    call: str,
-    loads: dict[str, Any],
-    chosen: dict[str, Any],
-    table_version: int | None = None,
-) -> Call[Displacement]:
+def _one(name: str, call: str, loads: dict[str, Any], chosen: dict[str, Any]) -> Call[Displacement]:
     """Send the loads that `loads_body` returns."""
-    body = loads | chosen
-    path, query = component_path(name, call), {"table_version": table_version}
-    reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen), query=query)
+    path, body = component_path(name, call), loads | chosen
+    reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen))
     return Displacement.read(name, wrench_of(loads), reply.json(), loads.get("loads"))
 
 
-def _binary_batch(
-    name: str, block: Vector, chosen: dict[str, Any], table_version: int | None
-) -> Request:
+def _binary_batch(name: str, block: Vector, chosen: dict[str, Any]) -> Request:
     """Return the request of a batch, shape (n, inputs), SI, in its binary form."""
     tolerance = chosen.pop("tolerance", {})
     return Request(
@@ -201,7 +186,7 @@ def _binary_batch(
         component_path(name, "displacements"),
         block.astype("<f8").tobytes(),
         BINARY,
-        chosen | tolerance | {"table_version": table_version},
+        chosen | tolerance,
         wait_s=_server_wait(chosen),
     )
 

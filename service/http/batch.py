@@ -30,7 +30,6 @@ from wrenchbook.service.http.bodies import (
 )
 from wrenchbook.service.http.body import Spooled, busy
 from wrenchbook.service.http.parsing import (
-    VersionQuery,
     both_tolerances,
     checked,
     even_rows,
@@ -244,10 +243,6 @@ class BinaryOptions(Body):
     derivatives: Annotated[
         Derivatives, Field(description="binary form: add (n, 36) behind the (n, 13)")
     ] = False
-
-
-class BinaryQuery(BinaryOptions, VersionQuery):
-    """All query parameters of a batch, for the OpenAPI document."""
 
 
 def is_binary(request: Request) -> bool:

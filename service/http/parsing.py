@@ -6,15 +6,15 @@ A mistake is a `HttpProblemError` of status 422 with the place of each mistake.
 from __future__ import annotations
 
 from math import hypot
-from typing import Annotated, Any, Final, get_args
+from typing import Any, get_args
 
 import numpy as np
 import orjson
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 from starlette.datastructures import QueryParams
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
-from wrenchbook.service.answering.queries import BatchQuery, Query
+from wrenchbook.service.answering.queries import Query
 from wrenchbook.service.http.bodies import (
     MAX_BLOCK,
     BlockBody,
@@ -32,25 +32,6 @@ from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space, Spac
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
 _NUMBERS = frozenset({int, float})  # not bool, which is an int to isinstance
 _ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}
-NAME: Final = "table_version"
-_WAIT = (
-    "a solve makes a new version of the table: with table_version ask with on_thin 'queue', "
-    "'estimate' or 'reject'"
-)
-
-
-class VersionQuery(Body):
-    """The query of a displacement call in JSON; other parameters are refused."""
-
-    table_version: Annotated[
-        int | None,
-        Field(
-            ge=0,
-            lt=2**63,
-            description="the table as it was: the same answers again, whatever rows have come "
-            "since. Nothing is queued then; the newest version if left out",
-        ),
-    ] = None
 
 
 def read_query(body: bytes, space: Space = DEFAULT) -> Query:
@@ -225,34 +206,14 @@ def _tolerance(body: Any) -> Tolerance | None:
     return Tolerance(body.translation, body.rotation) if body else None
 
 
-def version_of(query: bytes) -> int | None:
-    """Return the version that a call's query string names; None for the newest.
+def refuse_query(query: QueryParams) -> None:
+    """Refuse the query parameters of a call that takes none, so that none is overlooked.
 
     Raises
     ------
     HttpProblemError
-        422, if it is no version, stands twice, or there is anything else in the query.
+        422, with the name of each.
     """
-    return _read(QueryParams(query).multi_items()) if query else None
-
-
-def split_version(query: QueryParams) -> tuple[int | None, dict[str, str]]:
-    """Return the version that a query names, as `version_of`, and its other parameters."""
-    named = [pair for pair in query.multi_items() if pair[0] == NAME]
-    return _read(named), {name: value for name, value in query.items() if name != NAME}
-
-
-def _read(pairs: list[tuple[str, str]]) -> int | None:
-    if len(pairs) > 1 and all(name == NAME for name, _ in pairs):
-        raise bad_body([{"loc": f"query.{NAME}", "msg": "stands more than once; keep one"}])
-    try:
-        return VersionQuery.model_validate(dict(pairs)).table_version
-    except ValidationError as error:
-        mistakes = plain_errors(error)
-        raise bad_body([{**one, "loc": f"query.{one['loc']}"} for one in mistakes]) from None
-
-
-def check_version(query: Query | BatchQuery) -> None:
-    """Refuse to wait for a solve at an earlier version."""
-    if query.on_thin == "wait":
-        raise bad_body([{"loc": "on_thin", "msg": _WAIT}])
+    if query:
+        message = "this call takes no query parameters: send its options in the body"
+        raise bad_body([{"loc": f"query.{name}", "msg": message} for name in query])

@@ -46,7 +46,6 @@ from wrenchbook.service.library.component import (
 from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
 from wrenchbook.service.submission import NoSetupError
-from wrenchbook.service.tables.past import PastDamagedError, PastTooLargeError
 from wrenchbook.service.tables.served import TableBehindError
 from wrenchbook.surrogate.answer import UnknownMethodError
 
@@ -66,8 +65,6 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     NoSetupError: (409, "no-fea-setup", "The component has no finite-element setup"),
     UnknownJobError: (404, "unknown-job", "No such job"),
     UnknownVersionError: (404, "unknown-version", "No such version of the table"),
-    PastTooLargeError: (409, "version-too-large", "This version of the table is too large to ask"),
-    PastDamagedError: (410, "version-damaged", "This version of the table cannot be repeated"),
     ImportRunningError: (503, "importing", "Another table is being imported"),
     UnknownRowError: (404, "unknown-row", "No such row"),
     UnknownImportError: (404, "unknown-import", "No such import"),

@@ -73,9 +73,7 @@ class WrenchJob(TypedDict, total=False):
     id: Annotated[int | None, text("null: no solve is queued")]
     status: JobStatus | None
     url: str | None
-    reason: Annotated[
-        Literal["beyond-range", "queue-limit", "table-version"], text("why none is queued")
-    ]
+    reason: Annotated[Literal["beyond-range", "queue-limit"], text("why none is queued")]
 
 
 class Displacement(TypedDict, total=False):

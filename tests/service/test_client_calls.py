@@ -146,23 +146,6 @@ def test_beyond_range_is_sent_where_it_is_asked_for_and_nowhere_else(stub: Stub,
     assert stub.seen[-1].path.endswith("/displacements?on_thin=queue&beyond_range=true")
 
 
-def test_an_earlier_version_is_named_in_the_query_and_nowhere_else(stub: Stub, client: Client):
-    empty = {"displacements": [[0] * 6], "errors": [[0] * 6], "coverage": ["covered"], "jobs": []}
-    block = Answer(np.zeros((1, 13)).tobytes(), kind="application/octet-stream")
-    stub.answers(Answer(COVERED), Answer(COVERED), Answer(empty), block)
-    client.displacement("plate", [9, 0, 0], table_version=0)
-    client.displacement("plate", [9, 0, 0])
-    client.displacements("plate", [[9, 0, 0, 0, 0, 0]], table_version=17)
-    client.displacements("plate", [[9, 0, 0, 0, 0, 0]], table_version=17, binary=True)
-    ends = [one.path.partition("plate/")[2] for one in stub.seen]
-    assert ends == [
-        "displacement?table_version=0",
-        "displacement",
-        "displacements?table_version=17",
-        "displacements?on_thin=queue&table_version=17",
-    ]
-
-
 @pytest.mark.parametrize(
     ("ask", "held"),
     [

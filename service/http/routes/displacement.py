@@ -13,15 +13,14 @@ from starlette.responses import Response
 
 from wrenchbook.service.answering.many import answer_or_submit_many
 from wrenchbook.service.answering.one import answer_or_submit
-from wrenchbook.service.answering.past import answer_at, answer_many_at
-from wrenchbook.service.answering.queries import BatchOutcome, BatchQuery, Query
+from wrenchbook.service.answering.queries import BatchQuery, Query
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.http.access import Permission, permission_of
 from wrenchbook.service.http.access.control import beyond_scope
 from wrenchbook.service.http.batch import (
     BINARY_BODY,
     BINARY_REPLY,
-    BinaryQuery,
+    BinaryOptions,
     few_large,
     is_binary,
     read_batch_body,
@@ -31,14 +30,7 @@ from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBod
 from wrenchbook.service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
 from wrenchbook.service.http.fast_path import QUERY
 from wrenchbook.service.http.openapi import answers, refused, takes
-from wrenchbook.service.http.parsing import (
-    VersionQuery,
-    check_version,
-    read_query,
-    read_solve,
-    split_version,
-    version_of,
-)
+from wrenchbook.service.http.parsing import read_query, read_solve, refuse_query
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import write_batch, write_binary, write_outcome
 from wrenchbook.service.http.schemas import Displacement, Displacements
@@ -97,23 +89,20 @@ def _asking(permission: Permission, read: Callable[[Body], Asked], body: Body) -
     "/displacement",
     summary="The displacement under one wrench",
     description=CONTRACT_TEXT,
-    responses=_ONE | refused(410),
-    openapi_extra=takes(DisplacementBody, query=VersionQuery),
+    responses=_ONE,
+    openapi_extra=takes(DisplacementBody),
 )
 async def displacement(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     scope, body = request.scope, await read_limited(request.receive)
-    permission, version = permission_of(scope), version_of(scope["query_string"])
+    permission = permission_of(scope)
+    refuse_query(request.query_params)
     read: Callable[[bytes], Query] = partial(
         read_query, space=workspace.library.as_read(name).space
     )
     asking = read if permission.allows("write") else partial(_asking, permission, read)
     query: Query = scope.get(QUERY) or asking(body)
-    if version is None:
-        outcome = await answer_or_submit(workspace, name, query)
-    else:
-        check_version(query)
-        outcome = await answer_at(workspace, name, query, version)
+    outcome = await answer_or_submit(workspace, name, query)
     request.app.state.counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
     return write_outcome(outcome, derivatives=query.derivatives)
 
@@ -122,8 +111,8 @@ async def displacement(name: str, request: Request) -> Response:
     "/displacements",
     summary="The displacements under many wrenches",
     description=CONTRACT_TEXT,
-    responses=_MANY | refused(410),
-    openapi_extra=takes(BatchBody, BINARY_BODY, BinaryQuery),
+    responses=_MANY,
+    openapi_extra=takes(BatchBody, BINARY_BODY, BinaryOptions),
 )
 async def displacements(name: str, request: Request) -> Response:
     binary, permission = is_binary(request), permission_of(request.scope)
@@ -131,26 +120,16 @@ async def displacements(name: str, request: Request) -> Response:
     space = workspace.library.as_read(name).space
     read: Callable[[Spooled], BatchQuery] = partial(read_batch_body, inputs=len(space.inputs))
     if binary:
-        version, options = split_version(request.query_params)
-        read = partial(_read_binary, options=options, space=space)
+        read = partial(_read_binary, options=dict(request.query_params), space=space)
     else:
-        version = version_of(request.scope["query_string"])
+        refuse_query(request.query_params)
     async with spooled(request.receive, MOST_BATCH_BYTES) as body:
         asking = read if permission.allows("write") else partial(_asking, permission, read)
         batch = await run_in_threadpool(asking, body)
         async with few_large(len(batch.wrenches)):
-            outcome = await _answered(workspace, name, batch, version)
+            outcome = await answer_or_submit_many(workspace, name, batch)
     request.app.state.counts.add_batch(outcome.coverage, outcome.method, outcome.elapsed_us)
     return await run_in_threadpool(write_binary if binary else write_batch, outcome)
-
-
-async def _answered(
-    workspace: Workspace, name: str, batch: BatchQuery, version: int | None
-) -> BatchOutcome:
-    if version is None:
-        return await answer_or_submit_many(workspace, name, batch)
-    check_version(batch)
-    return await answer_many_at(workspace, name, batch, version)
 
 
 def _read_binary(body: Spooled, options: dict[str, str], space: Space) -> BatchQuery:

@@ -17,14 +17,13 @@ from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
-from wrenchbook.service.answering.past import table_at
 from wrenchbook.service.formats import SheetFullError, UnitError
 from wrenchbook.service.http.access.permission import permission_of
 from wrenchbook.service.http.body import received
 from wrenchbook.service.http.import_query import ImportQuery
 from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
-from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.table_schemas import Imported, Table
@@ -126,22 +125,20 @@ async def get_table(
     ] = None,
 ) -> Response:
     if format == "packed":
-        return await _packed(workspace, name, table_version, if_none_match)
+        if table_version is not None:
+            message = "a packed table is of the newest version; save it to keep that version"
+            raise bad_body([{"loc": "query.table_version", "msg": message}])
+        return await _packed(workspace, name, if_none_match)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     how = units, table_version, comments
     return await run_in_threadpool(_export, workspace, name, format, how, if_none_match)
 
 
-async def _packed(
-    workspace: Workspace, name: str, version: int | None, if_none_match: str | None
-) -> Response:
-    """Return the packed table that answers, of the newest version or an earlier one."""
+async def _packed(workspace: Workspace, name: str, if_none_match: str | None) -> Response:
+    """Return the packed table that answers."""
     component = workspace.library[name]
-    if version is None:
-        await workspace.newest(name, CATCH_UP_S)
-        table = await run_in_threadpool(workspace.surrogate, name)
-    else:
-        table = await table_at(workspace, name, version)
+    await workspace.newest(name, CATCH_UP_S)
+    table = await run_in_threadpool(workspace.surrogate, name)
     # What is known of the solver's error is in the file too, and can change within a version.
     tag = f'{_tag(component, table.version)[:-1]}-{table.packed.checksum:08x}"'
     headers = naming(tag)

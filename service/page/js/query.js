@@ -8,8 +8,7 @@ import { listen } from "./events.js";
 import { OUTPUTS, number, percent, symbol, unitOfOutput, withBar } from "./format.js";
 import { named, said } from "./inputs.js";
 import { solverError } from "./shares.js";
-import { curlOf, pythonOf, snippet, versionQuery } from "./snippet.js";
-import { versionField } from "./version.js";
+import { curlOf, pythonOf, snippet } from "./snippet.js";
 import { wrenchForm } from "./wrench_form.js";
 
 const ON_THIN = [["queue", "queue a solve"], ["estimate", "estimate only"], ["reject", "reject"]];
@@ -24,12 +23,11 @@ export async function show(root, about, signal) {
   const onThin = select(about.has_fea ? ON_THIN : ON_THIN.slice(1), about.has_fea ? "queue" : "estimate", () => tell());
   const methods = about.space ? METHODS.filter(([name]) => !BY_AXES.includes(name)) : METHODS;
   const method = select(methods, "", () => tell());
-  const version = versionField(about, signal, () => tell());
-  const options = () => ({ onThin: onThin.value, method: method.value, version: version.read() });
+  const options = () => ({ onThin: onThin.value, method: method.value });
   const ask = (wrench) => query(answer, about, wrench, options(), signal);
   const form = wrenchForm(about, {
     action: "Ask", asked: ask, changed: () => tell(),
-    more: el("div", { class: "stack" }, field("If the table does not cover the wrench", onThin), field("Method", method), version.root),
+    more: el("div", { class: "stack" }, field("If the table does not cover the wrench", onThin), field("Method", method)),
   });
   const tell = () => {
     curl.say(curlOf(about, form.read(), options()));
@@ -51,7 +49,7 @@ async function query(place, about, wrench, options, signal, watched = null) {
   if (options.method) body.method = options.method;
   let answer;
   try {
-    answer = await post(`${of(about.name)}/displacement${versionQuery(options)}`, body, signal);
+    answer = await post(`${of(about.name)}/displacement`, body, signal);
   } catch (error) {
     if (!signal.aborted) put(place, trouble(error));
     return;

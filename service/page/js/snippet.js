@@ -17,23 +17,20 @@ const entries = (values) => Object.entries(values).map(([key_, value]) => `"${ke
 
 export function curlOf(about, wrench, options) {
   const { name } = about, body = `{${entries(named(about, wrench))}${extra(options)}}`;
-  const quote = options.version === null ? "" : "'"; // a shell takes a ? for a pattern
-  const lines = [`curl -X POST ${quote}${server()}/${of(name)}/displacement${versionQuery(options)}${quote}`, "-H 'Content-Type: application/json'"];
+  const lines = [`curl -X POST ${server()}/${of(name)}/displacement`, "-H 'Content-Type: application/json'"];
   if (key()) lines.push('-H "Authorization: Bearer $WRENCHBOOK_KEY"');
   lines.push(`-d '${body}'`);
   return lines.join(" \\\n  ");
 }
 
-export const versionQuery = ({ version }) => (version === null ? "" : `?table_version=${version}`);
-
 function extra({ onThin, method }) {
   return (onThin === "queue" ? "" : `, "on_thin": "${onThin}"`) + (method ? `, "method": "${method}"` : "");
 }
 
-export function pythonOf(about, wrench, { onThin, method, version }) {
+export function pythonOf(about, wrench, { onThin, method }) {
   const { name } = about, { loads, force, moment, inputs } = named(about, wrench);
   const keyed = key() ? ', key=os.environ["WRENCHBOOK_KEY"]' : "";
-  const more = (onThin === "queue" ? "" : `, on_thin="${onThin}"`) + (method ? `, method="${method}"` : "") + (version === null ? "" : `, table_version=${version}`);
+  const more = (onThin === "queue" ? "" : `, on_thin="${onThin}"`) + (method ? `, method="${method}"` : "");
   const given = [loads ? "loads=loads" : "force, moment", ...(inputs ? [`inputs=${literal(inputs)}`] : [])].join(", ");
   return [
     ...(key() ? ["import os", ""] : []),

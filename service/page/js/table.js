@@ -3,7 +3,6 @@
 import { el, field, put, save, select } from "./dom.js";
 import { of, send, trouble } from "./api.js";
 import { importForm } from "./import.js";
-import { versionField } from "./version.js";
 
 const FORMATS = [["csv", "CSV"], ["xlsx", "Excel (XLSX)"], ["parquet", "Parquet"], ["hdf5", "HDF5"], ["json", "JSON"], ["packed", "Packed table"]];
 const ENDINGS = { hdf5: "h5", packed: "wbt" };
@@ -17,7 +16,6 @@ export async function show(root, about, signal) {
 }
 
 function exportForm(about, signal) {
-  const version = versionField(about, signal);
   const state = el("div", { "aria-live": "polite" });
   const units = Object.entries(UNITS).map(([kind, list]) => [kind, select(list.map((one) => [one, one.replace("*", "·").replace("um", "µm")]), list[0])]);
   const chosen = select(FORMATS, "csv", (value) => { for (const [, one] of units) one.disabled = !IN_UNITS.includes(value); });
@@ -26,7 +24,6 @@ function exportForm(about, signal) {
     event.preventDefault();
     const asked = new URLSearchParams({ format: chosen.value });
     if (IN_UNITS.includes(chosen.value)) for (const [kind, one] of units) asked.set(kind, one.value);
-    if (version.read() !== null) asked.set("table_version", version.read());
     try {
       const reply = await send("GET", `${of(about.name)}/table?${asked}`);
       const named = reply.headers.get("Content-Disposition")?.match(/filename="([^"]+)"/);
@@ -35,5 +32,5 @@ function exportForm(about, signal) {
     } catch (error) { put(state, trouble(error)); }
   };
   return el("form", { class: "stack", onsubmit: take },
-    el("div", { class: "few" }, field("Format", chosen), units.map(([kind, one]) => field(kind[0].toUpperCase() + kind.slice(1), one)), version.root), el("div", {}, el("button", {}, "Export")), state);
+    el("div", { class: "few" }, field("Format", chosen), units.map(([kind, one]) => field(kind[0].toUpperCase() + kind.slice(1), one))), el("div", {}, el("button", {}, "Export")), state);
 }

@@ -299,18 +299,6 @@ def test_rows_of_another_setup_are_told_and_solved_again_by_one_button(
     assert browser.mistakes() == []
 
 
-def test_an_earlier_version_is_asked_on_the_page(browser, plate):
-    version = plate.component("plate_thin")["table_version"]
-    browser.visit(f"{PLATE}/query")
-    browser.type("input[name=table_version]", "0")
-    ask(browser, fz=-900)
-    assert "no rows" in browser.named(".note.outside", "the table has no rows").text
-    assert "?table_version=0'" in browser.named("pre", "curl").text
-    browser.type("input[name=table_version]", str(version + 1000))
-    browser.named("form button", "Ask").click()
-    browser.named(".note.outside", "No such version")
-
-
 def saved(browser, start):
     folder = browser.downloads
     found = browser.until(
