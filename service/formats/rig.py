@@ -204,7 +204,7 @@ def with_known_point(
         yield piece
         asked, names = np.ones(len(piece), dtype=bool), {one.name for one in report.columns}
         if not options.rig:
-            asked = ~_of_interface(piece) & [not source for source in piece.source]
+            asked = ~(_of_interface(piece) | np.array([*map(bool, piece.source)], dtype=bool))
             size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf
         shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[asked]
         share, rows = np.abs(shift) / size, rows + len(shift)
