@@ -63,7 +63,7 @@ _Point = Annotated[
     str | None,
     typer.Option(metavar="X,Y,Z", help="of the readings, from the interface's point, m"),
 ]
-_LoadCell = Annotated[str | None, typer.Option(metavar="moving|fixed", help="the moments' point")]
+_LoadCell = Annotated[str | None, typer.Option(metavar="moving|fixed", help="point of the moments")]
 _Rig = Annotated[
     Path | None, typer.Option(help="TOML of these four and name", exists=True, dir_okay=False)
 ]

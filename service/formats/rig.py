@@ -58,8 +58,8 @@ _NO_SHIFT = (
     "give the moment about the interface's point where it is now, and load_cell=moving"
 )
 _ONE_INTERFACE = (
-    "axes and points are of one interface, and the component has several or further inputs; "
-    "convert the rows and leave frame, load_point and displacement_point out"
+    "a rig is of one interface, and the component has several or further inputs; convert the rows "
+    "and leave frame, load_point and displacement_point out"
 )
 _WHICH_POINT = (
     "the point of the moments matters: translation x force exceeds 1 % of the moment's range{more} "
@@ -191,20 +191,21 @@ def with_known_point(
 
     It must where translation x force exceeds 1 % of a moment's range, or moves the answer of a
     component with solves by more than the row's stated uncertainty, in over 10 % of the rows. Rows
-    of an export, solves and rows with slopes are about the interface's point where it is now.
+    with a source (an export's) or slopes are about the interface's point where it is now, and so is
+    a moment without a column, which no cell has read.
     """
     span, solved = options.load_range, options.solved
-    if span is None or Rig.read(options.rig).load_cell:
+    if span is None or not span.space.is_default or Rig.read(options.rig).load_cell:
         yield from pieces
         return
     size = largest_loads(span) / LOAD_LIMIT
     count, rows, row, value, worst = np.zeros(len(size) + 1), 0, 0, 0.0, 0.0
     for piece in pieces:
         yield piece
-        asked = np.ones(len(piece), dtype=bool)
-        if not options.rig:  # the source of an export's rows is known
-            asked = ~_of_interface(piece)
-            asked &= [not source.startswith(MEASURED) for source in piece.source]
+        asked, names = np.ones(len(piece), dtype=bool), {one.name for one in report.columns}
+        if not options.rig:
+            asked = ~(_of_interface(piece) | np.array([*map(bool, piece.source)], dtype=bool))
+            size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf
         shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[asked]
         share, rows = np.abs(shift) / size, rows + len(shift)
         count[:-1] += (share > _SMALL_SHIFT).sum(axis=0)

@@ -99,6 +99,13 @@ def test_where_translation_x_force_is_small_nothing_is_asked(http, solved):
     np.testing.assert_array_equal(loaded(http)[0], wrench)
 
 
+def test_moments_without_a_column_were_read_by_no_cell_and_nothing_is_asked(http, solved):
+    add(http)
+    lines = [line.split(",") for line in text(*solved).splitlines()]
+    forces = "\n".join(",".join(line[:3] + line[6:]) for line in lines)
+    assert load(http, forces, missing_loads="zero").json()["inserted"] == 64
+
+
 def test_a_single_outlier_asks_for_no_load_cell(http, solved):
     add(http)
     wrench, moved = solved[0], 1e-3 * solved[1]
