@@ -284,7 +284,7 @@ class FastPathProtocol(HttpToolsProtocol):
             return True
         found = fast.answer(head, data[head.size :]) if missing == 0 else {}
         if isinstance(found, bytes):
-            self._in_request = False
+            self._in_request, self._used = False, True
             self._write(head, found)
             return True
         self._found = found

@@ -579,6 +579,16 @@ def test_a_request_that_arrives_while_the_loop_stalls_is_answered_before_the_con
         assert wire.reply()[0] == 200
 
 
+def test_a_connection_of_queries_of_the_fast_path_alone_is_not_closed_as_unused(
+    straight, port, connections
+):
+    with closing(Wire(port)) as wire:
+        assert wire.ask(request())[0] == 200
+        assert straight() == 1
+        (connection,) = connections
+        assert connection._late(connection.loop.time() + 2 * protocol.HEAD_S) == ""
+
+
 def test_an_uncovered_query_costs_its_key_one_request(tmp_path, monkeypatch):
     counted = []
     wait = Permission.wait

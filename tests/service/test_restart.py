@@ -3,6 +3,7 @@
 import http.client
 import json
 import logging
+import multiprocessing
 import os
 import signal
 import socket
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import threading
 from contextlib import contextmanager, suppress
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -19,6 +21,7 @@ from wrenchbook.service.files import scratch
 from wrenchbook.service.files.program import child_command
 from wrenchbook.service.http import server as servers
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workers.supervisor import Worker
 from wrenchbook.service.workspace import Settings
 
 LIMIT_S = 60.0
@@ -194,6 +197,17 @@ def test_a_request_that_a_stopping_server_cannot_finish_is_503_with_retry_after(
     assert int(reply.getheader("retry-after")) > 0
     thread.join(LIMIT_S)
     assert not any(record.exc_info for record in caplog.records if record.levelno > logging.INFO)
+
+
+def test_a_web_worker_that_is_killed_while_it_answers_a_ping_is_seen_to_have_ended():
+    worker = Worker.__new__(Worker)
+    worker.parent_conn, worker.child_conn = multiprocessing.Pipe()  # held open by others as well
+    sentinel, alive = os.pipe()
+    worker.process = SimpleNamespace(sentinel=sentinel)
+    os.close(alive)
+    assert worker._healthcheck(LIMIT_S) is None
+    assert not worker.parent_conn.poll()
+    os.close(sentinel)
 
 
 TAKES = """
