@@ -32,6 +32,9 @@ NEARLY_INCOMPRESSIBLE = 0.4
 PRESSURES = {"hex20": 4, "hex27": 4}
 """Kinds of cells that project, and how many functions their pressure has: 1 and the place."""
 
+ROUNDING = 1e-9
+"""Of a Poisson's ratio: one that was computed, 0.49 and a rounding error, is at its limit."""
+
 LARGEST_RATIO = {
     "hex8": 0.4,
     "tet4": 0.4,
@@ -61,7 +64,7 @@ def locking(block: CellBlock, poisson: Array) -> str:
         Shape (cells,), dimensionless: their Poisson's ratios.
     """
     limit = LARGEST_RATIO[block.kind]
-    bad = poisson > limit
+    bad = poisson > limit + ROUNDING
     if not bad.any():
         return ""
     return (
@@ -88,7 +91,7 @@ def projects(block: CellBlock, poisson: Array) -> Array:
 
     Poisson's ratios have shape (cells,) and are dimensionless.
     """
-    return (poisson > NEARLY_INCOMPRESSIBLE) & (block.kind in PRESSURES)
+    return (poisson > NEARLY_INCOMPRESSIBLE + ROUNDING) & (block.kind in PRESSURES)
 
 
 def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:

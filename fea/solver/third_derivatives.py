@@ -110,9 +110,7 @@ def _of_heat(system: System, balance: Balance, fields: Array, place: int) -> Arr
     ahead = system.body.at(temperature + 1j * _COMPLEX_STEP).second(nodes, fields)
     once = np.zeros((fields.shape[2],) * 3)
     twice = np.zeros_like(once)
-    # The sum over the cells of slender parts loses 1e-8 to rounding, differently for two fields and
-    # the same ones swapped; an energy's second derivative has no order.
-    once[:, :, place] = np.imag(ahead + ahead.T) / (2 * _COMPLEX_STEP)
+    once[:, :, place] = np.imag(ahead) / _COMPLEX_STEP
     bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
     twice[place, place] = contract(bend[:, :, None], fields)[0]
     found = every_place(once + twice)

@@ -9,7 +9,7 @@ from tests.fea import components
 from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.element.mapping import cell_gradients
-from wrenchbook.fea.element.pressure_projection import LARGEST_RATIO, volume_modes
+from wrenchbook.fea.element.pressure_projection import LARGEST_RATIO, locking, volume_modes
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
@@ -142,6 +142,14 @@ def test_cells_that_would_lock_are_refused_by_name(kind):
     assert caught.value.kind == "locking_material"
     assert "hex27" in caught.value.remedy
     Solver(bonded(kind, (2, 2, 2), LARGEST_RATIO[kind])).solve([1, 0, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize("kind", ["tet4", "hex20"])
+def test_a_ratio_that_rounding_puts_beyond_the_limit_is_taken(kind):
+    limit = LARGEST_RATIO[kind]
+    block = box(kind, (1, 1, 1)).blocks[0]
+    assert not locking(block, np.full(len(block), np.nextafter(limit, 1)))
+    assert locking(block, np.full(len(block), limit + 1e-6))
 
 
 def test_only_the_cells_of_the_soft_material_are_projected():

@@ -66,6 +66,7 @@ def test_a_cell_flat_but_for_roundoff_at_a_node_is_folded():
     assert FOLDED in problem.message
 
 
+@pytest.mark.exact("of cells that are alike, the worst is named: check and solve see the same bits")
 @pytest.mark.parametrize("nonlinear", [False, True])
 def test_what_the_check_warns_of_stands_in_the_notes_of_every_solution(tmp_path, nonlinear):
     folder = write_inp(tmp_path, box("hex20", (2, 2, 2), (1.0, 0.005, 0.005)), young="2e12")
