@@ -12,14 +12,13 @@ from struct import Struct
 from typing import Any, Final
 
 from wrenchbook.service.keys import Key, Scope
+from wrenchbook.service.keys.keyring import MOST_KEYS
 
 _AT_ONCE_S: Final = 2.0  # a burst is what this many seconds allow
 # Share of a second's requests that a process takes from the common bucket at a time: a lock costs
 # 2 µs, an answer 50. What a process has taken and not used is at most half a percent of a burst.
 _TAKEN: Final = 0.01
-_SLOT: Final = Struct("=8sd")  # begin of a key's digest; monotonic time at which its burst is whole
-_SLOTS: Final = 4096  # four times as many as there may be keys
-_NEXT: Final = 16  # slots that a key may be in: more keys than that never have the same first one
+_BUCKET: Final = Struct("=8sd")  # begin of a key's digest; monotonic time at which it is full
 _TRIES: Final = 1000  # for the lock, 1 ms; its holder was stopped in the middle of it then
 PERMISSION = "wrenchbook.permission"  # its key in a request's scope
 
@@ -28,8 +27,8 @@ class Rates:
     """How many requests each key may send now, counted together by all processes of a server.
 
     The generic cell rate algorithm (ITU-T I.371): a bucket is the one time at which it is full
-    again, and one whose time has passed is as good as none. All buckets are in a small file under
-    a lock. Where a full disk does not take it, each process counts for itself.
+    again, and one whose time has passed is as good as none. The others are in a small file under a
+    lock. Where a full disk does not take it, each process counts for itself.
 
     Parameters
     ----------
@@ -50,7 +49,6 @@ class Rates:
         """Take some requests of a key; return how many, and the seconds until there is one."""
         name, rate, file = bytes.fromhex(key.digest[:16]), key.rate, self._file
         at_once = max(_AT_ONCE_S, 1.0 / rate)
-        start, length = _SLOT.size * (int.from_bytes(name, "big") % _SLOTS), _NEXT * _SLOT.size
         content, now = b"", time.monotonic()  # the same clock in all processes
         if file is not None:
             for _ in range(_TRIES):
@@ -58,21 +56,22 @@ class Rates:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     break
             with suppress(OSError):
-                content = os.pread(file, length, start)
-        slots = list(_SLOT.iter_unpack(content.ljust(length, b"\0")))
-        names, past = [held for held, _ in slots], [full <= now for _, full in slots]
-        place = names.index(name) if name in names else past.index(True) if any(past) else 0
-        held, full = slots[place]
-        full = max(full if held == name else now, self._known.get(name, now))
-        if not now < full < now + 2.0 * at_once:  # past, or of an earlier start of the machine
+                content = os.pread(file, MOST_KEYS * _BUCKET.size, 0)
+        whole = len(content) - len(content) % _BUCKET.size
+        buckets = {held: full for held, full in _BUCKET.iter_unpack(content[:whole]) if full > now}
+        full = max(buckets.get(name, now), self._known.get(name, now))
+        if full > now + 2.0 * at_once:  # of an earlier start of the machine
             full = now
         count = min(int((now + at_once - full) * rate + 1e-6), max(1, int(_TAKEN * rate)))
         if count:
-            self._known[name] = full + count / rate
+            buckets[name] = self._known[name] = full + count / rate
         if file is not None:
+            written = b"".join(map(_BUCKET.pack, buckets, buckets.values())) if count else content
             with suppress(OSError):
-                slot = _SLOT.pack(name, full + count / rate)
-                os.pwrite(file, slot, start + place * _SLOT.size)
+                if written != content:
+                    os.pwrite(file, written, 0)
+                if len(written) < len(content):
+                    os.ftruncate(file, len(written))
             fcntl.flock(file, fcntl.LOCK_UN)
         return count, full + 1.0 / rate - at_once - now
 
