@@ -146,10 +146,14 @@ def choose(
     """
     errors = axes_errors(rows, composition)
     method, why = _of_the_axes(rows, load_range, composition, errors)
-    if _interaction_unknown(rows, load_range):
+    # Pushes beside a point have loads of one axis alone, and no moment alone for the other axes.
+    clean = clean_rows(rows, load_range)
+    moments_alone = bool((clean.sum(axis=1) == 2).any())
+    pushes = clean.all(axis=0).any() and rows.wrench[:, 3:].any() and not moments_alone
+    made = kriging() if pushes or not _interaction_unknown(rows, load_range) else None
+    if _interaction_unknown(rows, load_range) and not (made and made.knows_errors):
         scores = _scores(errors, np.ptp(rows.displacement, axis=0))
         return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
-    made = kriging()
     if made is None:
         return MethodChoice(method, f"there are too few rows for kriging; {why}", {})
     left = made.left_out()
@@ -191,20 +195,13 @@ def choose_without_axes(
 def without_kriging(
     rows: Rows, load_range: LoadRange, composition: Composition, detail: str
 ) -> MethodChoice:
-    """Return the default of rows that one factor does not hold.
-
-    Parameters
-    ----------
-    detail : str
-        How the kriging that answers on request does.
-    """
+    """Return the default of rows that one factor does not hold, which `detail` says."""
     errors = axes_errors(rows, composition)
     method, why = _of_the_axes(rows, load_range, composition, errors)
     scores = _scores(errors, np.ptp(rows.displacement, axis=0))
     if _interaction_unknown(rows, load_range):
         return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
-    reason = "kriging by nearest rows takes milliseconds an answer; ask for it by name"
-    return MethodChoice(method, f"{detail}: {reason}; {why}", scores)
+    return MethodChoice(method, f"{detail}: kriging does not answer; {why}", scores)
 
 
 def _of_the_axes(
@@ -243,7 +240,7 @@ def _axes_tell_errors(composition: Composition) -> bool:
 
 
 def _interaction_unknown(rows: Rows, load_range: LoadRange) -> bool:
-    """Return whether neither tangents nor full wrenches tell what loads do together."""
+    """Return whether neither tangents nor full wrenches tell what loads of several axes do."""
     return full_needed(rows) == ENOUGH_FULL and not knows_interaction(rows, load_range)
 
 

@@ -116,7 +116,8 @@ def _meshes(report: dict[str, Any]) -> ReportSection:
         for entry in report["fea"]
     )
     head = ("mesh", "unknowns", "set-up, s", "solve p50, s", "p95, s", *_outputs(report))
-    return ReportSection("Finite elements", "Direct solves, one thread.", head, lines)
+    note = "Direct solves, one thread; processor times."
+    return ReportSection("Finite elements", note, head, lines)
 
 
 def _tables(report: dict[str, Any]) -> ReportSection:

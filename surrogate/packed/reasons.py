@@ -114,7 +114,8 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
             continue
         own, unit = _name(packed, load)
         if high - low <= slack:
-            where = f": all rows hold {own} = {low:.6g} {unit}"
+            only = ", ".join(_name(packed, at)[0] for at in _axis_inputs(reason.axis))
+            where = f": the rows with {only} alone all hold {own} = {low:.6g} {unit}"
         else:
             where = f" lies outside the rows, which span {low:.6g}..{high:.6g} {unit}"
         found.append(f"{_amount(packed, load, inputs[load])}{where}")

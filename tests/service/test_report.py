@@ -52,6 +52,30 @@ def test_a_linear_table_of_a_linear_component_has_no_lookup_error(report):
     assert linear["query_us_p50"] > 0
 
 
+def test_a_table_too_small_for_a_method_has_no_line_of_it(bar):
+    load_range = LoadRange(bar.range.low, bar.range.high)
+    wrenches = np.diag(load_range.scale)[:1]
+    rows = Rows.of(wrenches, wrenches @ Solver(bar).compliance.T)
+    bent = replace(bar, analysis=replace(bar.analysis, nonlinear=True))
+    assert "kriging" not in {
+        entry["method"]
+        for entry in measure(bent, rows, load_range, 2, 3, lambda *_: None)["tables"]
+    }
+
+
+def test_the_times_of_a_report_are_processor_times(bar, monkeypatch):
+    """Other work on the machine made the solves of a report look slow."""
+    wall = iter(range(0, 10**9, 1000))
+    monkeypatch.setattr("wrenchbook.service.report.measure.TIMED_SECONDS", 10**8)
+    monkeypatch.setattr("wrenchbook.service.report.measure.time.perf_counter", lambda: next(wall))
+    load_range = LoadRange(bar.range.low, bar.range.high)
+    wrenches = np.diag(load_range.scale)
+    rows = Rows.of(wrenches, wrenches @ Solver(bar).compliance.T)
+    figures = measure(bar, rows, load_range, 2, 3, lambda *_: None)
+    assert max(level["seconds_p95"] for level in figures["fea"]) < 1000
+    assert max(entry["build_s"] for entry in figures["tables"]) < 1000
+
+
 def test_the_report_is_plain_json(report):
     assert json.loads(json.dumps(report))["component"] == "bar"
 

@@ -19,7 +19,7 @@ from tests.surrogate.responses import (
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.methods import CLEARLY, ENOUGH_FULL
-from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 PLATE = shipped("plate_thin", 40, 60)
 PLATE_TABLE = build(PLATE.rows, PLATE.load_range)
@@ -184,7 +184,29 @@ def test_kriging_of_a_table_is_that_of_its_rows() -> None:
 
 
 def test_a_table_too_large_for_one_factor_answers_by_griddata_and_says_so() -> None:
-    """Kriging by the nearest rows takes milliseconds an answer, which nobody expects unasked."""
     surrogate = build(solved(smooth, clean_wrenches(1001, 3)), RANGE)
     assert surrogate.default == "griddata"
-    assert "nearest rows takes milliseconds" in surrogate.choice.reason
+    assert "one factor holds" in surrogate.choice.reason
+    assert "ask for it by name" not in surrogate.choice.reason
+
+
+def test_pushes_beside_the_middle_are_answered_between_them_by_default() -> None:
+    """No row loads several axes, and none has a moment alone: the axes answer nothing of it."""
+    pushes = [
+        [0, 0, -f, 0, x * f, 0] for x in np.linspace(-0.06, 0.06, 5) for f in range(0, 1001, 250)
+    ]
+    wrench = np.unique(np.array(pushes, dtype=float), axis=0)
+    load_range = LoadRange(-np.repeat([1000.0, 100.0], 3), np.repeat([1000.0, 100.0], 3))
+    compliance = np.diag(np.repeat([1e-6, 1e-5], 3))
+    compliance[0, 4] = compliance[4, 0] = 2e-6
+
+    def moved(loads: np.ndarray) -> np.ndarray:
+        size = np.linalg.norm(loads / load_range.scale, axis=1, keepdims=True)
+        return loads @ compliance * (1 + 0.1 * size**2)
+
+    surrogate = build(Rows.of(wrench, moved(wrench)), load_range)
+    between = np.array([[0, 0, -450.0, 0, 9.0, 0]])
+    answer = surrogate.answer(between[0])
+    assert (answer.coverage, answer.method) == ("covered", "kriging")
+    error = np.abs(np.array(answer.displacement) - moved(between)[0])
+    assert error.max() < 1e-4 * np.abs(moved(between)).max()

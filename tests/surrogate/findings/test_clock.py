@@ -63,3 +63,61 @@ def test_logs_that_do_not_belong_together_have_no_lag():
 def test_loads_that_rest_have_no_lag():
     logs = logs_of(Rig(5205, ("motion",)), 0.0)
     assert estimate_lag(logs._replace(wrench=np.zeros_like(logs.wrench))) is None
+
+
+def slow_logs(seed, shift, rate=0.0, duration=40.0):
+    """Return logs of loads of 0.1 to 0.4 Hz and of displacements that read `shift` s too late.
+
+    The displacements' clock runs too fast by `rate`.
+    """
+    rng = np.random.default_rng(seed)
+    time, when = np.arange(0, duration, 0.01), np.arange(0.5, duration - 0.5, 0.05)
+    frequency, phase = rng.uniform(0.1, 0.4, (6, 3)), rng.uniform(0, 6, (6, 3))
+    size, compliance = rng.uniform(0.2, 1, (6, 3)), rng.normal(size=(6, 6))
+
+    def loads(at):
+        turns = 2 * np.pi * frequency * at[:, None, None] + phase
+        return (size * np.sin(turns)).sum(axis=2)
+
+    moved = loads(when) @ compliance
+    moved += 1e-3 * rng.normal(size=moved.shape) * moved.std(axis=0)
+    return Logs(time, loads(time), (when - when.mean()) * (1 + rate) + when.mean() + shift, moved)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.05, 0.35, 1.0, -0.35])
+def test_the_lag_of_slow_loads_is_within_its_error(shift):
+    lags = [estimate_lag(slow_logs(seed, shift)) for seed in range(8100, 8106)]
+    assert all(abs(lag.seconds + shift) < lag.error < 0.01 for lag in lags)
+
+
+def test_the_lag_of_one_slow_load_without_noise_is_within_its_error():
+    time, when = np.arange(0, 20, 0.01), np.arange(0.3, 19.7, 0.05)
+    wrench, moved = np.zeros((len(time), 6)), np.zeros((len(when), 6))
+    for loads, at in ((wrench, time), (moved, when)):
+        loads[:, 2] = 800 * np.sin(0.22 * np.pi * at) + 150 * np.sin(0.74 * np.pi * at + 1)
+    for shift in (0.02, 0.35, 2.0):
+        lag = estimate_lag(Logs(time, wrench, when + shift, 1e-6 * moved))
+        assert abs(lag.seconds + shift) < lag.error < 1e-3
+
+
+def test_a_search_that_ends_at_its_bound_gives_no_lag():
+    """Loads that only grow: a later time is as good as a larger load, at every lag."""
+    time = np.arange(0, 20, 0.05)
+    wrench = np.zeros((len(time), 6))
+    wrench[:, 2] = np.exp(time / 5)
+    moved = 1e-6 * wrench
+    assert estimate_lag(Logs(time, wrench, time + 0.35, moved)) is None
+
+
+@pytest.mark.parametrize("rate", [0.005, -0.005])
+def test_clocks_of_different_rates_are_named_with_the_factor(rate):
+    for seed in range(8200, 8203):
+        lag = estimate_lag(slow_logs(seed, 0.2, rate, 60.0))
+        (finding,) = clock_findings(lag, lag.seconds)
+        assert abs((1 + finding.numbers["rate"]) * (1 + rate) - 1) < 3e-4
+        assert "multiply the displacements' times by" in finding.message
+
+
+def test_clocks_of_one_rate_have_no_finding_of_a_rate():
+    lags = [estimate_lag(slow_logs(seed, 0.2, 0.0, 60.0)) for seed in range(8300, 8306)]
+    assert not any(lag.rate for lag in lags)

@@ -115,7 +115,8 @@ def _why_outside(axis: LoadAxis, table: AxisTable | None, wrench: Floats) -> str
         if low - slack <= wrench[load] <= high + slack:
             continue
         if high - low <= slack:
-            where = f": all rows hold {LOADS[load]} = {low:.6g} {unit}"
+            only = ", ".join(LOADS[own] for own in axis.inputs)
+            where = f": the rows with {only} alone all hold {LOADS[load]} = {low:.6g} {unit}"
         else:
             where = f" lies outside the rows, which span {low:.6g}..{high:.6g} {unit}"
         found.append(f"{_amount(load, wrench)}{where}")
