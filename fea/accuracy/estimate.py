@@ -36,7 +36,7 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     mean, entry by entry, of that and of what stresses recovered on the first mesh lack, with a
     margin; of large mesh files it is the latter alone. Where a geometry has no second mesh, or none
     that is coarser where the error is, the error is not known: ``mesh`` is None.
-    On thirty STEP parts with holes and fillets this holds 99 % of the errors of single loads; the
+    On nineteen STEP parts with holes and fillets this holds 99 % of the errors of single loads; the
     same mean without the ratio 95 %, and with cells left as they are round small holes 82 %
     (`make bench NAME=mesh_error`). The finer mesh costs about a second, the coarser one and the
     stresses 0.2 to 1.1 of a linear solve (`make bench NAME=check`); a linear component costs two

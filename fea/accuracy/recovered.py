@@ -22,7 +22,6 @@ from scipy.spatial import KDTree
 from wrenchbook.fea.assembly.body import gather
 from wrenchbook.fea.mesh.facets import EDGES
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, Mesh
-from wrenchbook.fea.mesh.quality import volumes
 from wrenchbook.fea.mesh.reference_cell import node_places, reference_element, tabulate
 from wrenchbook.fea.solve import Solver
 
@@ -65,12 +64,9 @@ class RecoveredError(NamedTuple):
     Attributes
     ----------
     total
-        About what responses to unit inputs lack for the mesh, shape (k, k), SI; symmetric. The
-        first 6 i rows are of the displacements of i interfaces.
-    cells
-        Shape (k, cells): each cell's part of the diagonal.
-    centres, sizes
-        Of the cells: shape (cells, 3), and the cube root of their volumes, shape (cells,), m.
+        Shape (k, k), SI, symmetric: the first 6 i rows are displacements of i interfaces.
+    cells, centres, sizes
+        Each cell's part of the diagonal, (k, cells), its centre, (cells, 3), and diameter, m.
     """
 
     total: Array
@@ -83,9 +79,8 @@ class RecoveredError(NamedTuple):
 
         A mesher that is given twice the size keeps cells at short edges smaller than that.
         """
-        corners = [b.nodes[:, : int(np.max(EDGES[b.kind])) + 1] for b in other.blocks]
-        centres = np.concatenate([other.points[nodes].mean(axis=1) for nodes in corners])
-        sizes = np.cbrt(np.concatenate([volumes(other.points, b) for b in other.blocks]))
+        blocks = [b.nodes[:, : int(np.max(EDGES[b.kind])) + 1] for b in other.blocks]
+        centres, sizes = _centres_and_diameters(other.points, blocks)
         ratio = sizes[KDTree(centres).query(self.centres)[1]] / self.sizes
         parts = np.where(self.cells.any(axis=1, keepdims=True), self.cells, 1.0)
         return parts @ ratio / parts.sum(axis=1)
@@ -109,9 +104,16 @@ def recovered_error(solver: Solver) -> RecoveredError:
     return RecoveredError(
         0.5 * (total + total.T),
         np.concatenate([cells for _, cells in found], axis=1),
-        np.concatenate([points[piece.corners].mean(axis=1) for piece in pieces]),
-        np.cbrt(np.concatenate([piece.weights.sum(axis=1) for piece in pieces])),
+        *_centres_and_diameters(points, [piece.corners for piece in pieces]),
     )
+
+
+def _centres_and_diameters(points: Array, blocks: list[Array]) -> tuple[Array, Array]:
+    """Return the centres and the largest distances between corners of cells, by their corners."""
+    places = [points[corners] for corners in blocks]
+    apart = [np.linalg.norm(own[:, :, None] - own[:, None], axis=-1) for own in places]
+    centres = np.concatenate([own.mean(axis=1) for own in places])
+    return centres, np.concatenate([own.max(axis=(1, 2)) for own in apart])
 
 
 def _pieces(solver: Solver) -> Iterator[_Piece]:

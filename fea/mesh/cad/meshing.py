@@ -28,10 +28,6 @@ _ATTEMPTS: Final = ((True, 1.0), (False, 1.0), (True, 0.97), (True, 1.03))
 a single cell back; another size places the cells otherwise."""
 
 
-_LIMITS: Final = (signal.SIGKILL, signal.SIGXCPU)
-"""Signals of a limit, which another attempt reaches too."""
-
-
 class _GmshError(BundleError):
     """gmsh aborted, or raised an error."""
 
@@ -110,7 +106,8 @@ def _in_child(
     if process.returncode:
         lines = errors.decode(errors="replace").split("\n")
         why = next((line.strip() for line in reversed(lines) if line.strip()), "no message")
-        if re.search("bad_alloc|MemoryError", why) or -process.returncode in _LIMITS:
+        limit = -process.returncode in (signal.SIGKILL, signal.SIGXCPU)
+        if limit or re.search("bad_alloc|MemoryError", why):  # another attempt reaches it too
             why = "gmsh needs more memory or time than it may take; give a larger size"
             raise BundleError([BundleProblem("mesh.size", why)])
         why = f'gmsh fails on "{path.name}" ({why[:200]})' + (
