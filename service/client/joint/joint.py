@@ -280,7 +280,7 @@ class Joint:
         """Return the same of a pose beyond the range, from the last wrench that was found."""
         packed, at = self._table.packed, self._at
         free, stiffness = np.ix_(self.free, self.free), np.zeros((FREEDOMS, FREEDOMS))
-        low, high = packed.arrays["space/range"]
+        low, high = packed.arrays["space/ends"]
         edge = np.clip(self._shorter(loads, turn), low, high)
         for _ in range(MOST_STEPS):
             answer = np.array(packed.answer(edge.tolist(), None, self._method).outputs, dtype=float)
@@ -294,9 +294,12 @@ class Joint:
         return loads[at], stiffness, max(self._ranges(loads), turn)
 
     def _ranges(self, loads: Vector) -> float:
-        """Return how far out loads are, in half widths of the range; 1 at its boundary."""
+        """Return how far out loads are, in half widths of the range; 1 at its boundary.
+
+        As of every answer, the range is stretched to hold no load, and by rounding.
+        """
         arrays = self._table.packed.arrays
-        (low, high), scale = arrays["space/range"], arrays["space/scale"]
+        (low, high), scale = arrays["space/ends"], arrays["space/scale"]
         return 1.0 + float((np.maximum(loads - high, low - loads) / scale).max())
 
     def _shorter(self, loads: Vector, turn: float) -> Vector:
