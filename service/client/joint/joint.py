@@ -12,7 +12,6 @@ explicit, so that symplectic Euler keeps their energy; stiff ones are implicit a
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InvalidArgument
-from .errors import JointError, JointRangeError, JointWarning
+from .errors import JointError, JointRangeError, warn
 
 Vector = NDArray[np.float64]
 
@@ -95,7 +94,7 @@ class Joint:
             raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
         self._table, self.damping, self._method = table, float(damping), method
         self._at, self.free = moving(table, interface)
-        self.inputs = inputs or {}
+        self._name, self.inputs = table.name, inputs or {}
         self._warned = self._uncovered = False
         self._remedy = "Check the masses, the step and the units of the scene, or widen the range"
         self.restart()
@@ -142,11 +141,9 @@ class Joint:
         if bad.any():
             worst, covered = int(np.nanargmin(least)), answers.coverage == 0
             self._remedy = f"The compliance is not positive definite: {self._more_rows()}"
-            warnings.warn(
+            warn(
                 f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at {bad.sum()} of "
-                f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered",
-                JointWarning,
-                stacklevel=3,  # the caller of Joint
+                f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered"
             )
 
     def _more_rows(self) -> str:
@@ -158,7 +155,7 @@ class Joint:
         shares = zip(loads, np.array(LOADS)[self.free], strict=True)
         shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
         return (
-            f"{self._table.name}, method {self._table.packed.answers_by(self._method)!r}: the part "
+            f"{self._name}, method {self._table.packed.answers_by(self._method)!r}: the part "
             f"moves against a load along ({shown}, in parts of the load range) at the wrench "
             f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m: its compliance is not "
             f"positive definite there, and a joint would blow up; {self._more_rows()}"
@@ -318,12 +315,10 @@ class Joint:
         answer = self._table.packed.answer(self._loads.tolist(), None, self._method)
         self._uncovered = answer.coverage != "covered"
         if self._uncovered:
-            warnings.warn(
-                f"{self._table.name}: the wrench of a step is {answer.coverage} by the method "
+            warn(
+                f"{self._name}: the wrench of a step is {answer.coverage} by the method "
                 f"{self._table.packed.answers_by(self._method)!r}, and displacement and wrench are "
-                f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
-                JointWarning,
-                stacklevel=4,  # the caller of step
+                f"estimates ({answer.reason}); {self._more_rows()}. This is said once"
             )
 
     def _require_definite(self, wrench: Vector, stiffness: Vector) -> None:
@@ -339,19 +334,16 @@ class Joint:
 
     def _leave(self, left: float) -> None:
         """Warn once that the pose is beyond the range; raise where it is far beyond."""
-        name = self._table.name
         if left > MOST_LEFT:
             raise JointRangeError(
-                f"{name}: the pose needs {left:.3g} times the load range, or turns by as many "
-                f"times 20 degrees. {self._remedy}"
+                f"{self._name}: the pose needs {left:.3g} times the load range, or turns by as "
+                f"many times 20 degrees. {self._remedy}"
             )
         if not self._warned:
             self._warned = True
-            warnings.warn(
-                f"{name}: the pose is beyond the load range or 20 degrees; the wrench goes on "
-                f"linearly from there, up to {MOST_LEFT:g} times the range",
-                JointWarning,
-                stacklevel=4,  # the caller of step
+            warn(
+                f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench goes "
+                f"on linearly from there, up to {MOST_LEFT:g} times the range"
             )
 
 

@@ -59,7 +59,9 @@ def test_a_wrench_that_a_thin_table_does_not_cover_is_warned_of_once():
     model, data = scene(sphere(5))
     wrenches = np.random.default_rng(1).uniform(-0.1, 0.1, (2, 6)) * HIGH
     joint = MujocoJoint(model, data, packed_table(stiffening(wrenches), SPAN))
-    with pytest.warns(JointWarning, match=r"bar: the wrench of a step is outside.*solve more rows"):
+    with pytest.warns(
+        JointWarning, match=r"bar at tip 'tip': the wrench of a step is outside.*more rows"
+    ):
         joint.step()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -145,6 +147,19 @@ def test_a_step_of_one_of_two_joints_is_refused_and_names_the_right_call():
     assert data.time == 0.0
     step_joints(*joints)
     assert data.time > 0.0
+
+
+def test_each_of_two_joints_warns_by_the_name_of_its_tip_at_the_line_of_the_step():
+    data, joints = two_joints()
+    data.qpos[[0, 7]] = 1.2 * C[0, 0] * HIGH[0]  # along the bars
+    with warnings.catch_warnings(record=True) as issued:
+        warnings.simplefilter("default")
+        step_joints(*joints)
+    assert [str(one.message).split(":")[0] for one in issued] == [
+        "bar at tip 'tip0'",
+        "bar at tip 'tip1'",
+    ]
+    assert {one.filename for one in issued} == {__file__}
 
 
 def test_a_joint_steps_by_itself_once_the_other_is_gone():
