@@ -192,12 +192,19 @@ class Joint:
         JointRangeError
             If the pose lies beyond twice the load range or 40 degrees.
         InvalidArgument
-            If the inverse mass is not positive definite, the step not above zero, or the velocity
-            not finite.
+            If the inverse mass is not positive definite, the step not above zero, R no rotation,
+            or a shape wrong or a number not finite.
         """
-        if not (math.isfinite(dt) and dt > 0 and np.isfinite(velocity).all()):
+        shapes = np.shape(p), np.shape(velocity), np.shape(inverse_mass)
+        if shapes != ((3,), (FREEDOMS,), (FREEDOMS, FREEDOMS)):
             raise InvalidArgument(
-                f"a step is above zero and its velocity six finite numbers, not {dt} s, {velocity}"
+                "p, velocity and inverse_mass have shapes (3,), (6,) and (6, 6), not {}, {} and {}"
+                "".format(*shapes)
+            )
+        if not (math.isfinite(dt) and dt > 0 and np.isfinite([*p, *velocity]).all()):
+            raise InvalidArgument(
+                "a step is above zero, its p and velocity are finite numbers, not "
+                f"{dt} s, {p}, {velocity}"
             )
         wrench, stiffness = self.state(p, rotation_vector(R))
         free, mass = self.free, np.asarray(inverse_mass, dtype=float)
@@ -356,8 +363,9 @@ def rotation_vector(R: ArrayLike) -> Vector:
         If it is no rotation, or half a turn.
     """
     matrix = np.asarray(R, dtype=float)
-    if matrix.shape != (3, 3) or not np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6:
-        raise InvalidArgument("R must be a rotation matrix, shape (3, 3)")
+    square = matrix.shape == (3, 3) and np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6
+    if not square or np.linalg.det(matrix) < 0.0:
+        raise InvalidArgument("R must be a rotation matrix, right-handed, shape (3, 3)")
     sine = 0.5 * np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
     )

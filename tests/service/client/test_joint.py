@@ -292,6 +292,21 @@ def test_a_step_that_is_none_and_a_velocity_that_is_no_number_are_refused(veloci
         Joint(TABLE).step(np.eye(3), np.zeros(3), velocity, np.eye(6), dt)
 
 
+@pytest.mark.parametrize(
+    ("R", "p", "velocity", "inverse_mass", "words"),
+    [
+        (np.eye(3), np.zeros(2), np.zeros(6), np.eye(6), r"not \(2,\), \(6,\)"),
+        (np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), r"\(3,\) and \(6, 6\)$"),
+        (np.eye(3), np.zeros(3), np.zeros(6), np.eye(3), r"\(3, 3\)$"),
+        (np.eye(3), np.full(3, np.nan), np.zeros(6), np.eye(6), "finite numbers"),
+        (np.diag([1.0, 1.0, -1.0]), np.zeros(3), np.zeros(6), np.eye(6), "right-handed"),
+    ],
+)
+def test_a_state_that_is_none_is_refused_by_name(R, p, velocity, inverse_mass, words):
+    with pytest.raises(InvalidArgument, match=words):
+        Joint(TABLE).step(R, p, velocity, inverse_mass, 1e-3)
+
+
 def test_beyond_the_range_the_wrench_goes_on_linearly_with_one_warning():
     joint = Joint(linear_table(high=HIGH / 100))
     with pytest.warns(JointWarning, match="beyond the load range"):
