@@ -131,6 +131,7 @@ class Joint:
         answers = packed.batch(sample, *how)
         slopes = packed.derivatives(sample, *how)[:, at, at][:, free][:, :, free]
         slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
+        slopes[(slopes == 0.0).all(axis=(1, 2))] = np.nan  # of the nearest row: no spring
         least, loads = packed.weakest(slopes, packed.arrays["space/scale"][at][free])
         known, bad = int(np.isfinite(least).sum()), least < 0.0
         if not known:
@@ -289,7 +290,13 @@ class Joint:
         for _ in range(MOST_STEPS):
             answer = np.array(packed.answer(edge.tolist(), None, self._method).outputs, dtype=float)
             slope: Vector = packed.derivative(edge.tolist(), None, self._method)[at, at]
-            stiffness[free] = np.linalg.inv(slope[free])
+            try:
+                stiffness[free] = np.linalg.inv(slope[free])
+            except np.linalg.LinAlgError:
+                raise JointError(
+                    f"{self._name}: the compliance has no inverse at this pose, so that no wrench "
+                    f"belongs to it: {self._more_rows()}, or lock the freedom that does not move"
+                ) from None
             loads = edge + self._whole(stiffness @ (target - answer)[at])
             before, edge = edge, np.clip(self._shorter(loads, turn), low, high)
             if (np.abs(edge - before) <= CLOSE * packed.arrays["space/scale"]).all():
