@@ -202,7 +202,8 @@ class Joint:
                 "p, velocity and inverse_mass have shapes (3,), (6,) and (6, 6), not {}, {} and {}"
                 "".format(*shapes)
             )
-        if not (math.isfinite(dt) and dt > 0 and np.isfinite([*p, *velocity]).all()):
+        finite = np.isfinite(p).all() and np.isfinite(velocity).all()
+        if not (math.isfinite(dt) and dt > 0 and finite):
             raise InvalidArgument(
                 "a step is above zero, its p and velocity are finite numbers, not "
                 f"{dt} s, {p}, {velocity}"
