@@ -122,9 +122,10 @@ def matrix_table(
     """Lay out a matrix in SI; a dash stands for a number that is not known."""
     table = Table(title=title, title_justify="left", caption="rows and columns in SI")
     for heading in ("", *columns):
-        table.add_column(heading, justify="right" if heading else "left")
+        # A number goes on in the next line where the terminal is too narrow: its exponent is shown.
+        table.add_column(heading, justify="right" if heading else "left", overflow="fold")
     for name, line in zip(rows, lines or [[None] * len(columns)] * len(rows), strict=True):
-        table.add_row(name, *("-" if value is None else f"{value:.3e}" for value in line))
+        table.add_row(name, *("-" if value is None else f"{value:.2e}" for value in line))
     return table
 
 

@@ -9,11 +9,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 import wrenchbook
 from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_client_calls import COVERED, QUEUED
 from wrenchbook.service.cli.main import main
+from wrenchbook.service.cli.render import matrix_table
 from wrenchbook.service.client import Client, ProblemError
 
 Run = Callable[..., tuple[int, str, str]]
@@ -323,6 +325,15 @@ def test_recording_starts_with_its_budget_clears_and_not_both(stub: Stub, run: R
     assert len(stub.seen) == 2
 
 
+def test_a_matrix_in_a_narrow_terminal_has_all_characters_of_its_numbers(capsys):
+    lines = [[-1.2345e-11 * (k + 1)] * 6 for k in range(6)]
+    names = ["ux", "uy", "uz", "rx", "ry", "rz"]
+    Console(width=80).print(matrix_table("stiffness", names, names, lines))
+    shown = capsys.readouterr().out
+    assert shown.count("-1.23e-11") == 6
+    assert "…" not in shown
+
+
 def test_compliance_shows_the_tangent_at_zero_load_and_beside_it_the_mean(stub: Stub, run: Run):
     told = {
         "tangent": [[3.0e-6, None, *[1e-9] * 4], *[[0.0] * 6] * 5], "tangent_origin": "kriging",
@@ -332,8 +343,8 @@ def test_compliance_shows_the_tangent_at_zero_load_and_beside_it_the_mean(stub: 
     stub.answers(Answer(told))
     status, out, _ = run("compliance", "plate")
     assert status == 0
-    assert out.index("tangent at zero load (kriging)") < out.index("3.000e-06")
-    assert out.index("mean over the load range (fitted)") < out.index("2.170e-06")
+    assert out.index("tangent at zero load (kriging)") < out.index("3.00e-06")
+    assert out.index("mean over the load range (fitted)") < out.index("2.17e-06")
     assert len([line for line in out.splitlines() if " - " in line]) == 7
     stub.answers(Answer(told))
     assert json.loads(run("compliance", "plate", "--json")[1]) == told

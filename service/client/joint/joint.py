@@ -12,7 +12,6 @@ explicit, so that symplectic Euler keeps their energy; stiff ones are implicit a
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InvalidArgument
-from .errors import JointError, JointRangeError, JointWarning
+from .errors import JointError, JointRangeError, warn
 
 Vector = NDArray[np.float64]
 
@@ -95,7 +94,7 @@ class Joint:
             raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
         self._table, self.damping, self._method = table, float(damping), method
         self._at, self.free = moving(table, interface)
-        self.inputs = inputs or {}
+        self._name, self.inputs = table.name, inputs or {}
         self._warned = self._uncovered = False
         self._remedy = "Check the masses, the step and the units of the scene, or widen the range"
         self.restart()
@@ -132,6 +131,7 @@ class Joint:
         answers = packed.batch(sample, *how)
         slopes = packed.derivatives(sample, *how)[:, at, at][:, free][:, :, free]
         slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
+        slopes[(slopes == 0.0).all(axis=(1, 2))] = np.nan  # of the nearest row: no spring
         least, loads = packed.weakest(slopes, packed.arrays["space/scale"][at][free])
         known, bad = int(np.isfinite(least).sum()), least < 0.0
         if not known:
@@ -142,11 +142,9 @@ class Joint:
         if bad.any():
             worst, covered = int(np.nanargmin(least)), answers.coverage == 0
             self._remedy = f"The compliance is not positive definite: {self._more_rows()}"
-            warnings.warn(
+            warn(
                 f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at {bad.sum()} of "
-                f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered",
-                JointWarning,
-                stacklevel=3,  # the caller of Joint
+                f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered"
             )
 
     def _more_rows(self) -> str:
@@ -158,7 +156,7 @@ class Joint:
         shares = zip(loads, np.array(LOADS)[self.free], strict=True)
         shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
         return (
-            f"{self._table.name}, method {self._table.packed.answers_by(self._method)!r}: the part "
+            f"{self._name}, method {self._table.packed.answers_by(self._method)!r}: the part "
             f"moves against a load along ({shown}, in parts of the load range) at the wrench "
             f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m: its compliance is not "
             f"positive definite there, and a joint would blow up; {self._more_rows()}"
@@ -195,12 +193,20 @@ class Joint:
         JointRangeError
             If the pose lies beyond twice the load range or 40 degrees.
         InvalidArgument
-            If the inverse mass is not positive definite, the step not above zero, or the velocity
-            not finite.
+            If the inverse mass is not positive definite, the step not above zero, R no rotation,
+            or a shape wrong or a number not finite.
         """
-        if not (math.isfinite(dt) and dt > 0 and np.isfinite(velocity).all()):
+        shapes = np.shape(p), np.shape(velocity), np.shape(inverse_mass)
+        if shapes != ((3,), (FREEDOMS,), (FREEDOMS, FREEDOMS)):
             raise InvalidArgument(
-                f"a step is above zero and its velocity six finite numbers, not {dt} s, {velocity}"
+                "p, velocity and inverse_mass have shapes (3,), (6,) and (6, 6), not {}, {} and {}"
+                "".format(*shapes)
+            )
+        finite = np.isfinite(p).all() and np.isfinite(velocity).all()
+        if not (math.isfinite(dt) and dt > 0 and finite):
+            raise InvalidArgument(
+                "a step is above zero, its p and velocity are finite numbers, not "
+                f"{dt} s, {p}, {velocity}"
             )
         wrench, stiffness = self.state(p, rotation_vector(R))
         free, mass = self.free, np.asarray(inverse_mass, dtype=float)
@@ -280,12 +286,18 @@ class Joint:
         """Return the same of a pose beyond the range, from the last wrench that was found."""
         packed, at = self._table.packed, self._at
         free, stiffness = np.ix_(self.free, self.free), np.zeros((FREEDOMS, FREEDOMS))
-        low, high = packed.arrays["space/range"]
+        low, high = packed.arrays["space/ends"]
         edge = np.clip(self._shorter(loads, turn), low, high)
         for _ in range(MOST_STEPS):
             answer = np.array(packed.answer(edge.tolist(), None, self._method).outputs, dtype=float)
             slope: Vector = packed.derivative(edge.tolist(), None, self._method)[at, at]
-            stiffness[free] = np.linalg.inv(slope[free])
+            try:
+                stiffness[free] = np.linalg.inv(slope[free])
+            except np.linalg.LinAlgError:
+                raise JointError(
+                    f"{self._name}: the compliance has no inverse at this pose, so that no wrench "
+                    f"belongs to it: {self._more_rows()}, or lock the freedom that does not move"
+                ) from None
             loads = edge + self._whole(stiffness @ (target - answer)[at])
             before, edge = edge, np.clip(self._shorter(loads, turn), low, high)
             if (np.abs(edge - before) <= CLOSE * packed.arrays["space/scale"]).all():
@@ -294,9 +306,12 @@ class Joint:
         return loads[at], stiffness, max(self._ranges(loads), turn)
 
     def _ranges(self, loads: Vector) -> float:
-        """Return how far out loads are, in half widths of the range; 1 at its boundary."""
+        """Return how far out loads are, in half widths of the range; 1 at its boundary.
+
+        As of every answer, the range is stretched to hold no load, and by rounding.
+        """
         arrays = self._table.packed.arrays
-        (low, high), scale = arrays["space/range"], arrays["space/scale"]
+        (low, high), scale = arrays["space/ends"], arrays["space/scale"]
         return 1.0 + float((np.maximum(loads - high, low - loads) / scale).max())
 
     def _shorter(self, loads: Vector, turn: float) -> Vector:
@@ -315,12 +330,10 @@ class Joint:
         answer = self._table.packed.answer(self._loads.tolist(), None, self._method)
         self._uncovered = answer.coverage != "covered"
         if self._uncovered:
-            warnings.warn(
-                f"{self._table.name}: the wrench of a step is {answer.coverage} by the method "
+            warn(
+                f"{self._name}: the wrench of a step is {answer.coverage} by the method "
                 f"{self._table.packed.answers_by(self._method)!r}, and displacement and wrench are "
-                f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
-                JointWarning,
-                stacklevel=4,  # the caller of step
+                f"estimates ({answer.reason}); {self._more_rows()}. This is said once"
             )
 
     def _require_definite(self, wrench: Vector, stiffness: Vector) -> None:
@@ -336,19 +349,16 @@ class Joint:
 
     def _leave(self, left: float) -> None:
         """Warn once that the pose is beyond the range; raise where it is far beyond."""
-        name = self._table.name
         if left > MOST_LEFT:
             raise JointRangeError(
-                f"{name}: the pose needs {left:.3g} times the load range, or turns by as many "
-                f"times 20 degrees. {self._remedy}"
+                f"{self._name}: the pose needs {left:.3g} times the load range, or turns by as "
+                f"many times 20 degrees. {self._remedy}"
             )
         if not self._warned:
             self._warned = True
-            warnings.warn(
-                f"{name}: the pose is beyond the load range or 20 degrees; the wrench goes on "
-                f"linearly from there, up to {MOST_LEFT:g} times the range",
-                JointWarning,
-                stacklevel=4,  # the caller of step
+            warn(
+                f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench goes "
+                f"on linearly from there, up to {MOST_LEFT:g} times the range"
             )
 
 
@@ -361,8 +371,9 @@ def rotation_vector(R: ArrayLike) -> Vector:
         If it is no rotation, or half a turn.
     """
     matrix = np.asarray(R, dtype=float)
-    if matrix.shape != (3, 3) or not np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6:
-        raise InvalidArgument("R must be a rotation matrix, shape (3, 3)")
+    square = matrix.shape == (3, 3) and np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6
+    if not square or np.linalg.det(matrix) < 0.0:
+        raise InvalidArgument("R must be a rotation matrix, right-handed, shape (3, 3)")
     sine = 0.5 * np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
     )

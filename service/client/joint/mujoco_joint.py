@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 from weakref import WeakKeyDictionary, WeakValueDictionary
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rotation import rotation_matrix
-from .errors import JointError, JointWarning
+from .errors import JointError, warn
 from .joint import FREEDOMS, Joint
 
 try:
@@ -92,6 +91,7 @@ class MujocoJoint(Joint):
             raise JointError(f"body {tip!r} must be a child of body {base!r}; {_REMEDY}")
         self._find(body, tip)
         self._base, self._tip, self._pose = base, tip, None
+        self._name = f"{table.name} at tip {tip!r}"
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
@@ -210,14 +210,12 @@ class MujocoJoint(Joint):
             return
         self._still = 0
         name = engine.mj_id2name(self._model, _OBJECT.mjOBJ_BODY, body) or f"#{body}"
-        warnings.warn(
-            f"{self._table.name}: base {self._base!r} moves by body {name!r}, which is moved "
-            "between steps (a mocap body): MuJoCo gives it no velocity and no acceleration, so tip "
-            f"{self._tip!r} does not feel the motion. Give the base joints of its own (slides or a "
+        warn(
+            f"{self._name}: base {self._base!r} moves by body {name!r}, which is moved between "
+            "steps (a mocap body): MuJoCo gives it no velocity and no acceleration, so the tip "
+            "does not feel the motion. Give the base joints of its own (slides or a "
             'free joint), and hold it to the mocap body by <weld torquescale="10" solref="'
-            f'{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>',
-            JointWarning,
-            stacklevel=5,  # the caller of step
+            f'{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>'
         )
 
     def _lagged(self, inverse_mass: Vector) -> Vector:

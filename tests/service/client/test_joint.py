@@ -17,6 +17,7 @@ from tests.service.client.joint_scenes import (
     SLIDES,
     linear_table,
     mujoco,
+    packed_table,
     scene,
     sphere,
 )
@@ -25,6 +26,7 @@ from wrenchbook.service.client.joint import Joint, JointError, JointRangeError, 
 from wrenchbook.service.client.joint.joint import rotation_vector, vector_per_spin
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint, step_joints
 from wrenchbook.service.client.rotation import rotation_matrix
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 C = bar_compliance()
 K = np.linalg.inv(C)
@@ -290,6 +292,21 @@ def test_a_step_that_is_none_and_a_velocity_that_is_no_number_are_refused(veloci
         Joint(TABLE).step(np.eye(3), np.zeros(3), velocity, np.eye(6), dt)
 
 
+@pytest.mark.parametrize(
+    ("R", "p", "velocity", "inverse_mass", "words"),
+    [
+        (np.eye(3), np.zeros(2), np.zeros(6), np.eye(6), r"not \(2,\), \(6,\)"),
+        (np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), r"\(3,\) and \(6, 6\)$"),
+        (np.eye(3), np.zeros(3), np.zeros(6), np.eye(3), r"\(3, 3\)$"),
+        (np.eye(3), np.full(3, np.nan), np.zeros(6), np.eye(6), "finite numbers"),
+        (np.diag([1.0, 1.0, -1.0]), np.zeros(3), np.zeros(6), np.eye(6), "right-handed"),
+    ],
+)
+def test_a_state_that_is_none_is_refused_by_name(R, p, velocity, inverse_mass, words):
+    with pytest.raises(InvalidArgument, match=words):
+        Joint(TABLE).step(R, p, velocity, inverse_mass, 1e-3)
+
+
 def test_beyond_the_range_the_wrench_goes_on_linearly_with_one_warning():
     joint = Joint(linear_table(high=HIGH / 100))
     with pytest.warns(JointWarning, match="beyond the load range"):
@@ -298,6 +315,28 @@ def test_beyond_the_range_the_wrench_goes_on_linearly_with_one_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         joint.state(C[:3] @ [0, 0, 13, 0, 0, 0], C[3:] @ [0, 0, 13, 0, 0, 0])
+
+
+@pytest.mark.parametrize("corner", [[0, 0, -1, 0, 0, 0], [1, 1, 1, 1, 1, 1], [-1, 1, -1, 1, -1, 1]])
+def test_a_pose_on_the_boundary_of_the_range_is_not_beyond_it(corner):
+    wrench = np.array(corner) * HIGH
+    moved = C @ wrench
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        np.testing.assert_allclose(Joint(TABLE).state(moved[:3], moved[3:])[0], wrench, atol=1e-6)
+
+
+def test_a_range_that_holds_no_state_without_load_has_a_joint_that_starts_there():
+    low, high = -HIGH, np.append(HIGH[:2], [-700.0, *HIGH[3:]])
+    wrenches = np.random.default_rng(4).uniform(low, high, (12, 6))
+    slopes = np.tile(C, (12, 1, 1))
+    rows = Rows.of(wrenches, wrenches @ C.T, compliance=slopes, source=["fea"] * 12)
+    model, data = scene(sphere(5))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        joint = MujocoJoint(model, data, packed_table(rows, LoadRange(low, high), linear=True))
+        joint.step()
+    assert joint.coverage == "covered"
 
 
 def test_a_pose_beyond_twice_the_range_is_raised_by_name():

@@ -59,7 +59,9 @@ def test_a_wrench_that_a_thin_table_does_not_cover_is_warned_of_once():
     model, data = scene(sphere(5))
     wrenches = np.random.default_rng(1).uniform(-0.1, 0.1, (2, 6)) * HIGH
     joint = MujocoJoint(model, data, packed_table(stiffening(wrenches), SPAN))
-    with pytest.warns(JointWarning, match=r"bar: the wrench of a step is outside.*solve more rows"):
+    with pytest.warns(
+        JointWarning, match=r"bar at tip 'tip': the wrench of a step is outside.*more rows"
+    ):
         joint.step()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -93,6 +95,17 @@ def test_a_freedom_of_no_compliance_is_no_indefinite_one():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Joint(linear_table(np.diag([*np.diag(C)[:5], 0.0])))
+
+
+def test_a_step_of_a_freedom_of_no_compliance_is_refused_by_name():
+    joint = Joint(linear_table(np.diag([*np.diag(C)[:5], 0.0])))
+    with pytest.raises(JointError, match=r"bar: the compliance has no inverse.*lock the"):
+        joint.state([0.0, 0.0, 1e-3], np.zeros(3))
+
+
+def test_the_nearest_row_gives_no_stiffness_and_is_refused_by_name():
+    with pytest.raises(InvalidArgument, match=r"no rows that give a stiffness.*method='nearest'"):
+        Joint(linear_table(), method="nearest")
 
 
 def mocap_scene():
@@ -145,6 +158,19 @@ def test_a_step_of_one_of_two_joints_is_refused_and_names_the_right_call():
     assert data.time == 0.0
     step_joints(*joints)
     assert data.time > 0.0
+
+
+def test_each_of_two_joints_warns_by_the_name_of_its_tip_at_the_line_of_the_step():
+    data, joints = two_joints()
+    data.qpos[[0, 7]] = 1.2 * C[0, 0] * HIGH[0]  # along the bars
+    with warnings.catch_warnings(record=True) as issued:
+        warnings.simplefilter("default")
+        step_joints(*joints)
+    assert [str(one.message).split(":")[0] for one in issued] == [
+        "bar at tip 'tip0'",
+        "bar at tip 'tip1'",
+    ]
+    assert {one.filename for one in issued} == {__file__}
 
 
 def test_a_joint_steps_by_itself_once_the_other_is_gone():
