@@ -296,7 +296,7 @@ def _take_step(reader: _Reader, _: Deck, one: Keyword) -> None:
     if kind == "load case":
         base.name = ""
     name = one.options.get("NAME") or f"step {len(reader.steps)}"
-    if any(step.name == name for step in reader.steps):
+    if any(step.name.upper() == name.upper() for step in reader.steps):
         name = f"{name} ({len(reader.steps)})"
     step = replace(base, name=name, kind=kind, begun=set())
     if kind == "perturbation":

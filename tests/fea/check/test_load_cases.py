@@ -121,6 +121,16 @@ def test_a_case_that_the_deck_has_not_is_refused_with_those_it_has(tmp_path):
         proposal(tmp_path, text, "Pull")
 
 
+def test_steps_whose_names_differ_in_capitals_are_each_named_at_choice(tmp_path):
+    text = HEAD + RIGID + step(f"*BOUNDARY\nROOT, 1, 3\n{PULL}", ", NAME=Pull")
+    text += step("*BOUNDARY\nMID, 1, 3\n", ", NAME=PULL")
+    proposal(tmp_path, text, "pull")
+    assert tip(tmp_path) == pytest.approx(ROOT_HELD, rel=1e-5)
+    (tmp_path / "other").mkdir()
+    proposal(tmp_path / "other", text, "pull (2)")
+    assert tip(tmp_path / "other") == pytest.approx(MIDDLE_HELD_TOO, rel=1e-5)
+
+
 def test_loads_add_up_within_a_step_and_replace_those_of_an_earlier_one(tmp_path):
     text = HEAD + RIGID + step(f"*BOUNDARY\nROOT, 1, 3\n{PULL}") + step(PULL + PULL)
     proposal(tmp_path, text)
@@ -463,6 +473,9 @@ def test_a_deck_in_another_encoding_is_read(tmp_path, encoding):
         ("70000., 0.3", "mm", "mm by its constants"),
         ("70e9, 0.3", "m", "m by its constants"),
         ("5e6, 0.45\n*DENSITY\n1100.", "m", "m by its constants"),
+        ("5e6, 0.3\n*DENSITY\n60.", "m", "m by its constants"),
+        ("4e5, 0.35\n*DENSITY\n1.1e-4", "in", "in by its constants, with pounds and psi"),
+        ("210000., 0.3\n*DENSITY\n7.85e-3", "mm", "mm by its constants"),
     ],
 )
 def test_the_unit_is_guessed_by_the_constants(tmp_path, constants, unit, words):
