@@ -44,7 +44,8 @@ _CHOOSE = "CHOOSE"  # a group that no mesh has: `check` then lists those there a
 _UNITS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
 """Young's moduli above which a deck's unit is likely: few in Pa are below 1e8, none in MPa is above
 2e6 (diamond 1.2e6), and metals in psi are between (magnesium 6.5e6, aluminium 1e7, steel 3e7)."""
-_IN_KILOGRAMS = 100.0  # kg/m³; t/mm³ and pounds of any kind an inch³ are below 1
+_IN_KILOGRAMS = 25.0  # kg/m³, foams too; t/mm³ and pounds of any kind an inch³ are below 1
+_IN_SLINCHES = (3e-5, 9e-4)  # lbf·s²/in⁴, plastics 1e-4, steel 7e-4; g/mm³ are above, kg/mm³ below
 _MOST_CASES = 12  # in one line of `decide`
 _ELASTIC = ("youngs_modulus", "poisson_ratio")
 _FORCE, _LEVER = 100.0, 0.1  # N and m, where the deck has no load
@@ -269,6 +270,8 @@ def _guessed(proposal: _Proposal) -> str:
     unit = next(unit for least, unit in _UNITS if largest > least)
     if density > _IN_KILOGRAMS:
         unit = "m"
+    elif _IN_SLINCHES[0] < density < _IN_SLINCHES[1]:
+        unit = "in"
     why = f"; {unit} by its constants" if largest or density else f" and has no constants; {unit}"
     pounds = ", with pounds and psi" * (unit == "in")
     proposal.decide.append(f"unit: a deck names none{why}{pounds} (--unit)")

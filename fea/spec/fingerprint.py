@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -34,6 +35,18 @@ Before these words its tangents were those of the state before the last correcti
 off on a slender part. Linear components, decks and measured tables never had other answers, so
 their fingerprints hold no such words.
 """
+
+CASE = "nodes of the last case"
+"""What groups of single nodes of a deck with several load cases are, in words as above.
+
+Before these words they were the nodes of all cases together.
+"""
+
+_GROUP = re.compile(r'"nodes_(?:held_in|with_forces)')  # of `fea.mesh.io.abaqus_content`
+_KEYWORD = re.compile(rb"^[^\w*\n]*\*[ \t]*(BOUNDARY|CLOAD|STEP|LOAD CASE)\b([^*]*)", re.I | re.M)
+_NEW = re.compile(rb",\s*(?:OP\s*=\s*NEW|PERTURBATION)\b", re.I)
+_DROPPED = re.compile("[bB].*[sSl].*B|[sl].*S|S.*[sSl]|l.*l")
+"""What a case does not go on with, by initials of keywords, capital with `_NEW`: b and c are b."""
 
 
 def fingerprint(parts: Mapping[str, Any]) -> str:
@@ -71,6 +84,8 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
             content["inputs"]["field"] = _bytes(field)
     if ACCELERATIONS[0] in further:
         content["acceleration"] = densities
+    if _names_nodes_of_cases(parts["mesh"], [content["supports"], content["interface"]]):
+        content["case"] = CASE
     # json writes floats by repr, so equal numbers give equal text and different ones do not.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
@@ -89,6 +104,20 @@ def _mesh(source: MeshSource | None) -> object:
         order = {} if source.order is None else {"order": source.order}
         return content | {"unit": source.unit} | order
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
+
+
+def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
+    """Return whether a group is of single nodes of a deck whose cases are no sum of each other."""
+    if source is None or source.file is None or source.file.suffix.lower() != ".inp":
+        return False
+    if not _GROUP.search(json.dumps(groups)):
+        return False
+    text = source.file.read_bytes().replace(b"\0", b"")  # UTF-16 too
+    initials = ""
+    for word, more in _KEYWORD.findall(text):
+        initial = word[:1].decode().lower().replace("c", "b")
+        initials += initial.upper() if _NEW.search(more) else initial
+    return _DROPPED.search(initials) is not None
 
 
 def _material(material: Material, heated: bool) -> list[object]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from wrenchbook.service.cli.connect import AsJson
-from wrenchbook.service.files.program import child_command
+from wrenchbook.service.files.program import run_child
 
 
 def converge(
@@ -26,8 +25,7 @@ def converge(
 ) -> None:
     """Solve a part on finer meshes: order, limit, and the error of its own mesh for its bars."""
     flags = [f"--finer={one}" for one in finer or []] + (["--json"] if as_json else [])
-    words = child_command("wrenchbook.fea.check.converge", *flags, "--", str(bundle))
-    status = subprocess.run(words, check=False).returncode
+    status = run_child("wrenchbook.fea.check.converge", *flags, "--", str(bundle))
     if plot is not None and status == 0:
         _write_plot(bundle / "convergence.json", plot)
     raise typer.Exit(status)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,7 +18,7 @@ from wrenchbook.service.cli.connect import AsJson, print_json
 from wrenchbook.service.cli.convergence import converge
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.screen import Screen
-from wrenchbook.service.files.program import child_command, usable_cores
+from wrenchbook.service.files.program import run_child, usable_cores
 
 CORES = usable_cores()
 LogLevel = Literal["debug", "info", "warning", "error"]
@@ -248,16 +247,18 @@ def validate(
     if other is not None:
         flags += [f"--wrench={one}" for one in wrench or ()]
         bundle = str(_bundle_named(topic, data))
-        words = child_command("wrenchbook.fea.validation.second_opinion", *flags, "--", bundle)
-        raise typer.Exit(subprocess.run(words, check=False).returncode)
+        raise typer.Exit(
+            run_child("wrenchbook.fea.validation.second_opinion", *flags, "--", bundle)
+        )
     if wrench:
         raise typer.BadParameter("--wrench goes with --with ccx")
     if topic == "paper":
         raise typer.Exit(_validate_paper(out or DEFAULT_PAPER, quick, markdown, as_json))
     if out is not None or quick:
         raise typer.BadParameter("--out and --quick go with the topic paper")
-    words = child_command("wrenchbook.fea.validation", topic, *flags, *["--markdown"] * markdown)
-    raise typer.Exit(subprocess.run(words, check=False).returncode)
+    raise typer.Exit(
+        run_child("wrenchbook.fea.validation", topic, *flags, *["--markdown"] * markdown)
+    )
 
 
 def _bundle_named(name: str, data: Path) -> Path:
@@ -282,11 +283,9 @@ def _validate_paper(out: Path, quick: bool, markdown: bool, as_json: bool) -> in
         raise RuntimeError(
             "validate paper runs MuJoCo, which is not installed: pip install 'wrenchbook[mujoco]'"
         )
-    words = child_command("wrenchbook.service.paper", *(["--quick"] * quick), "--", str(out))
-    if not as_json:
-        return subprocess.run(words, check=False).returncode
-    status = subprocess.run(words, check=False, stdout=sys.stderr).returncode
-    if (found := out / "paper.json").is_file():
+    words = [*(["--quick"] * quick), "--", str(out)]
+    status = run_child("wrenchbook.service.paper", *words, stdout=sys.stderr if as_json else None)
+    if as_json and (found := out / "paper.json").is_file():
         sys.stdout.write(found.read_text() + "\n")
     return status
 
@@ -313,8 +312,7 @@ def check(
     options = {"mass": mass, "inertia": inertia, "centre": centre}
     carried = [f"--{name}={value}" for name, value in options.items() if value is not None]
     flags = [*(() if as_json else ("--text",)), *(("--nonlinear",) if nonlinear else ())]
-    words = child_command("wrenchbook.fea.check", *flags, *carried, "--", str(bundle))
-    raise typer.Exit(subprocess.run(words, check=False).returncode)
+    raise typer.Exit(run_child("wrenchbook.fea.check", *flags, *carried, "--", str(bundle)))
 
 
 def new(
@@ -338,8 +336,7 @@ def new(
     flags = [*(["--json"] if as_json else []), *([f"--unit={unit}"] if unit else [])]
     flags += [f"--case={case}"] if case is not None else []
     places = str(deck), str(folder or deck.stem)
-    words = child_command("wrenchbook.fea.check.proposal", *flags, "--", *places)
-    raise typer.Exit(subprocess.run(words, check=False).returncode)
+    raise typer.Exit(run_child("wrenchbook.fea.check.proposal", *flags, "--", *places))
 
 
 def condense(
@@ -350,8 +347,9 @@ def condense(
 ) -> None:
     """Write the part as stiffness and mass of its frames and modes (Craig-Bampton), as npz."""
     flags = [f"--modes={modes}", *(["--json"] if as_json else [])]
-    words = child_command("wrenchbook.fea.check.condense", *flags, "--", str(bundle), str(out))
-    raise typer.Exit(subprocess.run(words, check=False).returncode)
+    raise typer.Exit(
+        run_child("wrenchbook.fea.check.condense", *flags, "--", str(bundle), str(out))
+    )
 
 
 LOCAL_COMMANDS = (serve, work, demo, new, check, converge, condense, validate)

@@ -7,11 +7,14 @@ import hashlib
 import math
 import os
 import resource
+import signal
+import subprocess
 import sys
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import IO
 
 
 def child_command(module: str, *arguments: str) -> list[str]:
@@ -29,6 +32,16 @@ def child_command(module: str, *arguments: str) -> list[str]:
     """
     start = sys.modules["wrenchbook"].__file__
     return [sys.executable, "-P", str(start), "-m", module, *arguments]
+
+
+def run_child(module: str, *arguments: str, stdout: IO[str] | None = None) -> int:
+    """Run a module in a process of its own, which a SIGTERM of this one ends too.
+
+    Returns its exit status. For a program that does nothing else meanwhile.
+    """
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    words = child_command(module, *arguments)
+    return subprocess.run(words, check=False, stdout=stdout).returncode
 
 
 def usable_cores() -> int:

@@ -49,11 +49,7 @@ def test_a_component_is_found_by_name_in_the_data_directory_or_by_its_folder(tmp
 def test_wrenches_go_to_the_second_opinion_with_their_signs(monkeypatch):
     ran = []
 
-    def run(words, check):
-        ran.extend(words)
-        return subprocess.CompletedProcess(words, 1)
-
-    monkeypatch.setattr(local.subprocess, "run", run)
+    monkeypatch.setattr(local, "run_child", lambda *words: ran.extend(words) or 1)
     words = [
         "validate",
         "bar",

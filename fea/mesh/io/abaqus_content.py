@@ -290,10 +290,13 @@ def _take_step(reader: _Reader, _: Deck, one: Keyword) -> None:
     if one.word == "LOAD CASE":
         kinds, kind = ("general", "perturbation"), "load case"
     base = next(step for step in reversed(reader.steps) if step.kind in kinds)
+    last = reader.steps[-1]
+    if kind == "general" and last.kind == "perturbation" and "BOUNDARY" in last.begun:
+        reader.lack(one, "is without the supports of the perturbation before; CalculiX keeps them")
     if kind == "load case":
         base.name = ""
     name = one.options.get("NAME") or f"step {len(reader.steps)}"
-    if any(step.name == name for step in reader.steps):
+    if any(step.name.upper() == name.upper() for step in reader.steps):
         name = f"{name} ({len(reader.steps)})"
     step = replace(base, name=name, kind=kind, begun=set())
     if kind == "perturbation":

@@ -11,6 +11,8 @@ from wrenchbook.fea.mesh.io.translated import Case, Translated
 
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
 _LEFT = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
+_LEFT |= {"DA", "DK", "DL", "FK", "SFA", "SFL", "SFGRAD", "BFA", "BFK", "BFL", "BFV", "BFUNIF"}
+_LEFT |= {"TUNIF", "CMACEL", "CMOMEGA", "DOMEGA", "INISTATE"}
 _LEFT |= {"CEINTF", "CPINTF", "DSYM", "EKILL", "FCUM", "DCUM", "FSCALE", "DSCALE", "NROTAT"}
 _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
@@ -27,7 +29,7 @@ class _Archive(Translated):
     """A deck in the making, and the state of an archive that is read.
 
     `held` and `forces` are values by node and freedom; `selected` is whether nodes are selected
-    that the archive does not list.
+    that the archive does not list, `branches` how many *IF are open.
     """
 
     types: dict[str, str] = field(default_factory=dict)
@@ -36,6 +38,7 @@ class _Archive(Translated):
     held: dict[tuple[str, str], float] = field(default_factory=dict)
     forces: dict[tuple[str, str], float] = field(default_factory=dict)
     selected: bool = False
+    branches: int = 0
 
     def end_step(self, name: str) -> None:
         held = [f"{node}, {way}" for node, way in self.held]
@@ -81,7 +84,8 @@ def _take_command(found: _Archive, word: str, fields: list[str]) -> None:
     if word == "*SET":
         found.parameters[fields[0]] = "".join(values[1:2])
     elif word == "ET":
-        found.types[values[0]] = re.sub(r"\D", "", values[1])
+        full = values[3:4] == ["1"]
+        found.types[values[0]] = re.sub(r"\D", "", values[1]) + " full" * full
     elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:
         found.types[values[0]] += " full"
     elif word in ("MP", "MPDATA"):
@@ -188,6 +192,8 @@ def _take_constant(found: _Archive, word: str, fields: list[str]) -> None:
 
 def _take_on_nodes(found: _Archive, word: str, fields: list[str]) -> None:
     """Set or remove (DDELE, FDELE) what acts on a node, on each from it to NEND, or on a group."""
+    if found.branches:
+        raise ValueError("it stands within *IF; write what holds without a condition")
     node, label, *rest = (*fields, *[""] * 9)
     removes, acting = word.endswith("DELE"), found.held if word[0] == "D" else found.forces
     last, step = rest[:2] if removes else rest[2:4]
@@ -209,7 +215,23 @@ def _take_on_nodes(found: _Archive, word: str, fields: list[str]) -> None:
     found.left["D with a motion that is not 0"] += bool(moves)
 
 
+def _clear(found: _Archive, fields: list[str], _: Iterator[str]) -> None:
+    if fields[:1] in (["FE"], ["ALL"]):
+        found.held, found.forces = {}, {}
+
+
+def _begin_branch(found: _Archive, fields: list[str], _: Iterator[str]) -> None:
+    found.branches += "THEN" in fields
+
+
+def _end_branch(found: _Archive, _fields: list[str], _rows: Iterator[str]) -> None:
+    found.branches -= 1
+
+
 _BLOCKS = {
+    "LSCLEAR": _clear,
+    "*IF": _begin_branch,
+    "*ENDIF": _end_branch,
     "ETBLOCK": _take_types,
     "NBLOCK": _take_nodes,
     "EBLOCK": _take_elements,

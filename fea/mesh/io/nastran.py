@@ -30,6 +30,7 @@ _ORDER = {
 _QUIET = {"PARAM", "CORD2R", "END BULK", "MPCADD"}
 _EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
+_NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
 _CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
 _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
 
@@ -59,7 +60,7 @@ def read_nastran(text: str) -> Translated:
     """
     control, *bulk = re.split(r"^\s*BEGIN[ \t,]+BULK.*$", text, maxsplit=1, flags=re.I | re.M)
     bulk, control = (bulk[0], control) if bulk else (control, "")
-    found = _Bulk(nonlinear=bool(re.search(r"^\s*SOL\s+(106|400|600)\b", control, re.I | re.M)))
+    found = _Bulk(nonlinear=_NONLINEAR.search(control) is not None)
     if factor := _MASS_FACTOR.search(text):
         found.mass_factor = _real(factor[1])
     skipped = text.count("\n") - bulk.count("\n")
@@ -86,6 +87,8 @@ def _take_cases(found: _Bulk, control: str) -> None:
     def rows(kind: str, number: str) -> Iterator[tuple[str, str, float]]:
         for factor, part in found.sums.get((kind, number), [(1.0, number)]):
             used.add((kind, part))
+            if part and (kind, part) not in found.sets:
+                found.left[f"{kind} set {part}, of which nothing is read"] = 1
             for node, way, value in found.sets.get((kind, part), ()):
                 yield node, way, factor * value
 

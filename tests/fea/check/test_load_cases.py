@@ -121,6 +121,16 @@ def test_a_case_that_the_deck_has_not_is_refused_with_those_it_has(tmp_path):
         proposal(tmp_path, text, "Pull")
 
 
+def test_steps_whose_names_differ_in_capitals_are_each_named_at_choice(tmp_path):
+    text = HEAD + RIGID + step(f"*BOUNDARY\nROOT, 1, 3\n{PULL}", ", NAME=Pull")
+    text += step("*BOUNDARY\nMID, 1, 3\n", ", NAME=PULL")
+    proposal(tmp_path, text, "pull")
+    assert tip(tmp_path) == pytest.approx(ROOT_HELD, rel=1e-5)
+    (tmp_path / "other").mkdir()
+    proposal(tmp_path / "other", text, "pull (2)")
+    assert tip(tmp_path / "other") == pytest.approx(MIDDLE_HELD_TOO, rel=1e-5)
+
+
 def test_loads_add_up_within_a_step_and_replace_those_of_an_earlier_one(tmp_path):
     text = HEAD + RIGID + step(f"*BOUNDARY\nROOT, 1, 3\n{PULL}") + step(PULL + PULL)
     proposal(tmp_path, text)
@@ -144,6 +154,13 @@ def test_a_perturbation_has_its_loads_alone_and_hands_none_on(tmp_path):
     (line,) = (words for words in proposal(tmp_path, text)["decide"] if "case:" in words)
     assert '"A", "C" holds ROOT (xyz); loads TIP (0, 0, 100, 0, 0, 0)' in line
     assert '"B" holds ROOT (xyz); loads TIP (0, 7, 0, 0, 0, 0)' in line
+
+
+def test_a_step_after_a_perturbation_with_supports_is_named(tmp_path):
+    text = HEAD + RIGID + step(f"*BOUNDARY\nROOT, 1, 3\n{PULL}")
+    text += step("*BOUNDARY\nMID, 1, 3\n", ", PERTURBATION") + step("")
+    (left,) = proposal(tmp_path, text)["left"]
+    assert "*STEP is without the supports of the perturbation before; CalculiX keeps them" in left
 
 
 @pytest.mark.parametrize("kind", ["NODE", "ELEMENT"])
@@ -233,6 +250,29 @@ def test_a_nastran_set_that_no_case_selects_is_named(tmp_path):
     assert read_bundle(tmp_path / "new").range.high[0] == 100.0
 
 
+@pytest.mark.parametrize(
+    ("control", "more", "words"),
+    [
+        ("SPC = 1\nLOAD = 99", "", "LOAD set 99, of which nothing is read (1)"),
+        ("SPC = 1\nLOAD = 8", "LOAD,8,1.,1.,2,1.,77", "LOAD set 77, of which nothing is read (1)"),
+        (
+            "SPC = 4\nLOAD = 2",
+            "SPCADD,3,1\nSPCADD,4,3,7",
+            "SPC set 3, of which nothing is read (1)",
+        ),
+    ],
+)
+def test_a_nastran_set_that_a_case_selects_and_the_file_lacks_is_named(
+    tmp_path, control, more, words
+):
+    assert words in proposal(tmp_path, bulk(control, more), name="deck.bdf")["left"]
+
+
+def test_a_nastran_nonlinear_solution_by_its_name_is_nonlinear(tmp_path):
+    proposal(tmp_path, bulk().replace("SOL 101", "SOL NLSTATIC"), name="deck.bdf")
+    assert read_bundle(tmp_path / "new").analysis.nonlinear
+
+
 def test_a_nastran_deck_that_selects_no_supports_says_which_it_takes(tmp_path):
     found = proposal(tmp_path, bulk("LOAD = 2"), "SPC 1", "deck.bdf")
     assert tip(tmp_path) == pytest.approx(ROOT_HELD, rel=1e-5)
@@ -314,6 +354,7 @@ LISTED = {
     "deleted": f"{ROOT_D}\nD,MID,ALL\n{TIP_F}\nDDELE,MID,ALL",
     "all but the root deleted": f"D,ALL,ALL\nDDELE,ALL,ALL\n{ROOT_D}\n{TIP_F}",
     "two commands a line": f"{ROOT_D.replace('ALL,0', 'UX,0 $ D,ROOT,UY $ D,ROOT,UZ')}\n{TIP_F}",
+    "steps begun anew": f"D,MID,ALL\n{TIP_F}\nLSWRITE,1\nLSCLEAR,ALL\n{ROOT_D}\n{TIP_F}\nLSWRITE,2",
     "steps": f"D,MID,ALL\n{TIP_F}\nLSWRITE,1\nDDELE,MID,ALL\n{ROOT_D}\nLSWRITE,2\nLSSOLVE,1,2",
 }
 
@@ -354,6 +395,11 @@ def test_a_range_of_ansys_nodes_is_held(tmp_path):
         ("ET,1,186", "et,tid,186", "element type 1 has no ET by number above; it has TID"),
         ("MP,EX", "NSEL,S,LOC,X,0\nD,ALL,ALL\nMP,EX", "D cannot be read .ALL names nodes"),
         ("MP,EX", "*DO,i,1,9\nD,i,UX\n*ENDDO\nMP,EX", "D cannot be read .I names nodes"),
+        (
+            "MP,EX",
+            "*IF,1,EQ,2,THEN\nD,MID,ALL\n*ENDIF\nMP,EX",
+            "D cannot be read .it stands within",
+        ),
         ("MP,EX", "/INPUT,loads,inp\nMP,EX", "line [0-9]+: /INPUT,loads,inp is not read; paste"),
     ],
 )
@@ -361,6 +407,19 @@ def test_what_an_ansys_archive_does_not_list_is_refused_by_name(tmp_path, old, n
     text = archive(LISTED["all"]).replace(old, new, 1)
     with pytest.raises(BundleError, match=words):
         proposal(tmp_path, text, name="deck.cdb")
+
+
+@pytest.mark.parametrize("kind", ["ET,1,186,,1", "ET,1,SOLID186\nKEYOPT,1,2,1"])
+def test_an_ansys_type_that_integrates_fully_does_so(tmp_path, kind):
+    proposal(tmp_path, archive(LISTED["all"]).replace("ET,1,186", kind), name="deck.cdb")
+    assert read_bundle(tmp_path / "new").analysis.integration == "full"
+
+
+def test_ansys_loads_on_the_geometry_are_named(tmp_path):
+    found = proposal(
+        tmp_path, archive(f"{LISTED['all']}\nDA,5,ALL,0\nBFUNIF,TEMP,50"), name="d.cdb"
+    )
+    assert found["left"] == ["DA (1)", "BFUNIF (1)"]
 
 
 @pytest.mark.parametrize("assigned", ["*set,tid,1", "tid = 1"])
@@ -414,6 +473,9 @@ def test_a_deck_in_another_encoding_is_read(tmp_path, encoding):
         ("70000., 0.3", "mm", "mm by its constants"),
         ("70e9, 0.3", "m", "m by its constants"),
         ("5e6, 0.45\n*DENSITY\n1100.", "m", "m by its constants"),
+        ("5e6, 0.3\n*DENSITY\n60.", "m", "m by its constants"),
+        ("4e5, 0.35\n*DENSITY\n1.1e-4", "in", "in by its constants, with pounds and psi"),
+        ("210000., 0.3\n*DENSITY\n7.85e-3", "mm", "mm by its constants"),
     ],
 )
 def test_the_unit_is_guessed_by_the_constants(tmp_path, constants, unit, words):

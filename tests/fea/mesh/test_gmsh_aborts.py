@@ -1,6 +1,8 @@
 """gmsh aborts on sound geometry at some sizes: that ends its own process, and nothing else."""
 
+import os
 import pickle
+import signal
 import subprocess
 
 import pytest
@@ -94,3 +96,16 @@ def test_gmsh_ends_with_the_process_that_waits_for_it(part, tmp_path, monkeypatc
         source = mesh_source(part)
         gmsh.communicate(pickle.dumps((source.file, source.geometry, True)), timeout=60)
     assert gmsh.returncode == 1
+
+
+def test_a_check_that_is_terminated_leaves_no_gmsh(part, tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "alive")
+    condition = f"(held := open({str(tmp_path / 'alive')!r}, 'w')) and held.write('meshing\\n')"
+    condition += " and not held.flush() and __import__('signal').pause()"
+    abort_gmsh(monkeypatch, tmp_path / "fake", condition)
+    command = child_command("wrenchbook.service.cli", "check", str(part))
+    with subprocess.Popen(command) as check, (tmp_path / "alive").open() as alive:
+        assert alive.readline() == "meshing\n"
+        check.terminate()
+        assert alive.read() == ""  # at the end of all processes that hold it
+    assert check.returncode == 128 + signal.SIGTERM

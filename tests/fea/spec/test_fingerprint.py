@@ -7,6 +7,7 @@ import pytest
 
 from wrenchbook.fea.bundle.read import bundle_of, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.spec import fingerprint as module
 
 BAR = {
     "name": "b",
@@ -125,3 +126,41 @@ def test_measured_tables_and_decks_keep_their_fingerprints_when_the_solver_chang
     assert print_of(measured) == "767d9effa79f57b5"
     deck = read_bundle(SHIPPED / "plate_ccx")
     assert deck.fingerprint == "a2013183cd681d25"
+
+
+BOTH = "*STEP\n*BOUNDARY\n1, 1, 3\n*END STEP\n*STEP\n*BOUNDARY{}\n2, 1, 3\n*END STEP\n"
+DECKS = {
+    "one step": ("*BOUNDARY\n1, 1, 3\n*STEP\n*CLOAD\n2, 1, 5.\n*END STEP\n", False),
+    "one step that begins anew": ("*STEP\n*BOUNDARY, OP=NEW\n1, 1, 3\n*END STEP\n", False),
+    "a perturbation alone": ("*BOUNDARY\n1, 1, 3\n*STEP, PERTURBATION\n*END STEP\n", False),
+    "a step that adds": (BOTH.format(""), False),
+    "a step without loads of the body": (
+        f"{BOTH.format('')}*STEP\n*DLOAD, OP=NEW\n*END STEP\n",
+        False,
+    ),
+    "a step that releases": (BOTH.format(", op = new"), True),
+    "a step that releases what holds before": (
+        "*BOUNDARY\n1, 1, 3\n*STEP\n*BOUNDARY,\nOP=NEW\n2, 1, 3\n*END STEP\n",
+        True,
+    ),
+    "a step after a perturbation": (BOTH.replace("*STEP", "*Step, Perturbation", 1), True),
+    "load cases": ("*STEP\n*LOAD CASE, NAME=A\n*LOAD CASE, NAME=B\n*END STEP\n", True),
+}
+
+
+@pytest.mark.parametrize("name", DECKS)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_rows_of_the_nodes_of_all_steps_are_not_taken_for_those_of_the_last(
+    tmp_path, monkeypatch, name, encoding
+):
+    deck, differs = DECKS[name]
+    (tmp_path / "deck.inp").write_text(deck, encoding=encoding)
+    table = altered(("mesh",), {"file": "deck.inp", "unit": "mm"})
+    prints = []
+    for group in ("ROOT", "nodes_held_in_xyz"):
+        table["supports"] = {"fixed": [group]}
+        prints.append({print_of(table, tmp_path)})
+        with monkeypatch.context() as before:
+            before.setattr(module, "CASE", "nodes of all cases")
+            prints[-1].add(print_of(table, tmp_path))
+    assert [len(own) for own in prints] == [1, 1 + differs]
