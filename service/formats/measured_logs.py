@@ -14,7 +14,7 @@ import numpy as np
 
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.table_rows import Array, ParsedTable
-from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag
+from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag, repeated
 
 GAP_FACTOR = 5.0
 """Times the median interval of the loads: in a longer one samples were lost."""
@@ -89,10 +89,11 @@ def applied_lag(
     if len(when) and options.space.is_default:
         moved = np.concatenate([one.displacement for one in pieces])
         found = estimate_lag(Logs(time, wrench, when, moved), applied)
-    if auto and found is None:
+    if auto and (found is None or found.others):
         message = (
-            "the logs do not show by how much their clocks differ, so lag=auto cannot be applied; "
-            "give the seconds to add to the displacements' times"
+            "the logs do not show by how much their clocks differ, so lag=auto cannot be applied"
+            f"{f' ({repeated(found)})' if found else ''}; give the seconds to add to the "
+            "displacements' times"
         )
         report.mistakes.ruin(0, "time", message)
         return None

@@ -20,11 +20,12 @@ MOST = 2_000  # displacements that are fitted, some 5 ms a fit
 GRID = 1 << 15  # steps of the time grid, at most
 PART = 0.25  # of the displacements' duration: the largest lag that is looked for
 ROUNDING = 1e-9  # of the displacements' variance: smaller residuals are written digits
-PEAKS = 3  # of the correlation that are fitted: turned by half a period, a load correlates as well
+PEAKS = 5  # of the correlation that are fitted: turned by half a period, a load correlates as well
 EXPLAINED = 0.5  # of the displacements' variance: with less the logs do not belong together
 INTERPOLATED = 0.02  # of the loads' interval: exact logs of 0.1 to 4 Hz showed lags within 1.1 %
 INSIDE = 0.9  # of the reach of a search: an optimum beyond it may be the bound
 SHARE = 0.2  # of the residual's variance at the applied lag that another lag must explain
+AVERAGED = 0.5  # of the residual's variance: between two loads interpolation averages their noise
 DEVIATIONS = 4.0  # of the estimate: residuals that are near in time are not independent
 SMALL = 0.003  # of the displacements' deviation: misfits below it need no remark
 TAIL = 0.5  # ranges: what a displacement beyond the 1st and 99th percentiles counts at most
@@ -66,6 +67,8 @@ class Lag(NamedTuple):
         one, and with `rate`.
     named : bool
         Whether the applied lag does not fit, and hysteresis does not explain that.
+    others : tuple of float, s
+        Lags that fit as well: loads that repeat do not show by how many periods clocks differ.
     """
 
     seconds: float
@@ -75,6 +78,7 @@ class Lag(NamedTuple):
     misfit_applied: float
     misfit_rate: float
     named: bool
+    others: tuple[float, ...]
 
 
 def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
@@ -97,12 +101,20 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     if not fits:
         return None
     # Periodic loads fit as well a period later: the lag that is nearest to the applied one then.
-    sizes = [max(float(fit.residual(lag).mean()), ROUNDING) for lag, fit in fits]
-    near, fit = fits[next(at for at, size in enumerate(sizes) if (1 - SHARE) * size <= min(sizes))]
-    best, error = fit.vertex(near)
+    sizes = [max(float(fit.residual(lag).mean()), SMALL**2) for lag, fit in fits]
+    alike = [fits[at] for at, size in enumerate(sizes) if AVERAGED * size <= min(sizes)]
+    alike.sort(key=lambda one: abs(one[0] - applied))
+    fit = alike[0][1]
+    (best, error), *more = (one.vertex(lag) for lag, one in alike)
+    others = tuple(
+        lag
+        for lag, wide in more
+        if abs(lag - best) > error + step + (wide if np.isfinite(wide) else 0.0)
+    )
     least, before, loop = fit.residual(best), fit.residual(applied), fit.with_loop(applied)
     rate, evened = fit.rate(best) if least.mean() > SMALL**2 else (0.0, least)
-    if not (evened.sum() < (1 - SHARE) * least.sum() and evened.sum() < loop.sum()):
+    drift = abs(rate) * float(np.ptp(logs.when))
+    if drift < step or not evened.sum() < min(AVERAGED * least.sum(), loop.sum()):
         rate, evened = 0.0, least
     if evened.mean() > 1 - EXPLAINED or not np.isfinite(error):
         return None
@@ -113,7 +125,7 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
         and least.sum() < loop.sum()
     )
     misfit, misfit_applied, misfit_rate = (float(r.mean() ** 0.5) for r in (least, before, evened))
-    return Lag(best, error, rate, misfit, misfit_applied, misfit_rate, named)
+    return Lag(best, error, rate, misfit, misfit_applied, misfit_rate, named, others)
 
 
 def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
@@ -131,9 +143,16 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
         f"loads and displacements are shifted in time: they fit best with {lag.seconds:.4g} "
         f"+- {lag.error:.1g} s added to the displacements' times, and {applied:g} s was added (the "
         f"misfit is {lag.misfit_applied:.1%}, and {lag.misfit:.1%} with it). Withdraw this import "
-        f"and import again with lag={lag.seconds:.4g}, or lag=auto"
+        f"and import again with lag={lag.seconds:.4g}"
     )
+    message += f"; {repeated(lag)}" if lag.others else ", or lag=auto"
     return [RigFinding("clock", message, (), {"lag": lag.seconds, "uncertainty": lag.error})]
+
+
+def repeated(lag: Lag) -> str:
+    """Return the remark that several lags fit."""
+    others = " and ".join(f"{other:.4g}" for other in sorted(lag.others))
+    return f"the loads repeat, and with {others} s the logs fit as well as with {lag.seconds:.4g} s"
 
 
 def _clipped(moved: Floats) -> Floats:
@@ -172,16 +191,17 @@ def _correlated(logs: Logs, applied: float) -> tuple[float, list[float]]:
 
 
 def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, _Fit] | None:
-    """Return the lag of least residual near one of two, s, and the fit; None if there is none.
+    """Return the lag of least residual near the second one, s, and the fit; None if there is none.
 
-    A search that ends at its bound has found nothing and starts again there, with twice the reach.
+    The fit holds the displacements that both lags have loads for. A search that ends at its bound
+    has found nothing and starts again there, with twice the reach.
     """
     reach, most = 2 * step, PART * float(np.ptp(logs.when))
     while reach < most:
         fit = _Fit(logs, lags, step, reach + step)
         if len(fit.logs.when) < FEWEST:
             return None
-        start = min(lags, key=fit.size)
+        start = lags[1]
         found: Any = minimize_scalar(
             fit.size,
             bounds=(start - reach, start + reach),

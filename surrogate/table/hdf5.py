@@ -474,16 +474,27 @@ def _unpacking(one: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndarray]
     Raises
     ------
     TableFileError
-        If an attribute of these is no number, or there are several of one.
+        If an attribute of these is no number, there are several of one, or integers are packed
+        and their valid range is no integers.
     """
-    keys = [key for key in (*_PACKING, *_VALID) if key in one.attrs]
+    stored_type = one.dtype[part] if isinstance(part, str) else one.dtype
+    keys = [key for key in (*_PACKING, *_VALID, "_Unsigned") if key in one.attrs]
     attributes: dict[str, np.ndarray] = {key: np.ravel(np.asarray(one.attrs[key])) for key in keys}
+    packed = stored_type.kind in "iu" and not attributes.keys().isdisjoint(_PACKING[:2])
     for key, values in attributes.items():
         count = {"missing_value": len(values) or 1, "valid_range": 2}.get(key, 1)
-        if values.dtype.kind not in "iuf" or len(values) != count:
+        numeric = values.dtype.kind in "iuf" and len(values) == count
+        if not numeric or (key in _PACKING[:2] and not np.isfinite(values).all()):
             raise TableFileError(
                 f"holds {name} with the attribute {key} = {values.tolist()}, which is no "
                 "number or too many; unpack the values and remove it"
+            )
+        # The netCDF guide reads such limits as unpacked values, netCDF4 for Python as packed ones.
+        if key in _VALID and packed and values.dtype.kind == "f":
+            raise TableFileError(
+                f"holds {name}, packed integers, with the attribute {key} = {values.tolist()}, "
+                "which may mean packed or unpacked values; write it as packed integers, or "
+                "remove it"
             )
     if not attributes:
         return lambda piece: piece[part]
@@ -493,6 +504,8 @@ def _unpacking(one: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndarray]
     blanks = [value for key in _PACKING[2:] for value in attributes.get(key, ())]
     valid = attributes.get("valid_range", [-np.inf, np.inf])
     low, high = attributes.get("valid_min", valid)[0], attributes.get("valid_max", valid[::-1])[0]
+    if stored_type.kind == "f":  # 0.1 of 32 bits is larger than 0.1 of 64 bits
+        low, high = stored_type.type(low), stored_type.type(high)
 
     def unpacked(piece: np.ndarray) -> np.ndarray:
         stored = piece[part]

@@ -90,3 +90,18 @@ def test_a_lag_that_is_no_number_is_refused(http, rig, lag):
 
 def test_lag_and_offset_are_one_law():
     assert ImportQuery.model_validate({"lag": "0.5"}).options().time_offset_s == 0.5
+
+
+def test_auto_for_loads_that_repeat_is_refused_with_the_lags_that_fit(http, rig):
+    add(http, rig)
+    time = np.arange(0, 20, 0.025)
+    push = np.sin(0.44 * np.pi * time)[:, None] * np.eye(6)[2]
+    logs = {
+        "loads": ("loads.csv", csv_of(LOADS, time, 100 * push)),
+        "displacements": ("moved.csv", csv_of(MOVED, time + 2.0, 1e-4 * push)),
+    }
+    reply = http.post(CALL, files=logs, params={"lag": "auto"})
+    assert reply.status_code == 422
+    (error,) = reply.json()["errors"]
+    assert "the loads repeat" in error["message"]
+    assert "-2" in error["message"]

@@ -173,7 +173,24 @@ def test_a_displacement_that_the_file_marks_as_missing_was_not_measured(tmp_path
     assert np.isnan(table.displacement[1, 1])
 
 
-@pytest.mark.parametrize("factor", ["0.1", [0.1, 0.2]])
+@pytest.mark.parametrize("limit", [{"valid_range": [-0.01, 0.01]}, {"valid_max": 100.0}])
+def test_a_valid_range_that_may_be_of_packed_or_unpacked_integers_is_refused(tmp_path, limit):
+    error = only_error(read_hdf5(packed(tmp_path, {"scale_factor": 1e-6} | limit)))
+    assert "may mean packed or unpacked values" in error.message
+
+
+def test_a_value_of_32_bits_at_a_valid_limit_of_64_bits_is_valid(tmp_path):
+    stored = np.array([0.1, 0.05], dtype="f4")
+    assert len(read_hdf5(packed(tmp_path, {"valid_max": 0.1}, stored))) == 2
+
+
+def test_integers_that_stand_for_unsigned_ones_are_refused(tmp_path):
+    stored = np.array([100, -5], dtype="i1")
+    error = only_error(read_hdf5(packed(tmp_path, {"_Unsigned": "true"}, stored)))
+    assert "_Unsigned" in error.message
+
+
+@pytest.mark.parametrize("factor", ["0.1", [0.1, 0.2], np.nan])
 def test_a_packing_that_is_no_number_is_named(tmp_path, factor):
     error = only_error(read_hdf5(packed(tmp_path, {"scale_factor": factor})))
     assert "fx [N] with the attribute scale_factor" in error.message

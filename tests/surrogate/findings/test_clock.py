@@ -121,3 +121,26 @@ def test_clocks_of_different_rates_are_named_with_the_factor(rate):
 def test_clocks_of_one_rate_have_no_finding_of_a_rate():
     lags = [estimate_lag(slow_logs(seed, 0.2, 0.0, 60.0)) for seed in range(8300, 8306)]
     assert not any(lag.rate for lag in lags)
+
+
+@pytest.mark.parametrize(("frequency", "shift"), [(0.22, 2.0), (0.22, -1.0), (1.3, 2.0)])
+def test_loads_that_repeat_have_several_lags_and_no_lag_auto(frequency, shift):
+    time, when = np.arange(0, 20, 0.01), np.arange(0.3, 19.7, 0.05)
+    wrench, moved = np.zeros((len(time), 6)), np.zeros((len(when), 6))
+    for loads, at in ((wrench, time), (moved, when)):
+        loads[:, 2] = 800 * np.sin(2 * np.pi * frequency * at)
+    lag = estimate_lag(Logs(time, wrench, when + shift, 1e-6 * moved))
+    assert lag.others
+    assert min(abs(one + shift) for one in (lag.seconds, *lag.others)) < 1e-3
+    (finding,) = clock_findings(lag, 0.0)
+    assert "the loads repeat" in finding.message
+    assert "lag=auto" not in finding.message
+
+
+def test_noise_of_the_loads_is_no_difference_of_clock_rates():
+    """Interpolation averages the noise of two loads, but not where displacements fall on one."""
+    for seed in range(8400, 8412):
+        logs = slow_logs(seed, 0.2, 0.0, 20.0)
+        noise = np.random.default_rng(seed).normal(size=logs.wrench.shape)
+        noisy = logs._replace(wrench=logs.wrench + 0.01 * noise * logs.wrench.std(axis=0))
+        assert not estimate_lag(noisy).rate
