@@ -173,7 +173,13 @@ def rigged(
             loads, moved = rig.loads(loads), rig.displacements(moved)
             stated = any(uncertainty.strides)
             uncertainty = rig.uncertainties(uncertainty) if stated else uncertainty
-        shift = _shift(loads, moved) if rig.load_cell == "fixed" else np.zeros(loads.shape)
+        shift = np.zeros(loads.shape)
+        if rig.load_cell == "fixed":
+            shift = _shift(loads, moved)
+        elif rig.load_cell == "moving" and rig.load_point.any():
+            # The point moves with the section: its lever turns by the rotation that was measured.
+            lever = _swing(np.nan_to_num(moved[:, 3:]), rig.load_point)
+            shift[:, 3:] = -np.cross(lever, loads[:, :3])
         good = np.ones(len(piece), dtype=bool)
         for at, name, message in _problems(piece, rig, moved, shift, names):
             good[at] = False
