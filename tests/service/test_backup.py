@@ -338,6 +338,20 @@ def test_a_directory_whose_jobs_are_being_run_is_not_restored_into(backup, tmp_p
     lease.close()
 
 
+def test_a_server_that_starts_during_a_restore_keeps_its_ledger(backup, tmp_path, monkeypatch):
+    """The directory was looked at once, before all files were unpacked."""
+    folder = tmp_path / "again"
+
+    def started(_):
+        (folder / "ledger.sqlite").write_text("of the server")
+
+    monkeypatch.setattr("wrenchbook.service.ops.restore.sync_tree", started)
+    with pytest.raises(BackupError, match="is not empty"):
+        restore(backup, folder)
+    assert [entry.name for entry in folder.iterdir()] == ["ledger.sqlite"]
+    assert (folder / "ledger.sqlite").read_text() == "of the server"
+
+
 def test_a_restored_ledger_goes_on_numbering_where_the_backup_ended(backup, tmp_path):
     restore(backup, tmp_path / "again")
     ledger = Ledger(tmp_path / "again" / "ledger.sqlite")
