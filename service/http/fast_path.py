@@ -120,6 +120,7 @@ class FastPath:
             not fields.is_whole
             or not parser.should_keep_alive()
             or named.keys() & _UNUSUAL
+            or [name for name, _ in fields.found].count(b"host") > 1
             or not _LENGTH.fullmatch(length)
             or request_id is None
         ):

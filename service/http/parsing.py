@@ -1,4 +1,4 @@
-"""Parses bodies and `?table_version=` of displacement calls; pydantic names each mistake.
+"""Parses bodies of displacement calls; pydantic names each mistake.
 
 A mistake is a `HttpProblemError` of status 422 with the place of each mistake.
 """

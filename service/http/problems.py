@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from typing import Any
@@ -80,6 +81,8 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
     LedgerUnavailableError: (503, "ledger", "The ledger cannot be written; nothing was accepted"),
 }
+# Of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary files.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _BUILT_S = "1"  # Retry-After, s: most tables are built in less
 _TYPE_ROOT = "urn:wrenchbook:problem:"
 
@@ -184,6 +187,10 @@ def problem_of(error: Exception) -> HttpProblemError:
             job=job_link(error.job),
             **error.facts,
         )
+    if isinstance(error, OSError) and error.errno in _FULL:
+        detail = f"{error.strerror}, on the disk of the data directory or of temporary files "
+        detail += "(TMPDIR). Make room there, then send the request again."
+        return HttpProblemError(507, "disk", "The disk is full", detail)
     for kind, (status, slug, title) in _NAMED.items():
         if isinstance(error, kind):
             facts = getattr(error, "facts", {})
@@ -223,7 +230,7 @@ def install(app: FastAPI) -> None:
         return Response(status_code=CLIENT_GONE)  # no caller reads it
 
     named = (BundleError, ValidationError, RequestValidationError, SolveFailedError, *_NAMED)
-    for kind in (HttpProblemError, *named):
+    for kind in (HttpProblemError, OSError, *named):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
     app.add_exception_handler(ClientDisconnect, gone)

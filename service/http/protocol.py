@@ -41,6 +41,13 @@ _NO_UPGRADE: Final = HttpProblemError(
     "The body of a request with the header Connection: Upgrade is not read; nothing was "
     "changed. Send the request without the headers Connection: Upgrade and Upgrade.",
 )
+_HOSTS: Final = HttpProblemError(
+    400,
+    "hosts",
+    "More than one Host",
+    "The request has several Host fields, and a proxy may take another one than this server (RFC "
+    "9112, section 3.2); nothing was changed. Send one.",
+)
 _NOT_HTTP: Final = HttpProblemError(
     400,
     "not-http",
@@ -164,6 +171,8 @@ class FastPathProtocol(HttpToolsProtocol):
             self._drops_input = self._is_last = True
             sized = {name for name, value in self.headers if value != b"0"} & _SIZES
             self.app = _NO_UPGRADE.response() if sized else app
+        if [name for name, _ in self.headers].count(b"host") > 1:
+            self.app = _HOSTS.response()
         super().on_headers_complete()
         self.app, self._in_body = app, True
         scope: Any = self.scope

@@ -168,13 +168,17 @@ class Keyring:
         """Replace the file of all keys at once."""
         partial = self._path.with_name(f".{FILE}.{os.getpid()}")
         content = json.dumps({"keys": [asdict(key) for key in keys.values()]}, indent=1)
-        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-        with open(descriptor, "w", encoding="utf-8") as file:  # noqa: PTH123 (a descriptor)
-            file.write(content)
-            file.flush()
-            os.fsync(descriptor)
-        partial.replace(self._path)
-        sync_folder(self._path.parent)
+        try:
+            descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            with open(descriptor, "w", encoding="utf-8") as file:  # noqa: PTH123 (a descriptor)
+                file.write(content)
+                file.flush()
+                os.fsync(descriptor)
+            partial.replace(self._path)
+            sync_folder(self._path.parent)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise KeysError(f"{self._path} cannot be written: {error}. The keys stay") from error
 
     def _read(self) -> None:
         stamp = _stamp(self._path)

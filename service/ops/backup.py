@@ -12,7 +12,6 @@ import re
 import tempfile
 import time
 import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -38,6 +37,11 @@ _FOLDERS = ("components", "fields", "solver_errors")
 _HELD = re.compile(
     rf"{'|'.join(map(re.escape, _FILES))}|{TABLES}/(?!\.)[^/]+\.h5|"
     rf"(?:{'|'.join(_FOLDERS)})(?:/(?!\.)[^/]+)+"
+)
+# What reading an entry or the manifest of a file that was damaged or changed raises.
+_UNREADABLE = (
+    *(KeyError, ValueError, TypeError, AttributeError, OverflowError),
+    *(RuntimeError, EOFError, zipfile.BadZipFile),
 )
 _DAMAGED = "the backup is damaged and nothing was changed. Take another one"
 
@@ -124,28 +128,37 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
         holds.
     """
     try:
-        owner = source.stat().st_uid
+        about = source.stat()
         archive = zipfile.ZipFile(source)
     except FileNotFoundError:
         raise BackupError(f"there is no file {source}") from None
-    except (zipfile.BadZipFile, OSError) as error:
+    except (*_UNREADABLE, OSError) as error:
         raise BackupError(
             f"{source} is not a whole backup ({error}): its writing or copying was cut off. "
             "Take another one; nothing was changed"
         ) from error
     # A backup is its owner's alone to read: one that comes from somebody else was passed on.
-    if owner not in (0, os.geteuid()):
+    if about.st_uid not in (0, os.geteuid()):
         raise BackupError(
-            f"{source} belongs to user {owner}, who may have changed it. If you trust it, copy it "
-            "and restore the copy; nothing was changed"
+            f"{source} belongs to user {about.st_uid}, who may have changed it. If you trust it, "
+            "copy it and restore the copy; nothing was changed"
         )
     with archive:
+        # So a small file cannot fill memory or disk: entries are neither compressed nor overlap.
+        entries = archive.infolist()
+        unpacked = sum(entry.file_size for entry in entries)
+        if unpacked > about.st_size or any(entry.compress_type for entry in entries):
+            raise BackupError(
+                f"{source} has compressed or overlapping entries ({unpacked:,} bytes in a file of "
+                f"{about.st_size:,}), which no backup has: it was changed. Nothing was restored; "
+                "take another one"
+            )
         manifest = _manifest(archive, source)
         for name, expected in manifest.files.items():
             try:
                 with archive.open(name) as file, place(name) as target:
                     found = _copied(file, target)
-            except (KeyError, RuntimeError, zipfile.BadZipFile, EOFError, zlib.error) as error:
+            except _UNREADABLE as error:
                 what = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
                 raise BackupError(what) from error
             if found != expected:
@@ -157,7 +170,7 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
     try:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
         kind, schema = fields["format"], int(fields["schema"])
-    except (KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise BackupError(f"{source} is a zip, but no backup of wrenchbook ({error!r})") from error
     if kind != FORMAT or schema > SCHEMA:
         raise BackupError(
@@ -167,7 +180,7 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
     try:
         files = {str(name): (int(n), str(digest)) for name, (n, digest) in fields["files"].items()}
         created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
+    except _UNREADABLE as error:
         raise BackupError(f"{source} does not say what is in it ({error!r})") from error
     held = {name: about for name, about in files.items() if _HELD.fullmatch(name)}
     skipped = tuple(files.keys() - held.keys())

@@ -51,12 +51,12 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
     draft = folder / _DRAFT
     try:
         folder.mkdir(0o700, parents=True, exist_ok=True)
-        present = sorted(entry for entry in folder.iterdir() if entry.name not in _STAYS)
-        _check_free(folder, present, overwrite=overwrite)
+        _check_free(folder, overwrite=overwrite)
         shutil.rmtree(draft, ignore_errors=True)  # of an interrupted restore
         draft.mkdir(0o700)
         manifest = _unpacked(source, draft)
         sync_tree(draft)
+        present = _check_free(folder, overwrite=overwrite)  # a server may have started meanwhile
         aside = _move_aside(folder, present) if present else None
         for entry in sorted(draft.iterdir(), key=lambda entry: entry.name == LEDGER):
             entry.rename(folder / entry.name)
@@ -74,7 +74,9 @@ def in_use(folder: Path) -> bool:
     return any(lock.is_locked(file) for file in (*owners, folder / SHARED / LOCK))
 
 
-def _check_free(folder: Path, present: list[Path], *, overwrite: bool) -> None:
+def _check_free(folder: Path, *, overwrite: bool) -> list[Path]:
+    """Return what the directory has besides what stays; refuse one in use, or not empty."""
+    present = sorted(entry for entry in folder.iterdir() if entry.name not in _STAYS)
     if in_use(folder):
         raise BackupError(f"a server or worker uses {folder}; stop it first. Nothing was changed")
     if present and not overwrite:
@@ -82,6 +84,7 @@ def _check_free(folder: Path, present: list[Path], *, overwrite: bool) -> None:
             f"{folder} is not empty ({present[0].name} and {len(present) - 1} more); name another "
             "directory, or say --overwrite to have what is in it moved aside. Nothing was changed"
         )
+    return present
 
 
 def _unpacked(source: Path, draft: Path) -> Manifest:

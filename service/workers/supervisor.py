@@ -21,6 +21,7 @@ from functools import partial
 from multiprocessing import forkserver
 from multiprocessing.connection import wait
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 from uvicorn import Config
@@ -41,6 +42,7 @@ HEALTH_S: Final = 30
 RETIRE: Final = signal.SIGUSR1  # to a web worker that is replaced: see `Server.retire`
 STOP_S: Final = 30.0  # for a process to end after SIGTERM
 LOOK_S: Final = 0.05  # between two looks at processes that start
+_ENDS: Final = frozenset({signal.SIGINT, signal.SIGTERM})
 # From SIGTERM until connections are refused: web workers take those that wait within 0.1 s.
 REFUSE_AFTER_S: Final = 0.2
 
@@ -62,6 +64,7 @@ class Worker(multiprocess.Process):
     def __init__(self, config: Config, sockets: list[socket.socket]) -> None:
         super().__init__(config, sockets)
         self.process: Any = forks.Process(target=self.target, args=(sockets,))
+        self._pinged_at: float | None = None  # while the answer to a ping of `is_alive` is due
 
     def target(self, sockets: list[socket.socket] | None = None) -> None:
         """Run in the child."""
@@ -69,6 +72,24 @@ class Worker(multiprocess.Process):
         make: Any = self.config.app
         self._server = make()
         super().target(sockets)
+
+    def is_alive(self, timeout: float = HEALTH_S) -> bool:
+        """Return whether it runs, and has answered the last ping or has `timeout` left for that.
+
+        Waits for nothing: a build can keep the builder from an answer for half a minute, and
+        signals and ends of other processes cannot wait for that.
+        """
+        if not self.process.is_alive():
+            return False
+        with suppress(OSError, EOFError):
+            while self.parent_conn.poll():
+                self.parent_conn.recv()
+                self._pinged_at = None
+            if self._pinged_at is None:
+                self.parent_conn.send(b"ping")
+                self._pinged_at = time.monotonic()
+            return time.monotonic() - self._pinged_at < timeout
+        return False
 
     def _healthcheck(self, timeout: float) -> bool | None:
         """Return whether it has started; None if it does not answer a ping, or ends meanwhile."""
@@ -146,15 +167,27 @@ class Supervisor(multiprocess.Multiprocess):
             self._builder = Worker(self._builder_config, [])
             self._builder.start()
 
+    def handle_signals(self) -> None:
+        """Handle each kind of signal once, however often it came, and an end before restarts."""
+        count = len(self.signal_queue)
+        signals = set(self.signal_queue[:count])
+        del self.signal_queue[:count]  # handlers may append meanwhile
+        if ends := signals & _ENDS:
+            signals = ends
+        self.signal_queue[:0] = signals
+        super().handle_signals()
+
     def restart_all(self) -> None:
         """Replace the web workers; those before them finish their requests meanwhile."""
+        ends: Any = SimpleNamespace(is_set=lambda: not _ENDS.isdisjoint(self.signal_queue))
         for index, worker in enumerate(self.processes):
             successor = Worker(self.config, self.sockets)
             successor.start()
-            if not successor.wait_until_ready(HEALTH_S, self.should_exit):
+            if not successor.wait_until_ready(HEALTH_S, ends):
                 successor.kill()
                 successor.join()
-                log.error("a new web worker did not start in %d s; the rest stays", HEALTH_S)
+                if not ends.is_set():
+                    log.error("a new web worker did not start in %d s; the rest stays", HEALTH_S)
                 return
             self.processes[index] = successor
             assert worker.pid is not None

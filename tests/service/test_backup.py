@@ -197,6 +197,37 @@ def test_no_link_and_no_device_comes_out_of_a_backup(backup, tmp_path, kind):
     assert stat.S_IMODE(restored.st_mode) == 0o600
 
 
+def test_a_small_file_that_unpacks_to_a_large_one_is_refused(backup, tmp_path):
+    """A manifest of 1 MB took 2 GB of memory, an entry of 2 MB filled 2 GB of disk."""
+    with zipfile.ZipFile(backup) as archive:
+        held = {entry: archive.read(entry) for entry in archive.namelist()}
+    for large in (MANIFEST, "fields/rig/1.fields"):
+        with zipfile.ZipFile(tmp_path / "bomb", "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in held.items():
+                archive.writestr(name, content + b" " * (1 << 24 if name == large else 0))
+        with pytest.raises(BackupError, match="compressed or overlapping entries"):
+            restore(tmp_path / "bomb", tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+
+
+@pytest.mark.parametrize(
+    "manifest",
+    [
+        *("[" * 100_000, "null", "\xff", '{"format": "wrenchbook backup", "schema": 1e999}'),
+        '{"format": "wrenchbook backup", "schema": 2, "created": 0, "ledger_schema": 1e999, '
+        '"files": {}}',
+        '{"format": "wrenchbook backup", "schema": 2, "created": 0, "ledger_schema": 1, "files": '
+        '{"ledger.sqlite": [1e999, ""]}}',
+    ],
+)
+def test_a_manifest_of_nonsense_is_refused_by_a_message(tmp_path, manifest):
+    """Some ended in a traceback: OverflowError and RecursionError."""
+    with zipfile.ZipFile(tmp_path / "nonsense", "w") as archive:
+        archive.writestr(MANIFEST, manifest)
+    with pytest.raises(BackupError, match="nonsense"):
+        restore(tmp_path / "nonsense", tmp_path / "again")
+
+
 def test_a_backup_of_another_user_is_refused(backup, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: 4242)
     os.chown(backup, 4243, -1) if os.getuid() == 0 else None
@@ -305,6 +336,20 @@ def test_a_directory_whose_jobs_are_being_run_is_not_restored_into(backup, tmp_p
     with pytest.raises(BackupError, match="stop it first"):
         restore(backup, tmp_path / "busy", overwrite=True)
     lease.close()
+
+
+def test_a_server_that_starts_during_a_restore_keeps_its_ledger(backup, tmp_path, monkeypatch):
+    """The directory was looked at once, before all files were unpacked."""
+    folder = tmp_path / "again"
+
+    def started(_):
+        (folder / "ledger.sqlite").write_text("of the server")
+
+    monkeypatch.setattr("wrenchbook.service.ops.restore.sync_tree", started)
+    with pytest.raises(BackupError, match="is not empty"):
+        restore(backup, folder)
+    assert [entry.name for entry in folder.iterdir()] == ["ledger.sqlite"]
+    assert (folder / "ledger.sqlite").read_text() == "of the server"
 
 
 def test_a_restored_ledger_goes_on_numbering_where_the_backup_ended(backup, tmp_path):

@@ -1,6 +1,8 @@
 """Keys are kept hashed, in one file; servers and commands on it see each other's changes."""
 
+import errno
 import json
+import os
 import stat
 
 import pytest
@@ -93,3 +95,18 @@ def test_a_key_with_an_unknown_field_is_no_key(keyring, tmp_path):
     (tmp_path / FILE).write_text(json.dumps(told))
     with pytest.raises(KeysError):
         Keyring(tmp_path)
+
+
+def test_keys_that_a_full_disk_does_not_take_stay_as_they_were(keyring, tmp_path, monkeypatch):
+    """The message was "No space left on device" alone, and a partial file stayed."""
+    keyring.add("ann", "read")
+    before = sorted(tmp_path.iterdir())
+
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("wrenchbook.service.keys.keyring.os.fsync", full)
+    with pytest.raises(KeysError, match=r"keys\.json cannot be written.*No space left"):
+        keyring.add("bob", "read")
+    assert sorted(tmp_path.iterdir()) == before
+    assert [key.name for key in keyring.listed()] == ["ann"]

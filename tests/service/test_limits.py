@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import errno
 import os
 import socket
 import time
@@ -174,6 +175,27 @@ def test_files_of_bodies_are_gone_once_they_are_read_or_refused(live, monkeypatc
         live.import_table("rig", "nonsense\n" * 2000)
     assert bodies.Spooled.kept == 0
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_body_that_a_full_disk_does_not_take_is_507_and_no_crash(asked, monkeypatch):
+    """It was 500 with a traceback in the log, where the ledger's full disk is 507."""
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(bodies.Spooled, "append", full)
+    reply = asked.post(f"{RIG}/table", content=b"fz [N],uz [m]\n1,1e-6\n")
+    assert (reply.status_code, reply.json()["type"]) == (507, "urn:wrenchbook:problem:disk")
+    assert "No space left on device" in reply.json()["detail"]
+
+
+def test_an_error_of_the_disk_that_is_not_full_stays_a_crash(asked, monkeypatch):
+    def broken(*_):
+        raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+
+    monkeypatch.setattr(bodies.Spooled, "append", broken)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        asked.post(f"{RIG}/table", content=b"fz [N],uz [m]\n1,1e-6\n")
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,8 @@ from wrenchbook.service.files import scratch
 from wrenchbook.service.files.program import child_command
 from wrenchbook.service.http import server as servers
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.workers.supervisor import Worker
+from wrenchbook.service.workers import supervisor as supervisors
+from wrenchbook.service.workers.supervisor import Supervisor, Worker
 from wrenchbook.service.workspace import Settings
 
 LIMIT_S = 60.0
@@ -208,6 +209,47 @@ def test_a_web_worker_that_is_killed_while_it_answers_a_ping_is_seen_to_have_end
     assert worker._healthcheck(LIMIT_S) is None
     assert not worker.parent_conn.poll()
     os.close(sentinel)
+
+
+def test_a_process_that_is_busy_with_a_build_keeps_the_supervisor_from_nothing(monkeypatch):
+    """It waited up to 30 s for each answer to a ping; signals and other processes had to wait."""
+    worker, now = Worker.__new__(Worker), [0.0]
+    worker.parent_conn, worker.child_conn = multiprocessing.Pipe()
+    worker.process, worker._pinged_at = SimpleNamespace(is_alive=lambda: True), None
+    monkeypatch.setattr(supervisors, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(supervisors, "wait", None)  # what it waits with
+    assert worker.is_alive(30.0)
+    now[0] = 29.0
+    assert worker.is_alive(30.0)
+    assert worker.child_conn.recv() == b"ping"
+    assert not worker.child_conn.poll()
+    now[0] = 31.0
+    assert not worker.is_alive(30.0)
+    worker.child_conn.send(True)
+    assert worker.is_alive(30.0)
+    now[0] = 60.0
+    assert worker.is_alive(30.0)
+
+
+def supervisor(*signals):
+    """A supervisor that has got signals, and how often it restarts the web workers."""
+    made, restarts = Supervisor.__new__(Supervisor), []
+    made.signal_queue, made.should_exit = list(signals), threading.Event()
+    made.restart_all = lambda: restarts.append(1)
+    return made, restarts
+
+
+def test_twenty_restarts_that_wait_are_one():
+    made, restarts = supervisor(*[signal.SIGHUP] * 20)
+    made.handle_signals()
+    assert (len(restarts), made.signal_queue) == (1, [])
+
+
+def test_an_end_does_not_wait_for_restarts_before_it():
+    made, restarts = supervisor(signal.SIGHUP, signal.SIGHUP, signal.SIGTERM, signal.SIGHUP)
+    made.handle_signals()
+    assert made.should_exit.is_set()
+    assert (restarts, made.signal_queue) == ([], [])
 
 
 TAKES = """

@@ -41,12 +41,6 @@ def test_a_servers_method_of_axes_leaves_such_a_table_its_own(two_ends):
     assert two_ends.post(f"{URL}/displacement", json=BODY).json()["method"] == "kriging"
 
 
-def test_lookup_blocks_of_such_a_table_are_refused_with_the_reason(two_ends):
-    reply = two_ends.get(f"{URL}/table?format=mat")
-    assert reply.status_code == 409
-    assert "one wrench at one interface" in reply.json()["detail"]
-
-
 def test_an_fmu_by_a_method_that_the_table_lacks_is_refused(two_ends):
     packed = PackedTable.from_bytes(two_ends.get(f"{URL}/table?format=packed").content)
     with pytest.raises(UnknownMethodError, match="one wrench at one interface"):

@@ -72,7 +72,7 @@ function away(about, signal, again) {
 }
 
 function history(about, imports) {
-  const now = el("p", { class: "muted small" }, `The table is at version ${about.table_version}. A version answers and exports as it did then: name it under Query, or under Import & export.`);
+  const now = el("p", { class: "muted small" }, `The table is at version ${about.table_version}, which answers. To keep it, save the packed table (.wbt) under Import & export.`);
   if (!imports.length) return [now, empty("Nothing was imported.", linkTo(about, "table", "Import rows"))];
   const lines = imports.slice(0, 100).map((one) => [
     one.table_version === null ? "–" : String(one.table_version), count(one.rows), one.filename || one.format, time(one.when), one.who || "–", one.note || "", one.rig ? el("details", {}, el("summary", {}, "rig"), el("pre", {}, one.rig)) : "",

@@ -109,7 +109,7 @@ class Browser:
         try:
             return WebDriverWait(self.driver, WAIT_S, poll_frequency=0.05).until(holds)
         except TimeoutException:
-            seen = self.run("return document.body.innerText")
+            seen = self.run("return document.body?.innerText")
             raise AssertionError(
                 f"{why or condition} did not come; the page shows:\n{seen}"
             ) from None
