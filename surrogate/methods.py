@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -78,13 +79,13 @@ def _put_deviations(
     table: AxisTable, deviation: Floats, used: NDArray[np.bool_], left: NDArray[np.bool_]
 ) -> None:
     """Fill, of all rows, what an axis misses them by, (n, 6), and which are its points, (n,)."""
-    for group in table.rows.members:
-        used[list(group)] = True
+    used[list(chain.from_iterable(table.rows.members))] = True
     if table.others is not None:  # they are no points of the axis: its answers miss them anyway
         return
-    for place, error in zip(table.left_out.places.tolist(), table.left_out.errors, strict=True):
-        group = list(table.rows.members[place])
-        deviation[group], left[group] = error, True
+    groups = [table.rows.members[place] for place in table.left_out.places.tolist()]
+    rows = list(chain.from_iterable(groups))
+    deviation[rows] = np.repeat(table.left_out.errors, [len(group) for group in groups], axis=0)
+    left[rows] = True
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ lines.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import accumulate
+from itertools import accumulate, chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,13 +186,25 @@ def _cuts(composition: Composition) -> Iterator[tuple[str, Array]]:
 def _members(
     tables: Sequence[AxisTable | None], members: Sequence[tuple[int, ...]]
 ) -> Iterator[tuple[str, Array]]:
-    first, found = [0], []
+    sizes, numbers = [np.zeros(1, dtype=np.intp)], [np.empty(0, dtype=np.int64)]
     for table in tables:
         if table is None:
             continue
-        for point in _order(table)[0].tolist():
-            rows = sorted(row for place in table.rows.members[point] for row in members[place])
-            found.extend(rows)
-            first.append(len(found))
-    yield "member_first", np.array(first, dtype=np.int32)
-    yield "members", np.array(found, dtype=np.int64)
+        order = _order(table)[0]
+        point, place = _members_of(table.rows.members, order)
+        behind, row = _members_of(members, place)
+        numbers.append(row[np.lexsort((row, point[behind]))])
+        sizes.append(np.bincount(point[behind], minlength=len(order)))
+    yield "member_first", np.cumsum(np.concatenate(sizes)).astype(np.int32)
+    yield "members", np.concatenate(numbers)
+
+
+def _members_of(
+    groups: Sequence[tuple[int, ...]], which: NDArray[np.integer]
+) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Return the members of some groups (k,): the place in `which` of each, and the member."""
+    sizes = np.fromiter(map(len, groups), np.int64, len(groups))
+    members = np.fromiter(chain.from_iterable(groups), np.int64, int(sizes.sum()))
+    ends, counts = np.cumsum(sizes), sizes[which]
+    owner = np.repeat(np.arange(len(which)), counts)
+    return owner, members[(ends[which] - np.cumsum(counts))[owner] + np.arange(len(owner))]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from itertools import chain, compress
 from pathlib import Path
 from typing import Any
 
@@ -258,10 +259,10 @@ def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
 
 def _linear_rows(group: Surrogate) -> list[int]:
     """Return the numbers of the rows that the compliance comes from."""
-    places = range(len(group.used))
+    members = group.members
     if group.fit.origin == "stored":
-        places = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2))).tolist()
-    return sorted(row for place in places for row in group.members[place])
+        members = compress(members, np.isfinite(group.used.compliance).all(axis=(1, 2)).tolist())
+    return sorted(chain.from_iterable(members))
 
 
 def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Array]]:
