@@ -41,10 +41,13 @@ def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
         return none
     some = looked_at(some)
     response = response_of(some, load_range)
-    good = some.take(~wrong_rows(some, load_range, response).any(axis=1))
-    if len(good) < FEWEST:
-        return none
-    found = sequence_errors(good, response_of(good, load_range), probable=True)
+    wrong, good = wrong_rows(some, load_range, response).any(axis=1), some
+    if wrong.any():
+        good = some.take(~wrong)
+        if len(good) < FEWEST:
+            return none
+        response = response_of(good, load_range)
+    found = sequence_errors(good, response, probable=True)
     return np.maximum(np.abs(found.drift) + found.loop, 2 * branches(good, load_range))
 
 
