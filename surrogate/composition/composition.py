@@ -125,7 +125,8 @@ class Composition:
         count = len(wrenches)
         loaded = np.abs(wrenches) > CLEAN * self.scale
         total = _Total(self.at_rest, count)
-        alone = [self._alone(moment, wrenches[:, moment + 3]) for moment in range(3)]
+        acting = [np.flatnonzero(loaded[:, moment + 3]) for moment in range(3)]
+        alone = [self._alone(m, wrenches[rows, m + 3]) for m, rows in enumerate(acting)]
         times = -loaded[:, 3:].astype(float)  # how often each moment's own answer is added
         for index, axis in enumerate(AXES):
             force, first, second = (loaded[:, load] for load in axis.inputs)
@@ -135,18 +136,20 @@ class Composition:
             ):
                 times[single, load - 3] += 1.0
                 rows = np.flatnonzero(single)
-                total.put_own(rows, axis, alone[load - 3].take(rows))
-                total.state[rows, index] = alone[load - 3].state[rows]
+                part = alone[load - 3].take(np.searchsorted(acting[load - 3], rows))
+                total.put_own(rows, axis, part)
+                total.state[rows, index] = part.state
             rows = np.flatnonzero(force | (first & second))
             if len(rows):
                 part = self._read(axis, wrenches[rows])
                 total.put_own(rows, axis, part)
                 total.add(rows, part, np.ones(len(rows)))
                 total.state[rows, index] = part.state
-        for moment, part in enumerate(alone):
+        for moment in range(3):
             rows = np.flatnonzero(times[:, moment])
-            total.add(rows, part.take(rows), times[rows, moment])
-            total.mark_base(rows, moment, part.state[rows])
+            part = alone[moment].take(np.searchsorted(acting[moment], rows))
+            total.add(rows, part, times[rows, moment])
+            total.mark_base(rows, moment, part.state)
         return total.composed()
 
     def derivatives(self, wrenches: Floats, method: str) -> Floats:
