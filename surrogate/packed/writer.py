@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from itertools import chain, compress
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -261,7 +261,8 @@ def _linear_rows(group: Surrogate) -> list[int]:
     """Return the numbers of the rows that the compliance comes from."""
     members = group.members
     if group.fit.origin == "stored":
-        members = compress(members, np.isfinite(group.used.compliance).all(axis=(1, 2)).tolist())
+        sloped = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2)))
+        members = tuple(members[place] for place in sloped.tolist())
     return sorted(chain.from_iterable(members))
 
 
