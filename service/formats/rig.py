@@ -66,7 +66,8 @@ _WHICH_POINT = (
     "in {count} of {rows} rows, by up to {value:.3g} N*m (row {row}, {share:.2g} %). Choose "
     "load_cell=moving (--load-cell moving) if the moments are about the interface's point where it "
     "is now, as of a cell on the moving side, or load_cell=fixed if about the undeformed point, as "
-    "of a cell on the ground: translation x force is then taken off each row's moment"
+    "of a cell on the ground: translation x force is then taken off each row's moment. Check the "
+    "unit of the translations first: millimetres read as metres look like this"
 )
 
 

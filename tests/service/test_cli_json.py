@@ -198,7 +198,8 @@ def test_a_validation_prints_its_findings_as_json(run: Run):
 def test_the_paper_prints_its_json_and_nothing_of_its_table(run: Run, monkeypatch, tmp_path: Path):
     (tmp_path / "paper.json").write_text('{"summary": "all bands"}')
     table = [sys.executable, "-c", "print('a table')"]
-    monkeypatch.setattr(local, "child_command", lambda *_: table)
+    run_table = lambda *_, stdout: subprocess.run(table, check=False, stdout=stdout).returncode  # noqa: E731
+    monkeypatch.setattr(local, "run_child", run_table)
     monkeypatch.setattr(local.importlib.util, "find_spec", lambda _: True)
     _, out = run("validate", "paper", "--out", str(tmp_path), "--json")
     assert json.loads(out) == {"summary": "all bands"}

@@ -16,7 +16,6 @@ from wrenchbook.service.http.access import (
     AccessControl,
     Permission,
     SecuritySettings,
-    permission_of,
 )
 from wrenchbook.service.keys import Keyring
 
@@ -336,14 +335,9 @@ def test_a_private_servers_own_stream_outlives_a_change_of_keys(tmp_path):
     keyring = Keyring(tmp_path)
     security = SecuritySettings(own_key="the-server's-own")
     access, listener = AccessControl(keyring, security), Feed().listen(None, None, {})
-    scope = {
-        "method": "GET",
-        "path": "/v1/events",
-        "headers": [(b"authorization", b"Bearer the-server's-own")],
-    }
+    request = ("GET", "/v1/events", {b"authorization": b"Bearer the-server's-own"})
     keyring.add("ops", "admin")
-    access.check(scope)
-    access.end_with_key(listener, permission_of(scope))
+    access.end_with_key(listener, access.check(*request))
     keyring.revoke("ops")
-    access.check(scope)
+    access.check(*request)
     assert not listener.ended

@@ -25,11 +25,11 @@ def wrench(http):
     return np.random.default_rng(5).uniform(-0.8, 0.8, (60, 6)) * component.load_range.scale
 
 
-def findings(http, wrench, moved):
+def findings(http, wrench, moved, **query):
     reply = http.post(
         CALL,
         content=csv_of(Rows.of(wrench, moved)),
-        params={"dry_run": True},
+        params={"dry_run": True, **query},
         headers={"content-type": "text/csv"},
     )
     return reply.json()["findings"]
@@ -49,7 +49,7 @@ def test_forces_of_a_wrong_calibration_are_named_against_the_solves(http, wrench
 
 def test_millimetres_under_a_header_of_metres_are_named_against_the_solves(http, wrench):
     moved = wrench @ COMPLIANCE.T * np.repeat([1000.0, 1.0], 3)
-    (found,) = findings(http, wrench, moved)
+    (found,) = findings(http, wrench, moved, load_cell="moving")
     assert (found["cause"], found["quantity"]) == ("unit", "translations")
 
 

@@ -9,8 +9,10 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from types import SimpleNamespace
 
 import psutil
@@ -31,14 +33,15 @@ CONNECTIONS = 4
 QUERY, USUAL = "/v1/components/spring/displacement", "/v1/components/spring"
 
 
-def temporary(folder):
-    """The folder of a server's temporary files."""
-    (path := folder.with_name(f"{folder.name}-temporary")).mkdir(exist_ok=True)
-    return path
+@pytest.fixture
+def temporary():
+    """The folder of a server's temporary files, short: its sockets' paths may have 107 bytes."""
+    with tempfile.TemporaryDirectory(prefix="wb-") as folder:
+        yield Path(folder)
 
 
 @contextmanager
-def serving(folder, processes):
+def serving(folder, processes, temporary):
     command = child_command(
         "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
     )
@@ -47,7 +50,7 @@ def serving(folder, processes):
         [*command, *words],
         stdout=subprocess.PIPE,
         text=True,
-        env={**os.environ, "TMPDIR": str(temporary(folder))},
+        env={**os.environ, "TMPDIR": str(temporary)},
     )
     try:
         yield server, int(server.stdout.readline().rsplit(":", 1)[1])
@@ -105,8 +108,8 @@ class Load:
 
 
 @pytest.mark.parametrize("processes", [1, 2])
-def test_a_restart_of_the_web_workers_loses_no_request(tmp_path, processes):
-    with serving(tmp_path, processes) as (server, port):
+def test_a_restart_of_the_web_workers_loses_no_request(tmp_path, processes, temporary):
+    with serving(tmp_path, processes, temporary) as (server, port):
         before, load = web_workers(server), Load(port)
         os.kill(server.pid, signal.SIGHUP)
         until(lambda: len(new := web_workers(server)) == processes and not new & before)
@@ -115,8 +118,10 @@ def test_a_restart_of_the_web_workers_loses_no_request(tmp_path, processes):
         assert load.end() == []
 
 
-def test_the_last_reply_of_each_connection_says_that_it_closes_when_the_server_ends(tmp_path):
-    with serving(tmp_path, 2) as (server, port):
+def test_the_last_reply_of_each_connection_says_that_it_closes_when_the_server_ends(
+    tmp_path, temporary
+):
+    with serving(tmp_path, 2, temporary) as (server, port):
         load = Load(port, until_closed=True)
         os.kill(server.pid, signal.SIGTERM)
         for thread in load.threads:
@@ -155,25 +160,29 @@ class HalfImport:
         return reply, body
 
 
-def test_an_import_that_has_begun_is_finished_while_the_web_worker_is_replaced_twice(tmp_path):
-    with serving(tmp_path, 1) as (server, port):
+def test_an_import_that_has_begun_is_finished_while_the_web_worker_is_replaced_twice(
+    tmp_path, temporary
+):
+    with serving(tmp_path, 1, temporary) as (server, port):
         begun, seen = HalfImport(port), web_workers(server)
-        until(lambda: list(temporary(tmp_path).glob("*/*/body")))
+        until(lambda: list(temporary.glob("*/*/body")))
         for count in (2, 3):
             os.kill(server.pid, signal.SIGHUP)
             until(lambda: len(seen.update(web_workers(server)) or seen) == count)  # noqa: B023
         reply, body = begun.finish()
         assert (reply.status, body.get("inserted")) == (200, COUNT)
-    assert list(temporary(tmp_path).glob("wrenchbook-*")) == []
+    assert list(temporary.glob("wrenchbook-*")) == []
 
 
-def test_the_body_of_an_import_is_removed_once_a_killed_web_worker_is_started_again(tmp_path):
-    with serving(tmp_path, 1) as (server, port):
+def test_the_body_of_an_import_is_removed_once_a_killed_web_worker_is_started_again(
+    tmp_path, temporary
+):
+    with serving(tmp_path, 1, temporary) as (server, port):
         begun = HalfImport(port)
-        until(lambda: list(temporary(tmp_path).glob("*/*/body")))
+        until(lambda: list(temporary.glob("*/*/body")))
         (killed,) = web_workers(server)
         os.kill(killed, signal.SIGKILL)
-        until(lambda: not list(temporary(tmp_path).glob("*/*/body")))
+        until(lambda: not list(temporary.glob("*/*/body")))
         begun.connection.close()
 
 
