@@ -21,7 +21,13 @@ from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.jobs.engines.engine import Engine
 from wrenchbook.service.jobs.record_outcome import notes_of
 from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
-from wrenchbook.service.ledger import Change, JobRecord, Ledger, LedgerUnavailableError, OpenJob
+from wrenchbook.service.ledger import (
+    Change,
+    JobRecord,
+    Ledger,
+    LedgerRow,
+    LedgerUnavailableError,
+)
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
@@ -33,19 +39,18 @@ from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.live import Tables
 from wrenchbook.service.tables.mapped import MappedTables
-from wrenchbook.service.tables.rows import own_rows, table_rows
-from wrenchbook.service.tables.served import ServedTable, TableBehindError, row_table
+from wrenchbook.service.tables.rows import own_rows
+from wrenchbook.service.tables.served import ServedTable, TableBehindError
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
 from wrenchbook.surrogate.scene.plan import design_of, plan_of
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.row_index import RowIndex
 from wrenchbook.surrogate.table.rows import Tolerance
 
 log = logging.getLogger(__name__)
 
-MOST_UNBUILT = 500  # rows looked through for a wrench: a loop reads them at each uncovered query
+MAX_UNBUILT = 500  # rows looked through for a wrench: a loop reads them at each uncovered query
 CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
 
 
@@ -140,61 +145,19 @@ class Workspace:
         known = self.tables.surrogate(name).solver_error
         return known or self.errors.read(name, self.library[name].fingerprint)
 
-    def row_table(self, name: str, seq: int) -> ServedTable:
-        """Return a table of the row that a solve has just given, which answers its wrench."""
-        rows, newest = (
-            table_rows(self.library[name], (self.ledger.row(seq),)),
-            self.tables.surrogate(name),
-        )
-        return row_table(self.library[name], rows, self.solver_error(name), newest)
+    def unbuilt(self, name: str, table: ServedTable) -> tuple[int, list[LedgerRow]]:
+        """How many rows the next version adds to a table, and the first `MAX_UNBUILT` of them.
 
-    def unbuilt_rows(self, name: str, wrenches: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the numbers of rows at wrenches (k, 6), N and N·m, that no table holds yet, (k,).
-
-        A row is at a wrench within 1e-6 of the range in each load; 0 where there is none.
+        No rows where the ledger cannot be read: an answer needs no ledger.
         """
-        component, after = self.library[name], self.tables.surrogate(name).version
-        changes = self.ledger.row_changes(name, after, MOST_UNBUILT)
-        rows = table_rows(component, own_rows(component, changes.rows))
-        if not len(rows):
-            return np.zeros(len(wrenches), dtype=np.int64)
-        places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
-        return np.where(places < 0, 0, rows.seq[places])
-
-    def pending_rows(self, name: str, table: ServedTable) -> int:
-        """Return how many rows the next version adds to a table."""
         component = self.library[name]
         with suppress(LedgerUnavailableError):
-            changes = self.ledger.row_changes(name, table.version, MOST_UNBUILT)
+            changes = self.ledger.row_changes(name, table.version, MAX_UNBUILT)
+            rows = own_rows(component, changes.rows)
             if changes.whole:
-                return len(own_rows(component, changes.rows))
-            return self.ledger.count_new(name, component.fingerprint, table.version)
-        return 0  # an answer needs no ledger
-
-    def rows_being_built(self, name: str, table: ServedTable, on_thin: str) -> str:
-        """Return how many rows a table will have more in a moment, in words; "" if none.
-
-        Raises
-        ------
-        TableBehindError
-            If there are some, no solve can answer in their place, and the table has no rows or
-            the request takes no estimate.
-        """
-        component, count = self.library[name], self.pending_rows(name, table)
-        if not count:
-            return ""
-        rows = f"{count} row(s) are"
-        if not component.has_fea and not (table.row_count and on_thin == "estimate"):
-            raise TableBehindError.unbuilt(name, f"{rows} being built")
-        return f"{rows} being built: the table answers from them soon"
-
-    def first_open_job(self, name: str) -> OpenJob | None:
-        """Return the oldest job of a component that waits or runs; None if there is none."""
-        try:
-            found = self.ledger.open_jobs(name, self.library[name].fingerprint)
-        except LedgerUnavailableError:
-            return None  # an estimate needs no ledger
-        return found[0] if found else None
+                return len(rows), rows
+            return self.ledger.count_new(name, component.fingerprint, table.version), rows
+        return 0, []
 
     async def newest(self, name: str, seconds: float) -> ServedTable:
         """Return the table once it holds all rows there are now, or after `seconds` as it is.

@@ -280,7 +280,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),
         "rows": table.row_count,
-        "pending_rows": workspace.pending_rows(component.name, table),
+        "pending_rows": workspace.unbuilt(component.name, table)[0],
         "solved": solved,
         "measured": table.row_count - solved,
         "another_setup": {"rows": table.other_rows, "wrenches": table.other_wrenches},

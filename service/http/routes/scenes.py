@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from typing import Annotated
+from statistics import median
+from typing import Annotated, Any
 
 import numpy as np
 import orjson
@@ -12,7 +13,6 @@ from fastapi import APIRouter, Header, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from wrenchbook.service.answering.scenes import scene_file, scene_reply
 from wrenchbook.service.http.bodies import (
     InterfaceSpan,
     SceneBody,
@@ -31,12 +31,18 @@ from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.http.schemas import Plans
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.scene.cut import cut
 from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
+from wrenchbook.surrogate.scene.plan import ScenePlan, plan_of
+from wrenchbook.surrogate.scene.savings import measured
 from wrenchbook.surrogate.table.rows import Floats, LoadRange, Tolerance
 from wrenchbook.surrogate.table.space import Space
 
 router = APIRouter(prefix="/v1", tags=["scenes"], responses=refused(404, 422))
 CATCH_UP_S = 25.0
+SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
 
 
 @router.post(
@@ -54,7 +60,7 @@ async def plan_scene(request: Request, workspace: Opened) -> Response:
     plans = {}
     for name, need in needs.items():
         component, table = workspace.library[name], await workspace.newest(name, CATCH_UP_S)
-        plans[name] = await run_in_threadpool(scene_reply, workspace, component, table, need)
+        plans[name] = await run_in_threadpool(_plan, workspace, component, table, need)
     return json_reply({"components": plans})
 
 
@@ -87,8 +93,64 @@ async def scene_table(
     tag = f'"{table.version}-{what}-{table.packed.checksum:08x}"'
     if holds(if_none_match, tag):
         return Response(None, 304, naming(tag))
-    content = await run_in_threadpool(scene_file, workspace, component, table, need)
-    return Response(content, 200, naming(tag), PACKED_TYPE)
+
+    def file() -> bytes:
+        """Return the table cut to the scene, with the plan; of a rigid or linear component too."""
+        plan = _plan(workspace, component, table, need)
+        return b"".join(cut(table.packed, need, plan))
+
+    return Response(await run_in_threadpool(file), 200, naming(tag), PACKED_TYPE)
+
+
+def _plan(
+    workspace: Workspace, component: Component, table: ServedTable, need: Need
+) -> dict[str, Any]:
+    """Return a scene's plan of a component, as JSON values."""
+    built = table.surrogate()
+    plan = plan_of(built, need, solved=component.has_fea)
+    savings, limit, (whole, scene) = measured(built, plan), need.tolerance, plan.solves
+    body: dict[str, Any] = {
+        "decision": plan.decision,
+        "reason": plan.reason,
+        "loads": need.loads,
+        "axes": need.axes(),
+        "outputs": need.output_names(),
+        "tolerance": limit and {"translation": limit.translation, "rotation": limit.rotation},
+        "displacement_bound": [
+            value if np.isfinite(value) else None for value in plan.bound.tolist()
+        ],
+        "solves": {"whole": whole, "scene": scene},
+        "saves": {
+            "build_s": savings.build_s,
+            "memory_bytes": savings.memory_bytes,
+            "us_per_answer": savings.us_per_answer,
+        },
+        "saves_from": savings.origin | {"solves": _solves_from(workspace, component, plan)},
+        "table_version": table.version,
+    }
+    if plan.compliance is not None:
+        body["compliance"] = plan.compliance.tolist()
+    return body
+
+
+def _solves_from(workspace: Workspace, component: Component, plan: ScenePlan) -> str:
+    """Return the meaning of the numbers of solves, and the time that the saved ones take."""
+    whole, scene = plan.solves
+    if not component.has_fea:
+        return "the component has no finite-element setup: nothing is solved"
+    counted = (
+        f"counted: the first design of an empty table has {whole} wrenches for the whole load range"
+        f" and {scene} for the scene"
+    )
+    jobs = workspace.ledger.jobs(component.name, "done", SOLVES_TIMED)
+    times = [job.seconds for job in jobs if job.seconds is not None]
+    if not times:
+        return f"{counted}; no solve of it has been timed here yet"
+    each = median(times)
+    return (
+        f"{counted}; at {each:.3g} s a solve, the median of the last {len(times)}, that is "
+        f"{(whole - scene) * each:.3g} s less"
+    )
 
 
 def _need_of(component: Component, wanted: SceneComponent, where: str) -> Need:

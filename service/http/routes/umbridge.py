@@ -15,26 +15,23 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.routing import APIRoute
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
-from wrenchbook.service.answering.one import answer_or_submit
-from wrenchbook.service.answering.queries import Outcome, Query
 from wrenchbook.service.http import bodies
 from wrenchbook.service.http.bodies import Body, Flag, Seconds, ToleranceBody
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.openapi import answers, takes
-from wrenchbook.service.http.parsing import known_method, parsed_json
+from wrenchbook.service.http.parsing import known_method, parsed_json, tolerance_of
 from wrenchbook.service.http.problems import HttpProblemError, problem_of
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.library.component import UnknownComponentError
+from wrenchbook.service.query import Floats, Outcome, Query, answer_or_submit
 from wrenchbook.service.tables.served import TableBehindError
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
@@ -92,12 +89,11 @@ class EvaluateBody(Named):
     def query(self, *, derivatives: bool) -> Query:
         """Return the query of the main call."""
         config = self.config or Config()
-        limit = config.tolerance
         return Query(
             wrench=tuple(load + 0.0 for load in self.input[0]),  # 0 for -0
             on_thin=config.on_thin,
             wait_s=config.wait_s,
-            tolerance=Tolerance(limit.translation, limit.rotation) if limit else None,
+            tolerance=tolerance_of(config.tolerance),
             method=known_method(config.method, "config.method"),
             beyond_range=config.beyond_range,
             derivatives=derivatives,
@@ -261,7 +257,7 @@ async def _outcome(request: Request, name: str, query: Query) -> Outcome:
     if not outcome.unsolved:
         return outcome
     if outcome.job is None:
-        raise UmBridgeError("InvalidOutput", f"not solved: {outcome.reason}")
+        raise UmBridgeError("InvalidOutput", f"not solved: {outcome.reply.reason}")
     raise UmBridgeError(
         "InvalidOutput",
         f"not solved within config wait_s: job {outcome.job.id} is {outcome.job.status}; ask again "
@@ -270,40 +266,40 @@ async def _outcome(request: Request, name: str, query: Query) -> Outcome:
 
 
 def _known(outcome: Outcome, space: Space) -> list[float]:
-    """Return all outputs (m,), m and rad."""
-    names = space.output_names
-    values = np.array(outcome.displacement or (None,) * len(names), dtype=float)
+    """All outputs (m,), m and rad."""
+    names, reply = space.output_names, outcome.reply
+    values = np.array(reply.outputs or (None,) * len(names), dtype=float)
     if np.isfinite(values).all():
         return values.tolist()
     lost = [name for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
-    why = outcome.reason or "no row of the table holds it"
+    why = reply.reason or "no row of the table holds it"
     raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} not known: {why}")
 
 
-def _jacobian(outcome: Outcome) -> NDArray[np.float64]:
-    """Return du/dw, shape (m, n), m and rad over N, N·m and the units of further inputs."""
-    found = outcome.derivative
-    if found is None or not np.isfinite(found).all():
+def _jacobian(outcome: Outcome) -> Floats:
+    """du/dw (m, n), m and rad over N, N·m and the units of further inputs."""
+    derivative = outcome.details["derivative"]
+    if derivative is None or not np.isfinite(derivative).all():
         message = "the derivative is not known here: the row that answers brings no tangent"
         raise UmBridgeError("InvalidOutput", message)
-    return found
+    return derivative
 
 
-def _product(matrix: NDArray[np.float64], vector: list[float], name: str) -> list[float]:
-    """Return J^T sens, per N and N·m, or J vec, m and rad."""
-    found = matrix @ np.array(vector)
-    if not np.isfinite(found).all():
+def _product(matrix: Floats, vector: list[float], name: str) -> list[float]:
+    """J^T sens, per N and N·m, or J vec, m and rad."""
+    product = matrix @ np.array(vector)
+    if not np.isfinite(product).all():
         message = f"{name} is too large: the product with the derivative overflows"
         raise UmBridgeError("InvalidInput", message)
-    return found.tolist()
+    return product.tolist()
 
 
 def _reply(outcome: Outcome, output: Any) -> Response:
     """Answer; the protocol allows no further keys, so the coverage is in the headers."""
     headers = {
-        "Wrenchbook-Coverage": outcome.coverage,
-        "Wrenchbook-Method": str(outcome.method),
-        "Wrenchbook-Table-Version": str(outcome.table_version),
+        "Wrenchbook-Coverage": outcome.reply.coverage,
+        "Wrenchbook-Method": outcome.reply.method,
+        "Wrenchbook-Table-Version": str(outcome.table.version),
     }
     return json_reply({"output": output}, 200, headers)
 
