@@ -13,7 +13,7 @@ from wrenchbook.service.ledger.records import (
     LedgerUnavailableError,
 )
 from wrenchbook.service.ledger.repair import SEQUENCES, Acknowledged, Numbers
-from wrenchbook.service.ledger.schema import (
+from wrenchbook.service.ledger.connection import (
     USE_ERRORS,
     Connection,
     begin,

@@ -11,7 +11,7 @@ from wrenchbook.service.ledger import rows, states
 from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
 from wrenchbook.service.ledger.records import STATUSES, JobRecord, OpenJob, Status, UnknownJobError
-from wrenchbook.service.ledger.schema import Connection
+from wrenchbook.service.ledger.connection import Connection
 
 _log = logging.getLogger(__name__)
 

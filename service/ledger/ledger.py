@@ -16,7 +16,7 @@ from wrenchbook.service.ledger.records import (
     OpenJob,
     Status,
 )
-from wrenchbook.service.ledger.schema import Connection
+from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.tables import TableRows
 
 # Leases of owners that were killed without a job are deleted then.

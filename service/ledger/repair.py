@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.records import NewRow
-from wrenchbook.service.ledger.schema import (
+from wrenchbook.service.ledger.connection import (
     USE_ERRORS,
     Connection,
     connect,

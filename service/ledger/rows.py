@@ -24,7 +24,7 @@ from wrenchbook.service.ledger.records import (
     RowStatusError,
     UnknownRowError,
 )
-from wrenchbook.service.ledger.schema import Connection
+from wrenchbook.service.ledger.connection import Connection
 
 COLUMNS = (
     "seq, component, fingerprint, source, wrench, displacement, compliance, curvature, "

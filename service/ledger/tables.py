@@ -19,7 +19,7 @@ from wrenchbook.service.ledger.records import (
     UnknownVersionError,
 )
 from wrenchbook.service.ledger.rows import COLUMNS, LIVE, SHOWN, sound
-from wrenchbook.service.ledger.schema import Connection
+from wrenchbook.service.ledger.connection import Connection
 
 _log = logging.getLogger(__name__)
 

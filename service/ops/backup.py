@@ -22,7 +22,7 @@ from typing import IO, Any
 
 from wrenchbook.service.files.durable import sync, sync_folder
 from wrenchbook.service.ledger import Ledger, LedgerError
-from wrenchbook.service.ledger.versions import SCRIPTS
+from wrenchbook.service.ledger.schema import SCRIPTS
 
 FORMAT = "wrenchbook backup"
 SCHEMA = 2  # 1 held all files of the directory but attempts: keys and settings too

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from wrenchbook.service.ledger import BlockKeyError, Kept, Ledger, block_of, recordings
-from wrenchbook.service.ledger import versions as schema
+from wrenchbook.service.ledger import schema
 from wrenchbook.service.ledger.packing import pack_vector
 
 WRENCH = pack_vector((1.0, 2, 3, 4, 5, 6))
