@@ -12,14 +12,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from wrenchbook.service.files.durable import sync_folder
-from wrenchbook.service.ledger.packing import seal
 from wrenchbook.service.ledger.records import (
     LedgerDamagedError,
     LedgerFileError,
     LedgerFullError,
     LedgerUnavailableError,
 )
-from wrenchbook.service.ledger.schema import APPLICATION_ID, SCRIPTS
+from wrenchbook.service.ledger.schema import APPLICATION_ID, STEPS, TABLES, VERSION
 
 Connection = sqlite3.Connection
 # Errors of a file in use; damaged text need not be UTF-8.
@@ -56,7 +55,7 @@ def can_be_read_frozen(path: Path) -> bool:
         connection = connect(path, frozen=True)
         try:
             _check_file(connection, path)
-            return _schema_version(connection) == len(SCRIPTS)
+            return _schema_version(connection) == VERSION
         finally:
             connection.close()
     except (OSError, sqlite3.Error, UnicodeDecodeError, LedgerFileError):
@@ -183,10 +182,15 @@ def _check_file(connection: Connection, path: Path) -> None:
             f"{path} is a SQLite file of another program, not a ledger; "
             "name another data directory, or move the file away"
         )
-    if version > len(SCRIPTS):
+    if version > VERSION:
         raise LedgerFileError(
             f"{path} was written by a newer wrenchbook (schema {version}, this program knows "
-            f"up to {len(SCRIPTS)}); install that version or name another data directory"
+            f"up to {VERSION}); install that version or name another data directory"
+        )
+    if tables and version != VERSION and version not in STEPS:
+        raise LedgerFileError(
+            f"{path} was written by a wrenchbook before 0.2 (schema {version}): start version 0.2 "
+            "once on this data directory, which brings it up to date, then this one"
         )
 
 
@@ -254,19 +258,16 @@ def _use_wal(connection: Connection) -> None:
 
 
 def _upgrade(connection: Connection) -> None:
-    if _schema_version(connection) == len(SCRIPTS):
+    if _schema_version(connection) == VERSION:
         return  # without a write, so that a full disk can be read
-    # A table that others refer to is replaced (sqlite.org/lang_altertable.html, section 7).
-    connection.execute("PRAGMA foreign_keys = OFF")
-    connection.create_function("seal", 3, seal, deterministic=True)
     connection.execute("BEGIN IMMEDIATE")
-    for script in SCRIPTS[_schema_version(connection) :]:
+    while (version := _schema_version(connection)) != VERSION:  # another process may upgrade it
+        version, script = STEPS[version] if version else (VERSION, TABLES)
         for statement in filter(str.strip, script.split(";")):
             connection.execute(statement)
+        connection.execute(f"PRAGMA user_version = {version}")
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-    connection.execute(f"PRAGMA user_version = {len(SCRIPTS)}")
     connection.execute("COMMIT")
-    connection.execute("PRAGMA foreign_keys = ON")
 
 
 def checkpoint(connection: Connection) -> bool:

@@ -6,13 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from wrenchbook.service.ledger.records import (
-    Change,
-    LedgerError,
-    LedgerFileError,
-    LedgerUnavailableError,
-)
-from wrenchbook.service.ledger.repair import SEQUENCES, Acknowledged, Numbers
 from wrenchbook.service.ledger.connection import (
     USE_ERRORS,
     Connection,
@@ -30,6 +23,13 @@ from wrenchbook.service.ledger.connection import (
     sync_log,
     unavailable,
 )
+from wrenchbook.service.ledger.records import (
+    Change,
+    LedgerError,
+    LedgerFileError,
+    LedgerUnavailableError,
+)
+from wrenchbook.service.ledger.repair import SEQUENCES, Acknowledged, Numbers
 
 _log = logging.getLogger(__name__)
 
