@@ -18,7 +18,7 @@ from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
 from wrenchbook.service.client.replies import EXACT, ROUNDED
-from wrenchbook.service.contract import by_part
+from wrenchbook.service.contract import OnThin, by_part
 from wrenchbook.service.ledger import JobRecord, LedgerRow, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placed
@@ -39,11 +39,11 @@ from wrenchbook.surrogate.table.row_index import RowIndex
 from wrenchbook.surrogate.table.rows import Tolerance, acting_one, why_beyond
 
 Floats = NDArray[np.float64]
-OnThin = Literal["queue", "wait", "estimate", "reject", "solve"]
+Wanted = OnThin | Literal["solve"]
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
 _NUMBERS = frozenset({int, float})  # not bool, which is an int to isinstance
-_ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin) if word != "solve"}
+_ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}
 
 
 class Query(NamedTuple):
@@ -54,7 +54,7 @@ class Query(NamedTuple):
     """
 
     wrench: tuple[float, ...]
-    on_thin: OnThin = "queue"
+    on_thin: Wanted = "queue"
     wait_s: float = 30.0
     tolerance: Tolerance | None = None
     method: str | None = None
@@ -439,7 +439,7 @@ def _also(reason: str, more: str) -> str:
     return f"{reason}; {more}" if reason and more else reason or more
 
 
-def _being_built(component: Component, table: ServedTable, on_thin: OnThin, count: int) -> str:
+def _being_built(component: Component, table: ServedTable, on_thin: Wanted, count: int) -> str:
     """How many rows a table will have more in a moment, in words; "" if none.
 
     Raises TableBehindError if no solve can answer in their place, and the table has no rows or the

@@ -23,7 +23,6 @@ ALLOWED = {
     "surrogate/packed/reasons.py": NO_DIMENSION,
     "surrogate/kernel/library.py": NO_DIMENSION,
     "surrogate/kernel/replies.py": NO_DIMENSION,
-    "service/answering/drawn.py": SPACE_OF_ONE,
     "service/http/routes/drawing.py": SPACE_OF_ONE,
     "service/fields/*": SPACE_OF_ONE,
     "service/client/mount/*": SPACE_OF_ONE,

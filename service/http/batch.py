@@ -18,8 +18,8 @@ from fastapi import Request
 from pydantic import Field
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.service.contract import MAX_BATCH
 from wrenchbook.service.http.bodies import (
-    MAX_BATCH,
     BatchBody,
     Body,
     Derivatives,

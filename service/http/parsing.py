@@ -13,8 +13,8 @@ from pydantic import ValidationError
 from starlette.datastructures import QueryParams
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.service.contract import MAX_BLOCK
 from wrenchbook.service.http.bodies import (
-    MAX_BLOCK,
     BatchBody,
     BlockBody,
     Body,

@@ -9,11 +9,11 @@ import numpy as np
 import orjson
 from starlette.responses import Response, StreamingResponse
 
+from wrenchbook.service.contract import COVERAGE, OUTPUTS
 from wrenchbook.service.http.batch import BINARY_TYPE
 from wrenchbook.service.http.links import job_link
 from wrenchbook.service.query import BatchOutcome, Outcome, fields_of, known_slopes
-from wrenchbook.surrogate.answer import NAMES, within_tolerance_many
-from wrenchbook.surrogate.table.space import OUTPUTS
+from wrenchbook.surrogate.answer import within_tolerance_many
 
 PIECE = 20_000  # wrenches laid out at once, in hundredths of a second
 
@@ -65,7 +65,7 @@ def _columns(outcome: BatchOutcome) -> dict[str, Callable[[slice], Any]]:
     columns: dict[str, Callable[[slice], Any]] = {
         "displacements": lambda some: replies.outputs[some],
         "errors": lambda some: replies.errors[some],
-        "coverage": lambda some: [NAMES[code] for code in replies.coverage[some].tolist()],
+        "coverage": lambda some: [COVERAGE[code] for code in replies.coverage[some].tolist()],
     }
     if limit is not None:
         columns["within_tolerance"] = lambda some: within_tolerance_many(

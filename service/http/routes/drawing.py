@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+from wrenchbook.service.contract import COVERAGE, LOADS, OUTPUTS
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import json_reply
@@ -19,10 +20,8 @@ from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.arrival import surface_of
 from wrenchbook.service.library.component import require_one_wrench
 from wrenchbook.service.tables.served import ServedTable
-from wrenchbook.surrogate.answer import NAMES
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
-from wrenchbook.surrogate.table.space import LOADS, OUTPUTS
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 CATCH_UP_S = 25.0
@@ -63,7 +62,7 @@ def _glance(name: str, table: ServedTable) -> dict[str, Any]:
     return {
         "component": name,
         "table_version": table.version,
-        "shares": NAMES,
+        "shares": COVERAGE,
         "whole": _shares(table, wrenches),
         "error": _median([reply.error for reply in replies]),
         "interpolation": _median([reply.interpolation for reply in replies]),
