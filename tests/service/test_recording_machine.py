@@ -10,8 +10,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from wrenchbook.service.ledger import BlockKeyError, Ledger, block_of, packed
-from wrenchbook.service.recording.store import RecordingStore
+from wrenchbook.service.ledger import BlockKeyError, Ledger, packed
+from wrenchbook.service.recording.store import RecordingStore, block_of
 from wrenchbook.surrogate.table.rows import LoadRange
 
 RANGE = LoadRange(np.array([-10.0] * 6), np.array([10.0] * 6))
