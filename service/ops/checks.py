@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from wrenchbook.service.fields.codec import DamagedFieldsError
 from wrenchbook.service.fields.record import read_geometry, read_row
-from wrenchbook.service.keys.keyring import Keyring, KeysError
+from wrenchbook.service.keys import Keyring, KeysError
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.backup import LEDGER
 from wrenchbook.surrogate.solver_error import SolverError

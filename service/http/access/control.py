@@ -25,9 +25,7 @@ from wrenchbook.service.http.access.permission import (
 from wrenchbook.service.http.access.security import SecuritySettings
 from wrenchbook.service.http.body import counted
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.keys import Keyring, Scope, digest_of
-from wrenchbook.service.keys.keyring import LOOK_S
-from wrenchbook.service.keys.record import Key
+from wrenchbook.service.keys import LOOK_S, Key, Keyring, Scope, digest_of
 
 _READING: Final = ("GET", "HEAD", "OPTIONS")
 _JSON: Final = b"application/json"
