@@ -15,6 +15,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.ledger import BlockKeyError, packed, unpacked
 from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.ledger.schema import Connection
@@ -28,7 +29,7 @@ from wrenchbook.service.recording.thinning import (
 )
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE
+from wrenchbook.surrogate.answer import COVERED, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import Space
 
@@ -433,7 +434,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     negligible, reason = _judged(largest, coverage, kind, tolerance, space)
     number = f"the {len(corners)}" if len(corners) < MAX_CORNERS else len(corners)
     formula = EXACT if exact else ESTIMATE.format(number)
-    return Bound(largest, kind, formula, NAMES[coverage], negligible, reason)
+    return Bound(largest, kind, formula, COVERAGE[coverage], negligible, reason)
 
 
 def _judged(
