@@ -10,8 +10,7 @@ from fastapi import APIRouter, Header, Query, Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from wrenchbook.service.events.feed import Feed, Listener, TooManyListenersError
-from wrenchbook.service.events.watch import Watch
+from wrenchbook.service.events import Events, Feed, Listener, TooManyListenersError
 from wrenchbook.service.http.access.permission import permission_of
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import HttpProblemError
@@ -58,17 +57,17 @@ async def events(
         str | None, Header(max_length=64, description="go on after this event")
     ] = None,
 ) -> Response:
-    watch: Watch = request.app.state.watch
+    watched: Events = request.app.state.events
     if component is not None:
         _ = workspace.library[component]
     try:
-        listener = await watch.listen(component, last_event_id)
+        listener = await watched.listen(component, last_event_id)
     except TooManyListenersError as error:
         raise HttpProblemError(
             503, "too-many-listeners", "Too many listeners", f"{error}. Nothing was changed."
         ) from None
     request.app.state.access.end_with_key(listener, permission_of(request.scope))
-    return EventStream(watch.feed, listener)
+    return EventStream(watched.feed, listener)
 
 
 class EventStream(Response):
