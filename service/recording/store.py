@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.ledger import BlockKeyError, packed, unpacked
+from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import content_key
-from wrenchbook.service.ledger.schema import Connection
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.recording.thinning import (
     MAX_OUTSIDE,
