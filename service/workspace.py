@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wrenchbook.service.demand.demand import QueryStatistics
+from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
@@ -71,10 +71,10 @@ class Workspace:
             on_checked=self._on_checked,
             on_copy=self._on_copy,
         )
-        self.catalogue = Catalogue(settings.folder / "library.json")
-        self.query_counts = QueryStatistics(settings.folder / "demand.json")
+        self.catalogue = Catalogue(self.ledger)
+        self.query_counts = QueryStatistics(self.ledger)
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
-        self.errors = SolverErrors(settings.folder / "solver_errors")
+        self.errors = SolverErrors(self.ledger)
         self.tables = self._open_tables(settings.folder / "tables")
         self._retention = Retention(self.ledger, self._jobs_folder, settings.keep)
         self.fields = FieldStore(settings.folder / "fields")

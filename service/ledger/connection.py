@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.ledger import earlier
 from wrenchbook.service.ledger.records import (
     LedgerDamagedError,
     LedgerFileError,
@@ -147,6 +148,7 @@ def open_file(path: Path) -> Connection:
             _check_whole(connection, path)
             _use_wal(connection)
             _upgrade(connection)
+            earlier.take_over(connection, path.parent)
         except BaseException:
             connection.close()
             raise
