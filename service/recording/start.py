@@ -48,20 +48,7 @@ def start_recording(
     """
     component = _solvable(workspace, name)
     wrenches = store.recording(name).wrenches
-    if component.linear:
-        return _start_linear(workspace, component, wrenches, beyond_range)
-    # First what is queued, then what is known: see `Workspace.fill`.
-    pending = workspace.submission.pending_wrenches(name)
-    table = workspace.tables.caught_up(name, CATCH_UP_S)
-    inside, beyond = _within(component, wrenches, beyond_range)
-    solved = _are_rows(inside, table.rows.wrench)
-    covered = np.zeros(len(inside), dtype=bool)
-    if len(inside):
-        covered = (table.packed.batch(inside).coverage == COVERED) & ~solved
-    counts = StartedSolves([], int(solved.sum()), int(covered.sum()), beyond_range=beyond)
-    known = np.concatenate([table.rows.wrench, pending])
-    left = inside[~solved & ~covered]
-    return _submitted(workspace, component, left, known, budget, counts, "recording")
+    return _start(workspace, component, wrenches, budget, beyond_range, "recording")
 
 
 def start_envelope(
@@ -75,14 +62,7 @@ def start_envelope(
     envelope = store.envelope(name)
     wrenches = np.concatenate([envelope.lowest, envelope.highest])
     wrenches = np.unique(wrenches, axis=0) if len(wrenches) else wrenches
-    if component.linear:
-        return _start_linear(workspace, component, wrenches, beyond_range)
-    known = workspace.tables.caught_up(name, CATCH_UP_S).rows.wrench
-    inside, beyond = _within(component, wrenches, beyond_range)
-    solved = _are_rows(inside, known)
-    counts = StartedSolves([], int(solved.sum()), beyond_range=beyond)
-    left = inside[~solved]
-    return _submitted(workspace, component, left, known, len(left), counts, "envelope")
+    return _start(workspace, component, wrenches, len(wrenches), beyond_range, "envelope")
 
 
 def start_resolving(
@@ -97,13 +77,7 @@ def start_resolving(
     wrenches = unsolved(component, others, np.empty((0, len(component.space.inputs))))
     if not len(wrenches):
         return StartedSolves([], reason=f"no row of {name!r} belongs to another setup")
-    if component.linear:
-        return _start_linear(workspace, component, wrenches, beyond_range)
-    known = workspace.tables.caught_up(name, CATCH_UP_S).rows.wrench
-    left = unsolved(component, others, known)
-    inside, beyond = _within(component, left, beyond_range)
-    counts = StartedSolves([], len(wrenches) - len(left), beyond_range=beyond)
-    return _submitted(workspace, component, inside, known, budget, counts, "resolve")
+    return _start(workspace, component, wrenches, budget, beyond_range, "resolve")
 
 
 def _solvable(workspace: Workspace, name: str) -> Component:
@@ -117,37 +91,39 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     return component
 
 
-def _within(component: Component, wrenches: Floats, beyond_range: bool) -> tuple[Floats, int]:
-    """Return the wrenches, (n, inputs), that may be solved, and how many may not."""
-    if beyond_range or not len(wrenches):
-        return wrenches, 0
-    holds = component.load_range.holds(wrenches)
-    return wrenches[holds], int((~holds).sum())
-
-
-def _are_rows(wrenches: Floats, known: Floats) -> NDArray[np.bool_]:
-    """Which wrenches, (n, inputs), are rows of the table, (k, inputs): shape (n,)."""
-    rows = set(packed(known))
-    return np.array([key in rows for key in packed(wrenches)], dtype=bool)
-
-
-def _submitted(
+def _start(
     workspace: Workspace,
     component: Component,
     wrenches: Floats,
-    known: Floats,
     budget: int,
-    counts: StartedSolves,
+    beyond_range: bool,
     purpose: str,
 ) -> StartedSolves:
     """Accept the jobs of wrenches, (n, inputs); a wrench that is queued costs no budget."""
-    keys = packed(wrenches)
-    jobs = workspace.ledger.jobs_for(component.name, component.fingerprint, keys)
+    name, load_range, ledger = component.name, component.load_range, workspace.ledger
+    holds = np.ones(len(wrenches), dtype=bool)
+    if len(wrenches) and not beyond_range:
+        holds = load_range.holds(wrenches)
+    if component.linear:
+        return _start_linear(workspace, component, holds)
+    # First what is queued, then what is known: see `Workspace.fill`.
+    pending = workspace.submission.pending_wrenches(name)
+    table = workspace.tables.caught_up(name, CATCH_UP_S)
+    rows = set(packed(component.acting(table.rows.wrench)))
+    solved = np.array([key in rows for key in packed(wrenches)], dtype=bool)
+    beyond, inside = int((~holds & ~solved).sum()), wrenches[holds & ~solved]
+    covered = np.zeros(len(inside), dtype=bool)
+    if len(inside) and purpose == "recording":
+        covered = table.packed.batch(inside).coverage == COVERED
+    unknown = inside[~covered]
+    keys = packed(unknown)
+    jobs = ledger.jobs_for(name, component.fingerprint, keys)
     status = [jobs[key].status if key in jobs else "" for key in keys]
-    fresh = np.flatnonzero([state in ("", "cancelled", "done") for state in status])
-    scale = component.load_range.scale
-    order = farthest_first(scaled_loads(wrenches[fresh], scale), scaled_loads(known, scale), budget)
-    accepted = workspace.submission.fill(component.name, wrenches[fresh[order]], asked_by=purpose)
+    fresh = unknown[[state in ("", "cancelled", "done") for state in status]]
+    known = np.concatenate([table.rows.wrench, pending])
+    scale = load_range.scale
+    order = farthest_first(scaled_loads(fresh, scale), scaled_loads(known, scale), budget)
+    accepted = workspace.submission.fill(name, fresh[order], asked_by=purpose)
     present = [jobs[key] for key in keys if key in jobs]
     queued = [job for job in present if job.status in ("waiting", "running")]
     failed, left = status.count("failed"), len(fresh) - len(order)
@@ -158,33 +134,36 @@ def _submitted(
         reasons.append(
             f"{failed} have failed before: see GET /v1/jobs?status=failed and retry them"
         )
-    if counts.beyond_range:
-        beyond = f"{counts.beyond_range} are outside the load range"
-        reasons.append(f"{beyond}: start with beyond_range true to solve them all the same")
-    if not len(wrenches) and not reasons:
-        any_known = counts.solved + counts.covered
+    if beyond:
+        reasons.append(
+            f"{beyond} are outside the load range: start with beyond_range true to solve them all "
+            "the same"
+        )
+    if not len(unknown) and not reasons:
+        any_known = solved.any() or covered.any()
         reasons.append("the table covers all of them" if any_known else "nothing was gathered yet")
     return StartedSolves(
         queued + [job for job in accepted if not job.is_final],
-        counts.solved,
-        counts.covered,
+        int(solved.sum()),
+        int(covered.sum()),
         failed,
-        counts.beyond_range,
+        beyond,
         left,
         "; ".join(reasons),
     )
 
 
 def _start_linear(
-    workspace: Workspace, component: Component, wrenches: Floats, beyond_range: bool
+    workspace: Workspace, component: Component, holds: NDArray[np.bool_]
 ) -> StartedSolves:
     """Queue the solves of a linear component's compliance: it answers every wrench."""
-    if not len(wrenches):
+    if not len(holds):
         return StartedSolves([], reason="nothing was gathered yet")
-    inside, beyond = _within(component, wrenches, beyond_range)
+    inside = int(holds.sum())
+    beyond = len(holds) - inside
     if not workspace.tables.caught_up(component.name, CATCH_UP_S).needs_compliance:
         reason = "the component is linear and its compliance known: it answers every wrench"
-        return StartedSolves([], covered=len(inside), beyond_range=beyond, reason=reason)
+        return StartedSolves([], covered=inside, beyond_range=beyond, reason=reason)
     workspace.fill(component.name, len(component.space.inputs), None)
     queued = workspace.ledger.open_jobs(component.name, component.fingerprint)
     reason = "the component is linear: its compliance, once solved, answers every wrench"

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, replace
 from itertools import product
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ from wrenchbook.surrogate.table.space import Space
 
 Floats = NDArray[np.float64]
 Kind = Literal["recording", "envelope"]
+BlockKey = tuple[str, int]  # the client's name, and its number of the block
 
 BLOCKS_OF_A_CLIENT = 256  # keys kept: a client sends its blocks in order, one or a few at a time
 BLOCKS = 100_000  # keys kept in all, 10 MB: the newest
@@ -55,25 +56,12 @@ MAX_CORNERS = 4096  # of a box: all of 12 inputs; of more inputs some, chosen at
 class Tally:
     """The counts and distances of a recording or an envelope, in the order of its columns.
 
-    Attributes
-    ----------
-    revision : int
-        Grows with every change.
-    offered : int
-        Wrenches offered since it was cleared, each once.
-    merged, thinned : int
-        Those of them that a kept one represents: within 1e-6 of the range, or by thinning.
-    outside : int
-        Those of them outside the load range.
-    reach : float
-        Largest difference of a load, of its scale (beyond the range: of itself), at which a wrench
-        counts as one that is kept.
-    within : float
-        Every wrench offered is as near as this to one kept, in the same measure.
-    reach_outside, within_outside : float
-        The same of the wrenches outside the load range, which are thinned by themselves.
-    scale : bytes or None
-        The scales of the loads, packed, N and N·m, that these are measured in.
+    `revision` grows with every change. Of the wrenches `offered` since it was cleared, `merged` are
+    within 1e-6 of the range of a kept one, `thinned` are represented by one, `outside` lie outside
+    the load range. `reach` is the largest difference of a load, of its scale (beyond the range: of
+    itself), at which a wrench counts as a kept one; every wrench offered is `within` of one. Those
+    outside the load range are thinned apart. `scale` has the scales of the loads, packed, N and
+    N·m, that the distances are measured in.
     """
 
     revision: int = 0
@@ -86,19 +74,6 @@ class Tally:
     reach_outside: float = MERGE
     within_outside: float = 0.0
     scale: bytes | None = None
-
-
-class Block(NamedTuple):
-    """The key of a block: its client, the client's number of it, and a digest of its wrenches."""
-
-    client: str
-    sequence: int
-    digest: bytes
-
-
-def block_of(client: str, sequence: int, packed_wrenches: Iterable[bytes]) -> Block:
-    """Return the key of a block of packed wrenches."""
-    return Block(client, sequence, content_key(b"".join(packed_wrenches)))
 
 
 @dataclass(frozen=True)
@@ -127,7 +102,7 @@ class EnvelopeState:
     """An envelope: its counts, and the wrenches that reached each extreme.
 
     Line i of `lowest` (n, n) and `highest` (n, n), N and N·m, is the complete wrench in which input
-    i was least, largest; there are no lines if no wrench came.
+    i was least or largest; there are no lines if no wrench came.
     """
 
     tally: Tally
@@ -155,7 +130,7 @@ class RecordingStore:
         self._subsets: dict[str, tuple[int, tuple[Subset, Subset]]] = {}
         self._lock = threading.Lock()
 
-    def record(self, name: str, wrenches: Floats, block: Block | None) -> BlockResult:
+    def record(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
         """Add wrenches, shape (n, inputs), N and N·m, to a component's recording.
 
         Loads on locked freedoms are left out. Without a key a block sent twice counts twice. Raises
@@ -169,7 +144,7 @@ class RecordingStore:
         outside = int((~inside).sum())
         with self._ledger.writing() as db:
             before = _tally(db, name, "recording")
-            if block is not None and _was_recorded(db, name, "recording", block):
+            if block is not None and _was_recorded(db, name, "recording", block, wrenches):
                 return BlockResult(before, True, outside)
             within, beyond = (
                 take(subset, points[places], [keys[place] for place in places.tolist()])
@@ -209,7 +184,7 @@ class RecordingStore:
                 del self._subsets[next(iter(self._subsets))]
         return BlockResult(after, False, outside)
 
-    def widen(self, name: str, wrenches: Floats, block: Block | None) -> BlockResult:
+    def widen(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
         """Add wrenches, shape (n, inputs), to a component's envelope; as `record`."""
         component = self._library[name]
         acting = component.acting(wrenches)
@@ -217,7 +192,7 @@ class RecordingStore:
         outside = int((~component.load_range.holds(acting)).sum()) if keys else 0
         with self._ledger.writing() as db:
             before = _tally(db, name, "envelope")
-            if block is not None and _was_recorded(db, name, "envelope", block):
+            if block is not None and _was_recorded(db, name, "envelope", block, wrenches):
                 return BlockResult(before, True, outside)
             after = replace(
                 before,
@@ -304,38 +279,42 @@ def _save(db: Connection, component: str, kind: Kind, tally: Tally) -> None:
     )
 
 
-def _was_recorded(db: Connection, component: str, kind: Kind, block: Block) -> bool:
+def _was_recorded(
+    db: Connection, component: str, kind: Kind, block: BlockKey, wrenches: Floats
+) -> bool:
     """Whether a block was recorded before; a new block's key is written, keys too old forgotten.
 
     Raises BlockKeyError if the key was used for other wrenches, or is too old to be known.
     """
+    client, sequence = block
+    digest = content_key(b"".join(packed(wrenches)))
     key = "component = ? AND kind = ? AND client = ?"
-    of_client = (component, kind, block.client)
+    of_client = (component, kind, client)
     before = db.execute(
-        f"SELECT digest FROM blocks WHERE {key} AND sequence = ?", (*of_client, block.sequence)
+        f"SELECT digest FROM blocks WHERE {key} AND sequence = ?", (*of_client, sequence)
     ).fetchone()
     if before:
-        if before[0] != block.digest:
+        if before[0] != digest:
             raise BlockKeyError(
-                f"block {block.sequence} of client {block.client!r} has been recorded with other "
-                "wrenches; give each block a number of its own, or use another client name"
+                f"block {sequence} of client {client!r} has been recorded with other wrenches; "
+                "give each block a number of its own, or use another client name"
             )
         return True
     last = db.execute(f"SELECT max(sequence) FROM blocks WHERE {key}", of_client).fetchone()[0]
-    if last is not None and block.sequence <= last - BLOCKS_OF_A_CLIENT:
+    if last is not None and sequence <= last - BLOCKS_OF_A_CLIENT:
         raise BlockKeyError(
-            f"block {block.sequence} of client {block.client!r} is more than {BLOCKS_OF_A_CLIENT} "
-            f"before its newest, {last}: whether it was recorded is not known any more. Send "
-            "blocks in order, or use another client name to record it now"
+            f"block {sequence} of client {client!r} is more than {BLOCKS_OF_A_CLIENT} before its "
+            f"newest, {last}: whether it was recorded is not known any more. Send blocks in order, "
+            "or use another client name to record it now"
         )
     added = db.execute(
         "INSERT INTO blocks (component, kind, client, sequence, digest) VALUES (?, ?, ?, ?, ?)",
-        (*of_client, block.sequence, block.digest),
+        (*of_client, sequence, digest),
     )
     assert added.lastrowid is not None
     db.execute(
         f"DELETE FROM blocks WHERE {key} AND sequence <= ?",
-        (*of_client, block.sequence - BLOCKS_OF_A_CLIENT),
+        (*of_client, sequence - BLOCKS_OF_A_CLIENT),
     )
     db.execute("DELETE FROM blocks WHERE id <= ?", (added.lastrowid - BLOCKS,))
     return False
@@ -379,21 +358,11 @@ def _packed_scale(scale: Floats) -> bytes:
 
 @dataclass(frozen=True)
 class Bound:
-    """The largest displacement over an envelope's box.
+    """The largest displacement over an envelope's box, shape (m,), m and rad; NaN if unknown.
 
-    Attributes
-    ----------
-    displacement : ndarray, shape (m,), m and rad
-        NaN where nothing is known.
-    kind : str
-        ``bound``, ``estimate`` or ``unknown``.
-    formula : str
-    coverage : str
-        The worst of the answers it is computed from.
-    negligible : bool or None
-        Whether it is within the tolerance; None if that is not known.
-    reason : str
-        Why it is not known, or its basis.
+    `kind` is ``bound``, ``estimate`` or ``unknown``, `coverage` the worst of the answers it is
+    computed from, `negligible` whether it is within the tolerance (None if that is not known),
+    `reason` why that is not known, or the basis.
     """
 
     displacement: Floats

@@ -28,7 +28,6 @@ from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import both_tolerances, checked, read_block, read_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.displacement import DirectRoute
-from wrenchbook.service.ledger import packed
 from wrenchbook.service.recording.start import (
     StartedSolves,
     start_envelope,
@@ -36,12 +35,10 @@ from wrenchbook.service.recording.start import (
     start_resolving,
 )
 from wrenchbook.service.recording.store import (
-    Block,
     BlockResult,
     EnvelopeState,
     RecordingStore,
     Tally,
-    block_of,
     bound_of,
 )
 from wrenchbook.service.recording.thinning import MERGE
@@ -180,7 +177,7 @@ def _store(request: Request) -> RecordingStore:
     return request.app.state.recording_store
 
 
-async def _block(name: str, request: Request) -> tuple[Floats, Block | None]:
+async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] | None]:
     """Return a block's wrenches, shape (n, inputs), SI, and its key if it has one."""
     space = request.app.state.workspace.library.as_read(name).space
     binary, body = is_binary(request), await read_limited(request.receive, MAX_BLOCK_BYTES)
@@ -193,7 +190,7 @@ async def _block(name: str, request: Request) -> tuple[Floats, Block | None]:
         wrenches, key = await run_in_threadpool(read_block, body, len(space.inputs))
     if key.client is None or key.sequence is None:
         return wrenches, None
-    return wrenches, block_of(key.client, key.sequence, packed(wrenches))
+    return wrenches, (key.client, key.sequence)
 
 
 def _block_fields(name: str, count: int, result: BlockResult) -> dict[str, Any]:
