@@ -121,7 +121,7 @@ def test_one_who_does_not_read_is_let_go_and_its_place_is_free(monkeypatch):
 
         stream = route.EventStream(feed, feed.listen(None, None, {}))
         assert feed.listeners == 1
-        await asyncio.wait_for(stream({}, receive, send), 20)
+        await asyncio.wait_for(stream({"type": "http"}, receive, send), 20)
 
     asyncio.run(listen())
     assert feed.listeners == 0
