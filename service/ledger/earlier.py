@@ -7,7 +7,6 @@ import logging
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from sqlite3 import Connection
 from typing import Any
 
 _log = logging.getLogger(__name__)
@@ -15,28 +14,26 @@ _log = logging.getLogger(__name__)
 CATALOGUE, DEMAND, SOLVER_ERRORS = "library.json", "demand.json", "solver_errors"
 
 
-def take_over(db: Connection, folder: Path) -> None:
-    """Read the files of a data directory into the ledger's tables, where entries there are win.
+Entry = tuple[str, tuple]  # a table and the values of a row
 
-    A file that cannot be read is left where it is.
-    """
+
+def read_files(folder: Path) -> tuple[list[Entry], list[Path]]:
+    """Return the entries of all files of a data directory, and the files that could be read."""
     paths = [path for name in (CATALOGUE, DEMAND) if (path := folder / name).is_file()]
     paths += sorted((folder / SOLVER_ERRORS).glob("*/*.json"))
-    if not paths:
-        return
+    entries: list[Entry] = []
     read: list[Path] = []
-    db.execute("BEGIN IMMEDIATE")
     for path in paths:
         try:
-            entries = list(_entries(path, json.loads(path.read_bytes())))
+            entries += list(_entries(path, json.loads(path.read_bytes())))
+            read.append(path)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             _log.warning("%s of an earlier version cannot be read and is left: %s", path, error)
-            continue
-        read.append(path)
-        for table, values in entries:
-            marks = ", ".join("?" * len(values))
-            db.execute(f"INSERT OR IGNORE INTO {table} VALUES ({marks})", values)
-    db.execute("COMMIT")
+    return entries, read
+
+
+def remove_files(folder: Path, read: list[Path]) -> None:
+    """Remove files whose entries the ledger has."""
     for path in read:
         path.unlink(missing_ok=True)
     (folder / ".demand.lock").unlink(missing_ok=True)
@@ -44,8 +41,8 @@ def take_over(db: Connection, folder: Path) -> None:
         shutil.rmtree(folder / SOLVER_ERRORS, ignore_errors=True)
 
 
-def _entries(path: Path, content: Any) -> Iterator[tuple[str, tuple]]:
-    """Yield the table and the values of each entry of a file."""
+def _entries(path: Path, content: Any) -> Iterator[Entry]:
+    """Yield the entries of a file."""
     if path.name == CATALOGUE:
         for name, card in content.items():
             noted = card.get("notes", ""), int(card.get("archived", False))
