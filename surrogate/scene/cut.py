@@ -28,8 +28,8 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
 
     It answers by the table's default method. Left out are groups whose outputs the scene does not
     read, and rows and axes whose loads cannot occur. ``scene/range`` and ``scene/ends`` (2, n) are
-    the scene's loads, N and N·m, the latter with room for rounding; ``scene/varying`` (n), which have more than one value;
-    ``scene/slopes`` (n), by which loads derivatives are known.
+    the scene's loads, N and N·m, the latter with room for rounding; ``scene/varying`` (n), which
+    have more than one value; ``scene/slopes`` (n), by which loads derivatives are known.
 
     Parameters
     ----------
