@@ -226,7 +226,7 @@ async def answer_or_submit(
     outcome = await run_in_threadpool(submit, workspace, query, outcome)
     job = outcome.job
     if query.on_thin in ("wait", "solve") and query.wait_s and job and not job.is_final:
-        outcome.job = await workspace.wait(job.id, query.wait_s)
+        (outcome.job,) = await workspace.polls.wait_all([job.id], query.wait_s)
         outcome = await run_in_threadpool(_ended, workspace, query, outcome)
     return outcome
 
@@ -367,7 +367,7 @@ async def answer_or_submit_many(
     outcome = await run_in_threadpool(submit_many, workspace, name, wrenches, query)
     open_jobs = {placed.job.id for placed in outcome.jobs.values() if placed.job}
     if query.on_thin == "wait" and outcome.unsolved and open_jobs:
-        await workspace.wait_all(sorted(open_jobs), query.wait_s)
+        await workspace.polls.wait_all(sorted(open_jobs), query.wait_s)
         await run_in_threadpool(_take_rows, workspace, wrenches, query, outcome, anew=True)
     return outcome
 

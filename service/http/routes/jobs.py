@@ -112,7 +112,7 @@ def list_jobs(
 
 @router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
 async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
-    job = await workspace.wait(job_id, wait_s)
+    (job,) = await workspace.polls.wait_all([job_id], wait_s)
     return await run_in_threadpool(_whole_body, workspace, job)
 
 
