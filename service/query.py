@@ -314,8 +314,17 @@ def _uncovered(
     return rows
 
 
+def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
+    """Return the short form of a job, as displacement answers carry it.
+
+    `since`, the start of the request that queued it, s, adds whether the job is the request's own.
+    """
+    own = {} if since is None else {"new": job.created >= since}
+    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}", **own}
+
+
 def fields_of(outcome: Outcome) -> dict[str, Any]:
-    """Return the fields of a reply, for JSON: all but its job."""
+    """Return the fields of a reply, for JSON."""
     table, reply = outcome.table, outcome.reply
     value, error, names = reply.outputs, reply.error, outcome.table.interfaces
     fields: dict[str, Any] = {"component": outcome.component}
@@ -343,7 +352,11 @@ def fields_of(outcome: Outcome) -> dict[str, Any]:
         fields["row"] = outcome.row
     if outcome.notes:
         fields["notes"] = outcome.notes
-    return fields | outcome.details if outcome.details else fields
+    if outcome.details:
+        fields |= outcome.details
+    if outcome.job is not None or outcome.unsolved:
+        fields["job"] = outcome.job and job_link(outcome.job, outcome.began)
+    return fields
 
 
 def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -> BatchOutcome:
