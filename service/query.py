@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import hypot
 from time import perf_counter_ns
@@ -177,7 +178,9 @@ def answer(table: ServedTable, query: Query) -> Reply:
 
 def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
     """Return the answer of a component's newest table; raises UnknownComponentError."""
-    table = workspace.surrogate(name)
+    table = workspace.tables.surrogate(name)
+    if workspace.settings.method is not None:
+        table.prefer(workspace.settings.method)
     if query.on_thin == "solve":
         return Outcome(name, table, _NOTHING, 0.0)
     started = perf_counter_ns()
@@ -226,7 +229,7 @@ async def answer_or_submit(
     outcome = await run_in_threadpool(submit, workspace, query, outcome)
     job = outcome.job
     if query.on_thin in ("wait", "solve") and query.wait_s and job and not job.is_final:
-        outcome.job = await workspace.wait(job.id, query.wait_s)
+        (outcome.job,) = await workspace.polls.wait_all([job.id], query.wait_s)
         outcome = await run_in_threadpool(_ended, workspace, query, outcome)
     return outcome
 
@@ -239,6 +242,8 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     solve of this wrench failed, TableBehindError if only rows that are being built can answer.
     """
     name = outcome.component
+    if outcome.table.needs_compliance:
+        workspace.surrogate(name)  # has its solves queued
     component = workspace.library[name]
     # Jobs and statistics leave out the loads on locked freedoms.
     query = query._replace(wrench=tuple(acting_one(query.wrench, component.idle)))
@@ -251,8 +256,8 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         if row is not None:
             return _by_row(workspace, query, outcome, row)
     outcome.began, outcome.unsolved = time.time(), True
-    component = workspace.submission.solvable(name)
-    beyond = ""
+    submission, beyond = workspace.submission, ""
+    component = submission.solvable(name)
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
         beyond = why_beyond(component.load_range, wrench[0])
     if query.on_thin != "queue":
@@ -262,22 +267,20 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
                 "the same.",
                 coverage="outside",
             )
-        outcome.job = workspace.submission.own(
-            name, query.wrench, urgent=query.wait_s > 0, asked_by=query.on_thin
-        )
-        return _ended(workspace, query, outcome)
-    reply = outcome.reply
-    if beyond:
-        known = "" if reply.reason == beyond else reply.reason
+        asked_by, urgent = query.on_thin, query.wait_s > 0
+        job = submission.own(name, query.wrench, urgent=urgent, asked_by=asked_by)
+        placed, why = Placed(job, own=True), ""
+    elif beyond:
+        placed = Placed(None, own=False)
         why = f"no solve is queued beyond the load range unless beyond_range: {beyond}"
-        outcome.reply = reply._replace(reason=_also(known, why))
-        return outcome
-    placed = workspace.submission.queue(name, wrench)[0]
+    else:
+        (placed,), limit = submission.queue(name, wrench), submission.queue_limit
+        why = f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)"
     outcome.job = placed.job
     if placed.job is None:
-        limit = workspace.submission.queue_limit
-        why = f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)"
-        outcome.reply = reply._replace(reason=_also(reply.reason, why))
+        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
+        outcome.reply = outcome.reply._replace(reason=_also(reason, why))
+        return outcome
     return _ended(workspace, query, outcome) if placed.own else outcome
 
 
@@ -295,7 +298,10 @@ def _uncovered(
     span = component.load_range
     workspace.query_counts.note(component.name, span, query.wrench, reply.coverage)
     if table.needs_compliance and query.on_thin in ("estimate", "reject"):
-        reason = _also(reason, _awaited(workspace, component))
+        with suppress(LedgerUnavailableError):  # an estimate needs no ledger
+            for job in workspace.ledger.open_jobs(component.name, component.fingerprint)[:1]:
+                awaited = f"job {job.id} solves the component's compliance"
+                reason = _also(reason, f"{awaited}: ask again once it is done")
     outcome.reply = reply._replace(reason=reason)
     if query.on_thin == "reject":
         solve = "'queue' or 'wait' to have it solved, or " if component.has_fea else ""
@@ -308,8 +314,17 @@ def _uncovered(
     return rows
 
 
+def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
+    """Return the short form of a job, as displacement answers carry it.
+
+    `since`, the start of the request that queued it, s, adds whether the job is the request's own.
+    """
+    own = {} if since is None else {"new": job.created >= since}
+    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}", **own}
+
+
 def fields_of(outcome: Outcome) -> dict[str, Any]:
-    """Return the fields of a reply, for JSON: all but its job."""
+    """Return the fields of a reply, for JSON."""
     table, reply = outcome.table, outcome.reply
     value, error, names = reply.outputs, reply.error, outcome.table.interfaces
     fields: dict[str, Any] = {"component": outcome.component}
@@ -337,7 +352,11 @@ def fields_of(outcome: Outcome) -> dict[str, Any]:
         fields["row"] = outcome.row
     if outcome.notes:
         fields["notes"] = outcome.notes
-    return fields | outcome.details if outcome.details else fields
+    if outcome.details:
+        fields |= outcome.details
+    if outcome.job is not None or outcome.unsolved:
+        fields["job"] = outcome.job and job_link(outcome.job, outcome.began)
+    return fields
 
 
 def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -> BatchOutcome:
@@ -367,7 +386,7 @@ async def answer_or_submit_many(
     outcome = await run_in_threadpool(submit_many, workspace, name, wrenches, query)
     open_jobs = {placed.job.id for placed in outcome.jobs.values() if placed.job}
     if query.on_thin == "wait" and outcome.unsolved and open_jobs:
-        await workspace.wait_all(sorted(open_jobs), query.wait_s)
+        await workspace.polls.wait_all(sorted(open_jobs), query.wait_s)
         await run_in_threadpool(_take_rows, workspace, wrenches, query, outcome, anew=True)
     return outcome
 
@@ -453,17 +472,6 @@ def _being_built(component: Component, table: ServedTable, on_thin: Wanted, coun
     return f"{rows}: the table answers from them soon"
 
 
-def _awaited(workspace: Workspace, component: Component) -> str:
-    """Names the job that solves a linear component's compliance; "" if none is open."""
-    try:
-        jobs = workspace.ledger.open_jobs(component.name, component.fingerprint)
-    except LedgerUnavailableError:
-        return ""  # an estimate needs no ledger
-    if not jobs:
-        return ""
-    return f"job {jobs[0].id} solves the component's compliance: ask again once it is done"
-
-
 def _rows_at(
     component: Component, rows: Sequence[LedgerRow], wrenches: Floats
 ) -> list[LedgerRow | None]:
@@ -495,8 +503,7 @@ def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: LedgerRow
 def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     """Return the answer of the outcome's job if it has ended; raises SolveFailedError."""
     job = outcome.job
-    if job is None:
-        return outcome
+    assert job is not None
     if job.status == "failed":
         raise SolveFailedError(job)
     if job.row is None:

@@ -34,7 +34,6 @@ from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.live import Tables
 from wrenchbook.service.tables.mapped import MappedTables
-from wrenchbook.service.tables.rows import own_rows
 from wrenchbook.service.tables.served import ServedTable, TableBehindError
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.design import Design, next_wrenches
@@ -81,7 +80,7 @@ class Workspace:
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
         self._dispatcher: Dispatcher | None = None
         self._engine: Engine | None = None
-        self._polls = Polls(self.ledger)
+        self.polls = Polls(self.ledger)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._compliance_requested: dict[str, tuple[str, int]] = {}
 
@@ -130,7 +129,8 @@ class Workspace:
         once a version of its table.
         """
         table = self.tables.surrogate(name)
-        table.prefer(self.settings.method)
+        if self.settings.method is not None:
+            table.prefer(self.settings.method)
         if table.needs_compliance:
             self._ask_compliance(name, table)
         return table
@@ -151,7 +151,8 @@ class Workspace:
         component = self.library[name]
         with suppress(LedgerUnavailableError):
             changes = self.ledger.row_changes(name, table.version, MAX_UNBUILT)
-            rows = own_rows(component, changes.rows)
+            setups = "", component.fingerprint  # of measured rows, and the present one
+            rows = [row for row in changes.rows if row.fingerprint in setups]
             if changes.whole:
                 return len(rows), rows
             return self.ledger.count_new(name, component.fingerprint, table.version), rows
@@ -160,10 +161,7 @@ class Workspace:
     async def newest(self, name: str, seconds: float) -> ServedTable:
         """Return the table once it holds all rows there are now, or after `seconds` as it is.
 
-        Raises
-        ------
-        UnknownComponentError
-            If there is no such component.
+        Raises UnknownComponentError.
         """
         self.tables.surrogate(name)  # a name that is unknown ends here
         await self.caught_up(name, seconds)
@@ -179,23 +177,17 @@ class Workspace:
         return await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
 
     def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
-        """Return a component's deformed surface under a wrench (6,), N and N·m.
+        """Return a component's deformed surface under a wrench (6,), N and N·m, from files.
 
-        It reads files: nothing for an event loop.
-
-        Raises
-        ------
-        UnknownComponentError, NoFieldsError, TooFarError
-            If there is no such component, if no row has a surface, or the wrench is far beyond
-            the load range.
+        Raises UnknownComponentError, NoFieldsError if no row has a surface, and TooFarError for a
+        wrench far beyond the load range.
         """
         table = self.surrogate(name)
         component, solver = self.library[name], self.solver_error(name)
-        loads = wrench.tolist()
-        found = table.packed.answer(loads)
-        shares = {} if table.solver_error is None else {"mesh": found.discretisation}
+        reply = table.packed.answer(wrench.tolist())
+        shares = {} if table.solver_error is None else {"mesh": reply.discretisation}
         if table.solver_error is not None and "linearity" in table.solver_error.values:
-            shares["linearity"] = found.linearity
+            shares["linearity"] = reply.linearity
         return self.shapes.answer(
             component, table.rows, wrench, table.hyperparameters, solver, shares
         )
@@ -211,22 +203,9 @@ class Workspace:
     ) -> tuple[Design, list[JobRecord]]:
         """Design one round of solves on all rows there are, and accept them.
 
-        Parameters
-        ----------
-        tolerance : Tolerance or None, m and rad
-            The component's own if None.
-        need : Need, optional
-            What a scene needs of the table, with its own tolerance; the fill then follows its plan.
-        for_joint : bool
-            Whether a joint will invert the table: see `next_wrenches`.
-
-        Raises
-        ------
-        NoSetupError
-            If the component has no finite-element setup.
-        TableBehindError
-            If the table does not hold all rows yet: a design on an older one would pay
-            for what is known.
+        With `need`, what a scene needs of the table, the fill follows the scene's plan; `for_joint`
+        as of `next_wrenches`. Raises NoSetupError, and TableBehindError if the table does not hold
+        all rows yet: a design on an older one would pay for what is known.
         """
         self.submission.solvable(name)
         # First what is open, then what is known: a solve that ends between the two is in both.
@@ -242,18 +221,6 @@ class Workspace:
         jobs = self.submission.fill(name, design.wrenches)
         # A design separates by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
-
-    async def wait(self, job_id: int, seconds: float) -> JobRecord:
-        """Return the job once it has ended, or as it is after ``seconds``."""
-        return (await self.wait_all([job_id], seconds))[0]
-
-    async def wait_all(self, job_ids: list[int], seconds: float) -> list[JobRecord]:
-        """Return the jobs once all have ended, or as they are after ``seconds``."""
-        return await self._polls.wait_all(job_ids, seconds)
-
-    def let_go(self) -> None:
-        """Return from all waits with the jobs as they are: the server stops. For the loop."""
-        self._polls.stop()
 
     def why_waiting(self, job: JobRecord) -> Waiting | None:
         """Return why a job waits and for how long it may; None if it does not wait."""
@@ -347,4 +314,4 @@ class Workspace:
         loop = self._loop
         if loop is None or loop.is_closed():
             return
-        loop.call_soon_threadsafe(self._polls.notify)
+        loop.call_soon_threadsafe(self.polls.notify)

@@ -1,4 +1,4 @@
-"""How replies refer to jobs, next pages and versions of tables."""
+"""How replies refer to next pages and versions of tables."""
 
 from __future__ import annotations
 
@@ -7,17 +7,6 @@ from typing import Any
 from urllib.parse import urlencode
 
 from starlette.responses import Response
-
-from wrenchbook.service.ledger import JobRecord
-
-
-def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
-    """Return the short form of a job, as displacement answers carry it.
-
-    `since`, the start of the request that queued it, s, adds whether the job is the request's own.
-    """
-    own = {} if since is None else {"new": job.created >= since}
-    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}", **own}
 
 
 def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:

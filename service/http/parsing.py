@@ -20,7 +20,6 @@ from wrenchbook.service.http.bodies import (
     Body,
     DisplacementBody,
     LoadsBody,
-    SolveBody,
     ToleranceBody,
 )
 from wrenchbook.service.http.problems import bad_body, plain_errors
@@ -69,12 +68,6 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
         return space.vector(loads, {name: value + 0.0 for name, value in body.inputs.items()})
     except SpaceError as error:
         raise bad_body([{"loc": place, "msg": text} for place, text in error.mistakes]) from None
-
-
-def read_solve(body: bytes, space: Space = DEFAULT) -> Query:
-    """Read DirectFEA's body, of a component with the inputs of `space`."""
-    full = checked(SolveBody, parsed_json(body))
-    return Query(loads_of(full, space), "solve", full.wait_s, beyond_range=full.beyond_range)
 
 
 def read_block(body: bytes, inputs: int = PER_INTERFACE) -> tuple[np.ndarray, BlockBody]:

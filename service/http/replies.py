@@ -11,8 +11,7 @@ from starlette.responses import Response, StreamingResponse
 
 from wrenchbook.service.contract import COVERAGE, OUTPUTS
 from wrenchbook.service.http.batch import BINARY_TYPE
-from wrenchbook.service.http.links import job_link
-from wrenchbook.service.query import BatchOutcome, Outcome, fields_of, known_slopes
+from wrenchbook.service.query import BatchOutcome, Outcome, fields_of, job_link, known_slopes
 from wrenchbook.surrogate.answer import within_tolerance_many
 
 PIECE = 20_000  # wrenches laid out at once, in hundredths of a second
@@ -28,12 +27,10 @@ def json_reply(
 
 def write_outcome(outcome: Outcome) -> Response:
     """Answer one query: 200, or 202 while its solve has not answered."""
-    fields, job = fields_of(outcome), outcome.job
-    link = None if job is None else job_link(job, outcome.began)
+    fields = fields_of(outcome)
     if not outcome.unsolved:
-        return json_reply(fields if link is None else fields | {"job": link})
-    headers = {"Location": link["url"]} if link else None
-    return json_reply(fields | {"job": link}, 202, headers)
+        return json_reply(fields)
+    return json_reply(fields, 202, {"Location": fields["job"]["url"]} if fields["job"] else None)
 
 
 def write_batch(outcome: BatchOutcome) -> Response:

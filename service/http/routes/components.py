@@ -16,7 +16,7 @@ from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
-from wrenchbook.service.http.links import job_link, next_page
+from wrenchbook.service.http.links import next_page
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
@@ -33,6 +33,7 @@ from wrenchbook.service.library.component import (
     vibration_of,
     warnings_of,
 )
+from wrenchbook.service.query import job_link
 from wrenchbook.service.tables.rows import warning_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace

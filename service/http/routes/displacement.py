@@ -25,7 +25,7 @@ from wrenchbook.service.http.batch import (
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
 from wrenchbook.service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
 from wrenchbook.service.http.openapi import answers, refused, takes
-from wrenchbook.service.http.parsing import read_query, read_solve, refuse_query
+from wrenchbook.service.http.parsing import checked, loads_of, parsed_json, read_query, refuse_query
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.protocol import ANSWERED
 from wrenchbook.service.http.replies import write_batch, write_binary, write_outcome
@@ -135,6 +135,7 @@ async def displacements(name: str, request: Request) -> Response:
 )
 async def solve(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
-    body = await read_limited(request.receive)
-    query = read_solve(body, workspace.library.as_read(name).space)
+    content, space = await read_limited(request.receive), workspace.library.as_read(name).space
+    body: SolveBody = checked(SolveBody, parsed_json(content))
+    query = Query(loads_of(body, space), "solve", body.wait_s, beyond_range=body.beyond_range)
     return write_outcome(await answer_or_submit(workspace, name, query))

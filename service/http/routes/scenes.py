@@ -24,7 +24,7 @@ from wrenchbook.service.http.bodies import (
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.openapi import BYTES, refused, takes
-from wrenchbook.service.http.parsing import read_body
+from wrenchbook.service.http.parsing import read_body, tolerance_of
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
@@ -37,7 +37,7 @@ from wrenchbook.surrogate.scene.cut import cut
 from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
 from wrenchbook.surrogate.scene.plan import ScenePlan, plan_of
 from wrenchbook.surrogate.scene.savings import measured
-from wrenchbook.surrogate.table.rows import Floats, LoadRange, Tolerance
+from wrenchbook.surrogate.table.rows import Floats, LoadRange
 from wrenchbook.surrogate.table.space import Space
 
 router = APIRouter(prefix="/v1", tags=["scenes"], responses=refused(404, 422))
@@ -168,86 +168,65 @@ def need_from(
 ) -> Need:
     """Return what a scene needs of a component, from the parts of a body.
 
-    Parameters
-    ----------
-    where, of_outputs : str
-        The places of the span and of the outputs in the body.
-
-    Raises
-    ------
-    HttpProblemError
-        422, if an interface, an input or an output is none of the component's, an end is beyond
-        the component's load range or the two ends are the wrong way round.
+    `where` and `of_outputs` are the places of the span and of the outputs in the body. Raises
+    HttpProblemError 422 if an interface, an input or an output is none of the component's, an end
+    is beyond the component's load range or the two ends are the wrong way round.
     """
     whole, names = component.load_range, component.space.output_names
     mistakes = [] if span is None else _unknown(span, whole.space, where)
     for place, name in enumerate(outputs or ()):
         if name not in names:
-            message = f"Input should be {in_words(names)}"
-            mistakes.append({"loc": f"{of_outputs}.{place}", "msg": message})
+            *first, last = [repr(known) for known in names]  # as pydantic lists a literal's
+            known = f"{', '.join(first)} or {last}" if first else last
+            mistakes.append({"loc": f"{of_outputs}.{place}", "msg": f"Input should be {known}"})
     if mistakes:
         raise bad_body(mistakes)
     bounds = None if span is None else _bounds(span, whole)
     read = None if outputs is None else [names.index(name) for name in outputs]
-    limit = Tolerance(tolerance.translation, tolerance.rotation) if tolerance else None
     try:
-        return need_of(whole, bounds, read, limit, component.idle)
+        return need_of(whole, bounds, read, tolerance_of(tolerance), component.idle)
     except NeedError as error:
-        places = _places(whole.space)
-        found = [{"loc": f"{where}.{places[at]}", "msg": text} for at, text in error.mistakes]
+        places = []  # force.0, loads.left.force.0
+        for number, load in enumerate(whole.space.inputs):
+            front = f"loads.{load.interface}." if load.interface else ""
+            is_scalar = load.kind == "scalar"
+            name = f"inputs.{load.name}" if is_scalar else f"{front}{load.kind}.{number % 3}"
+            places.append(f"{where}.{name}")
+        found = [{"loc": places[at], "msg": text} for at, text in error.mistakes]
         raise bad_body(found) from None
-
-
-def in_words(names: Sequence[str]) -> str:
-    """Return names as pydantic lists a literal's: ``'ux', 'uy' or 'uz'``."""
-    *first, last = [repr(name) for name in names]
-    return f"{', '.join(first)} or {last}" if first else last
 
 
 def _unknown(span: SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
     """Return the mistakes of interfaces and inputs that the component has not."""
     several = len(space.interfaces) > 1
     known = ", ".join(space.interfaces)
-    further = [one.name for one in space.inputs if one.kind == "scalar"]
-    plain = [name for name in ("force", "moment") if getattr(span, name) is not None]
-    found = []
-    for name in plain if several else ():
-        message = f"the component has the interfaces {known}: give 'loads' by interface"
-        found.append({"loc": f"{where}.{name}", "msg": message})
+    further = [load.name for load in space.inputs if load.kind == "scalar"]
+    mistakes = []
+    for name in ("force", "moment"):
+        if several and getattr(span, name) is not None:
+            text = f"the component has the interfaces {known}: give 'loads' by interface"
+            mistakes.append((name, text))
     for name in span.loads or ():
         if not several:
-            message = "the component has one interface: give 'force' and 'moment'"
-            found.append({"loc": f"{where}.loads", "msg": message})
+            text = "the component has one interface: give 'force' and 'moment'"
+            mistakes.append(("loads", text))
         elif name not in space.interfaces:
-            message = f"no interface of the component, which has {known}"
-            found.append({"loc": f"{where}.loads.{name}", "msg": message})
+            text = f"no interface of the component, which has {known}"
+            mistakes.append((f"loads.{name}", text))
     for name in set(span.inputs or ()).difference(further):
-        message = f"no further input of the component, which has {', '.join(further) or 'none'}"
-        found.append({"loc": f"{where}.inputs.{name}", "msg": message})
-    return found
+        text = f"no further input of the component, which has {', '.join(further) or 'none'}"
+        mistakes.append((f"inputs.{name}", text))
+    return [{"loc": f"{where}.{place}", "msg": text} for place, text in mistakes]
 
 
 def _bounds(span: SpaceSpan, whole: LoadRange) -> Floats:
     """Return the low and the high end of each input, shape (n, 2), N, N·m and further units."""
-    loads, none, further = span.loads or {}, InterfaceSpan(), span.inputs or {}
-    found = []
+    loads, further, bounds = span.loads or {}, span.inputs or {}, []
     for name in whole.space.interfaces:
-        one = loads.get(name, none) if name else span
-        found += ends_of(one.force, one.moment)
-    for given, low, high in zip(whole.space.inputs, whole.low, whole.high, strict=True):
-        if given.kind == "scalar":
-            ends = further.get(given.name, [low, high])
-            found.append([-ends, ends] if isinstance(ends, int | float) else list(ends))
-    return np.array(found)
-
-
-def _places(space: Space) -> list[str]:
-    """Return where a body has each input: ``force.0``, ``loads.left.force.0``."""
-    found = []
-    for place, one in enumerate(space.inputs):
-        if one.kind == "scalar":
-            found.append(f"inputs.{one.name}")
-        else:
-            front = f"loads.{one.interface}." if one.interface else ""
-            found.append(f"{front}{one.kind}.{place % 3}")
-    return found
+        of_interface = loads.get(name, InterfaceSpan()) if name else span
+        bounds += ends_of(of_interface.force, of_interface.moment)
+    for load, low, high in zip(whole.space.inputs, whole.low, whole.high, strict=True):
+        if load.kind == "scalar":
+            ends = further.get(load.name, [low, high])
+            bounds.append([-ends, ends] if isinstance(ends, int | float) else list(ends))
+    return np.array(bounds)
