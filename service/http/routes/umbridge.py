@@ -314,4 +314,5 @@ def _failure(error: Exception) -> tuple[Kind, str]:
     if problem.status == 404:
         return "ModelNotFound", message
     has_failed = problem.status >= 500 or problem.status == 424  # a solve or the ledger
-    return "InvalidOutput" if has_failed else "InvalidInput", message
+    kind: Kind = "InvalidOutput" if has_failed else "InvalidInput"
+    return kind, message
