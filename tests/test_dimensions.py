@@ -41,7 +41,7 @@ ALLOWED = {
     "service/http/schemas.py": OF_ONE_INTERFACE,
     "service/http/table_schemas.py": OF_ONE_INTERFACE,
     "service/http/routes/components.py": OF_ONE_INTERFACE,
-    "service/jobs/solve_attempt.py": "at least one interface",
+    "service/jobs/solver.py": "at least one interface",
     "service/http/routes/recording.py": NO_DIMENSION,
     "service/http/routes/page.py": NO_DIMENSION,
     "service/ledger/*": NO_DIMENSION,
