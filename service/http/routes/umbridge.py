@@ -50,7 +50,7 @@ class UmBridgeError(Exception):
 
     def __init__(self, kind: Kind, message: str) -> None:
         super().__init__(message)
-        self.kind = kind
+        self.kind: Kind = kind
 
 
 class Failure(TypedDict):
