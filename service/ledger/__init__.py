@@ -2,7 +2,7 @@
 
 from wrenchbook.service.ledger.imports import About, ImportRecord
 from wrenchbook.service.ledger.ledger import Ledger
-from wrenchbook.service.ledger.packing import PackedRow, packed, packed_columns, unpacked
+from wrenchbook.service.ledger.packing import packed, row_keys, unpacked
 from wrenchbook.service.ledger.recordings import Block, Kept, Kind, Tally, block_of
 from wrenchbook.service.ledger.records import (
     FINAL,
@@ -20,13 +20,14 @@ from wrenchbook.service.ledger.records import (
     LedgerFullError,
     LedgerRow,
     LedgerUnavailableError,
-    NewRow,
+    NotedRows,
     OpenJob,
     RowChanges,
     RowEdit,
     RowStatusError,
     StaleAttemptError,
     Status,
+    TableAt,
     UnknownImportError,
     UnknownJobError,
     UnknownRowError,
@@ -55,14 +56,14 @@ __all__ = [
     "LedgerFullError",
     "LedgerRow",
     "LedgerUnavailableError",
-    "NewRow",
+    "NotedRows",
     "OpenJob",
-    "PackedRow",
     "RowChanges",
     "RowEdit",
     "RowStatusError",
     "StaleAttemptError",
     "Status",
+    "TableAt",
     "Tally",
     "UnknownImportError",
     "UnknownJobError",
@@ -70,6 +71,6 @@ __all__ = [
     "UnknownVersionError",
     "block_of",
     "packed",
-    "packed_columns",
+    "row_keys",
     "unpacked",
 ]

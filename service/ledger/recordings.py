@@ -5,10 +5,9 @@ Which wrenches are kept is decided by the caller, in the transaction that writes
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from wrenchbook.service.ledger.connection import Connection
-from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.ledger.records import BlockKeyError
 
@@ -81,8 +80,11 @@ def block_of(client: str, sequence: int, packed: Iterable[bytes]) -> Block:
     return Block(client, sequence, content_key(b"".join(packed)))
 
 
-class Recordings(Database):
+class Recordings:
     """The recordings and envelopes of the ledger."""
+
+    reading: Any
+    writing: Any
 
     def record(
         self,
