@@ -3,7 +3,6 @@
 from wrenchbook.service.ledger.imports import About, ImportRecord
 from wrenchbook.service.ledger.ledger import Ledger
 from wrenchbook.service.ledger.packing import packed, row_keys, unpacked
-from wrenchbook.service.ledger.recordings import Block, Kept, Kind, Tally, block_of
 from wrenchbook.service.ledger.records import (
     FINAL,
     STATUSES,
@@ -39,7 +38,6 @@ __all__ = [
     "STATUSES",
     "About",
     "Beat",
-    "Block",
     "BlockKeyError",
     "Change",
     "DamagedRowError",
@@ -47,8 +45,6 @@ __all__ = [
     "ImportRunningError",
     "InvalidTransitionError",
     "JobRecord",
-    "Kept",
-    "Kind",
     "Ledger",
     "LedgerDamagedError",
     "LedgerError",
@@ -64,12 +60,10 @@ __all__ = [
     "StaleAttemptError",
     "Status",
     "TableAt",
-    "Tally",
     "UnknownImportError",
     "UnknownJobError",
     "UnknownRowError",
     "UnknownVersionError",
-    "block_of",
     "packed",
     "row_keys",
     "unpacked",

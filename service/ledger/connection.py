@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.ledger import earlier
 from wrenchbook.service.ledger.records import (
     JobRecord,
     LedgerDamagedError,
@@ -160,6 +161,7 @@ def open_file(path: Path) -> Connection:
             _check_whole(connection, path)
             _use_wal(connection)
             _upgrade(connection)
+            _take_over(connection, path.parent)
         except BaseException:
             connection.close()
             raise
@@ -281,6 +283,19 @@ def _upgrade(connection: Connection) -> None:
         connection.execute(f"PRAGMA user_version = {version}")
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute("COMMIT")
+
+
+def _take_over(connection: Connection, folder: Path) -> None:
+    """Write the state that release 0.3 kept in files; an entry that is there wins."""
+    entries, read = earlier.read_files(folder)
+    if not read:
+        return
+    connection.execute("BEGIN IMMEDIATE")
+    for table, values in entries:
+        marks = ", ".join("?" * len(values))
+        connection.execute(f"INSERT OR IGNORE INTO {table} VALUES ({marks})", values)
+    connection.execute("COMMIT")
+    earlier.remove_files(folder, read)
 
 
 def checkpoint(connection: Connection) -> bool:

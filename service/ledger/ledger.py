@@ -29,7 +29,6 @@ from wrenchbook.service.ledger.connection import (
     sync_log,
     unavailable,
 )
-from wrenchbook.service.ledger.recordings import Recordings
 from wrenchbook.service.ledger.records import (
     Change,
     JobRecord,
@@ -72,11 +71,11 @@ def _writes(function: Callable[Concatenate[Connection, P], R]) -> Method[P, R]:
     return method
 
 
-class Ledger(Recordings):
-    """Jobs, rows and recordings in one SQLite file, for many threads and several processes at once.
+class Ledger:
+    """Jobs and rows in one SQLite file, for many threads and several processes at once.
 
     A method that returned has committed to disk; one that raised changed nothing. Its methods are
-    the functions of `jobs`, `rows`, `imports` and `recordings`, each in a transaction of its own;
+    the functions of `jobs`, `rows` and `imports`, each in a transaction of its own;
     all raise LedgerUnavailableError if the file cannot be used now. Readers never wait for the
     writer (WAL); writers of this process wait for each other here and for other processes in
     SQLite.

@@ -30,7 +30,7 @@ from wrenchbook.surrogate.table.rows import Rows
 _DIGEST = 8  # bytes
 _TABLES = (
     *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
-    *("imports", "import_parts"),
+    *("imports", "import_parts", "catalogue", "demand", "solver_errors"),
 )
 _MAX_ROWID = 10_000_000  # where the highest number is unknown
 _MAX_NUMBER = 1 << 48  # larger numbers are damaged

@@ -64,7 +64,7 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.ledger.states.BACKOFF_SECONDS", (0.01, 0.01, 0.01))
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.01, 0.01, 0.01))
     monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.OUTLIVE_SECONDS", 0.05)
     monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.RECOVER_SECONDS", 0.1)
     bench = Bench(tmp_path)
