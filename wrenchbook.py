@@ -11,6 +11,8 @@ Displacement, Displacements
     The answer to one wrench, the answers to many.
 Table
     A downloaded or opened table, which answers in this process in microseconds.
+arrays
+    A table on arrays of JAX and PyTorch, for many environments at once.
 Mount, MujocoMount, Settled
     The joint between a rigid-body simulation and a component; in MuJoCo; where it is at rest.
 Joint, MujocoJoint, step_joints, LinearPart
@@ -76,6 +78,7 @@ if TYPE_CHECKING:
         Table,
         TableError,
         WrenchbookError,
+        arrays,
         conventions,
         plot,
     )
@@ -138,6 +141,7 @@ _HOME = {
     "Table": "service.client",
     "TableError": "service.client",
     "WrenchbookError": "service.client",
+    "arrays": "service.client.arrays",
     "conventions": "service.client.conventions",
     "plot": "service.client.plot",
     "step_joints": "service.client.joint.mujoco_joint",
@@ -182,6 +186,7 @@ __all__ = [
     "Table",
     "TableError",
     "WrenchbookError",
+    "arrays",
     "conventions",
     "plot",
     "step_joints",

@@ -155,7 +155,7 @@ class Table:
             missing, or there is no such method.
         """
         values, wrench, by_name = self._values(force, moment, loads, inputs)
-        packed, limit = self.packed, self._allowed(tolerance)
+        packed, limit = self.packed, self.allowed_errors(tolerance)
         started = perf_counter_ns()
         try:
             found = packed.answer(values, limit, method)
@@ -195,7 +195,7 @@ class Table:
             raise InvalidArgument(f"{self.name}: {error}") from None
         return [value + 0.0 for value in values], wrench_of(body), body.get("loads")
 
-    def _allowed(self, tolerance: Any) -> tuple[float, ...] | None:
+    def allowed_errors(self, tolerance: Any) -> tuple[float, ...] | None:
         """Return the largest error of each output, shape (m,), m and rad; None for its own."""
         if tolerance is None:
             return None
@@ -219,7 +219,7 @@ class Table:
         Displacements
             Shapes (n, outputs), m and rad; with `derivatives` also `Displacements.derivatives`.
         """
-        packed, limit = self.packed, self._allowed(tolerance)
+        packed, limit = self.packed, self.allowed_errors(tolerance)
         block = many_wrenches(wrenches, packed.inputs)
         loads = block + 0.0  # no negative zeros, as the server reads them
         started = perf_counter_ns()
@@ -231,7 +231,7 @@ class Table:
             raise InvalidArgument(str(error)) from error
         # Errors without the solver's share cannot be compared with a tolerance.
         whole = packed.arrays["solver/flags"][_ALL_PARTS]
-        allowed = (limit or self._allowed(_tolerance_of(packed))) if whole else None
+        allowed = (limit or self.allowed_errors(_tolerance_of(packed))) if whole else None
         return Displacements(
             component=self.name,
             wrenches=block,
