@@ -28,7 +28,6 @@ ALLOWED = {
     "service/fields/*": SPACE_OF_ONE,
     "service/client/mount/*": SPACE_OF_ONE,
     "service/client/joint/*": OF_ONE_INTERFACE,
-    "service/client/batched/*": SPACE_OF_ONE,
     "service/client/plot.py": SPACE_OF_ONE,
     "service/paper/*": SPACE_OF_ONE,
     "service/cli/demo.py": SPACE_OF_ONE,

@@ -236,93 +236,76 @@ def torch(table: Table, method: str | None = None, tolerance: Any = None) -> Eva
     """
     package = _required("torch", "tensors of PyTorch")
     host = Host(table, method, tolerance)
-    function: Any = package.autograd.Function
-
-    def on_host(call: Callable[..., Any], *tensors: Array) -> list[Array]:
-        like = tensors[0]
-        blocks = call(*(tensor.detach().cpu().numpy() for tensor in tensors))
-        kinds = [like.dtype if block.dtype == np.float64 else package.int32 for block in blocks]
-        return [
-            package.tensor(block, dtype=kind, device=like.device)
-            for block, kind in zip(blocks, kinds, strict=True)
-        ]
+    slopes = _torch_function(package, lambda w: (host.slopes(w),))
+    answers = _torch_function(package, host.answers, lambda w, *_: slopes(w)[0])
+    inverse = _torch_function(package, host.inverse, lambda *tensors: tensors[-1])
 
     def array(values: Array) -> Array:
         tensor = package.as_tensor(values)
         floats = tensor.dtype in (package.float32, package.float64)
         return tensor if floats else tensor.to(package.get_default_dtype())
 
-    def lifted(dims: Any, tensors: Any) -> list[Array]:
-        """Return tensors with the dimension that `vmap` maps in front, broadcast to one shape."""
-        return [
-            tensor if dim is None else tensor.movedim(dim, 0)
-            for tensor, dim in zip(tensors, dims, strict=True)
-        ]
+    return Evaluator(
+        host,
+        package,
+        array,
+        answers,
+        lambda w: slopes(w)[0],
+        lambda u, start: inverse(u, start.to(u))[0],
+    )
 
-    class Slopes(function):
-        @staticmethod
-        def forward(w: Array) -> Array:
-            return on_host(lambda w: [host.slopes(w)], w)[0]
 
-        @staticmethod
-        def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-            ctx.mark_non_differentiable(output)
+def _torch_function(
+    package: ModuleType,
+    on_host: Callable[..., tuple[NDArray[Any], ...]],
+    jacobian: Callable[..., Array] | None = None,
+) -> Callable[..., tuple[Array, ...]]:
+    """Return a function of tensors by one of numpy arrays (..., k).
 
-        @staticmethod
-        def vmap(_: Any, dims: Any, w: Array) -> Any:
-            return Slopes.apply(*lifted(dims, (w,))), 0
+    Of the tensors that it returns the first is differentiable by the first argument, with a
+    `jacobian` of arguments and results; none without. `vmap` calls it once, with all lines.
+    """
 
-    class Answer(function):
+    class Function(package.autograd.Function):
         @staticmethod
-        def forward(w: Array) -> Any:
-            return tuple(on_host(host.answers, w))
-
-        @staticmethod
-        def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-            ctx.save_for_backward(*inputs)
-            ctx.save_for_forward(*inputs)
-            ctx.mark_non_differentiable(*output[1:])
-
-        @staticmethod
-        def backward(ctx: Any, *grads: Array) -> Array:
-            return package.einsum("...qn,...q->...n", Slopes.apply(*ctx.saved_tensors), grads[0])
+        def forward(*tensors: Array) -> tuple[Array, ...]:
+            like = tensors[0]
+            blocks = on_host(*(tensor.detach().cpu().numpy() for tensor in tensors))
+            kinds = {"f": like.dtype, "i": package.int32}
+            return tuple(
+                package.tensor(block, dtype=kinds[block.dtype.kind], device=like.device)
+                for block in blocks
+            )
 
         @staticmethod
-        def jvp(ctx: Any, step: Array) -> Any:
-            change = package.einsum("...qn,...n->...q", Slopes.apply(*ctx.saved_tensors), step)
-            return change, None, None
+        def setup_context(ctx: Any, inputs: tuple[Array, ...], output: tuple[Array, ...]) -> None:
+            ctx.counts = len(inputs), len(output)
+            ctx.save_for_backward(*inputs, *output)
+            ctx.save_for_forward(*inputs, *output)
+            ctx.mark_non_differentiable(*output[0 if jacobian is None else 1 :])
 
         @staticmethod
-        def vmap(_: Any, dims: Any, w: Array) -> Any:
-            return Answer.apply(*lifted(dims, (w,))), (0, 0, 0)
-
-    class Inverse(function):
-        @staticmethod
-        def forward(u: Array, start: Array) -> Any:
-            return tuple(on_host(host.inverse, u, start))
+        def backward(ctx: Any, *grads: Array) -> tuple[Array, ...]:
+            assert jacobian is not None
+            slopes = jacobian(*ctx.saved_tensors)
+            change = package.einsum("...qn,...q->...n", slopes, grads[0])
+            return change, *[None] * (ctx.counts[0] - 1)
 
         @staticmethod
-        def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-            ctx.save_for_backward(output[1])
-            ctx.save_for_forward(output[1])
-            ctx.mark_non_differentiable(output[1])
+        def jvp(ctx: Any, *steps: Array) -> tuple[Array, ...]:
+            assert jacobian is not None
+            slopes = jacobian(*ctx.saved_tensors)
+            change = package.einsum("...qn,...n->...q", slopes, steps[0])
+            return change, *[None] * (ctx.counts[1] - 1)
 
         @staticmethod
-        def backward(ctx: Any, *grads: Array) -> Any:
-            return package.einsum("...nq,...n->...q", ctx.saved_tensors[0], grads[0]), None
+        def vmap(_: Any, dims: Any, *tensors: Array) -> Any:
+            pairs = zip(tensors, dims, strict=True)
+            first = [tensor if dim is None else tensor.movedim(dim, 0) for tensor, dim in pairs]
+            results = Function.apply(*first)
+            return results, (0,) * len(results)
 
-        @staticmethod
-        def jvp(ctx: Any, step: Array, _: Array) -> Any:
-            return package.einsum("...nq,...q->...n", ctx.saved_tensors[0], step), None
-
-        @staticmethod
-        def vmap(_: Any, dims: Any, u: Array, start: Array) -> Any:
-            return Inverse.apply(*lifted(dims, (u, start))), (0, 0)
-
-    def inverse(u: Array, start: Array) -> Array:
-        return Inverse.apply(u, start.to(u))[0]
-
-    return Evaluator(host, package, array, Answer.apply, Slopes.apply, inverse)
+    return Function.apply
 
 
 def _required(module: str, what: str) -> ModuleType:
