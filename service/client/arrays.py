@@ -88,11 +88,11 @@ class Host:
                 f"{tuple(shape)}: the order is that of table.space"
             )
 
-    def _rows(self, wrenches: Array) -> tuple[Floats, NDArray[np.bool_], tuple[int, ...]]:
+    def _rows(self, wrenches: Array) -> tuple[Floats, NDArray[np.intp], tuple[int, ...]]:
         """Return wrenches (k, n), zero where a wrench is not finite, which of them, and (...)."""
         array = np.asarray(wrenches, dtype=float)
         rows = array.reshape(-1, self.packed.inputs) + 0.0  # no negative zeros; a copy
-        strange = ~np.isfinite(rows).all(axis=1)
+        strange = np.flatnonzero(~np.isfinite(rows).all(axis=1))
         rows[strange] = 0.0
         return rows, strange, array.shape[:-1]
 
