@@ -73,6 +73,7 @@ if TYPE_CHECKING:
         Table as Table,
         TableError as TableError,
         WrenchbookError as WrenchbookError,
+        arrays as arrays,
         conventions as conventions,
         plot as plot,
     )
@@ -115,6 +116,7 @@ _NAMES = {
     "service.client.joint": ("Joint JointError JointRangeError JointWarning LinearPart"),
     "service.client.joint.mujoco_joint": ("MujocoJoint step_joints"),
     "service.client.mount.mujoco_mount": "MujocoMount",
+    "service.client.arrays": "arrays",
     "service.client.conventions": "conventions",
     "service.client.plot": "plot",
 }
