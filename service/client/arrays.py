@@ -5,7 +5,6 @@ The kernel answers on the host, whatever the device: the numbers are those of `T
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -13,8 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InvalidArgument, MissingPackage
+from .errors import InvalidArgument, required
 from .table import Table
+from .wrenches import Tolerance
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -43,7 +43,7 @@ class Answers(NamedTuple):
 class Host:
     """The kernel's batches on numpy arrays of any leading shape, of a table's present version."""
 
-    def __init__(self, table: Table, method: str | None, tolerance: Any) -> None:
+    def __init__(self, table: Table, method: str | None, tolerance: Tolerance | None) -> None:
         table.batch(np.zeros((1, table.packed.inputs)), tolerance, method)  # refuses wrong options
         self.name, self.packed = table.name, table.packed
         self.options = table.allowed_errors(tolerance), method
@@ -154,7 +154,7 @@ class Evaluator:
         return array
 
 
-def jax(table: Table, method: str | None = None, tolerance: Any = None) -> Evaluator:
+def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = None) -> Evaluator:
     """Return a function on arrays of JAX: ``jit``, ``vmap``, ``grad`` and ``jacfwd`` work on it.
 
     Parameters
@@ -173,7 +173,8 @@ def jax(table: Table, method: str | None = None, tolerance: Any = None) -> Evalu
     MissingPackage
         If JAX is not installed.
     """
-    package, jnp = _required("jax", "arrays of JAX"), _required("jax.numpy", "arrays of JAX")
+    package = required("jax", "arrays.jax", "'wrenchbook[jax]'")
+    jnp = required("jax.numpy", "arrays.jax", "'wrenchbook[jax]'")
     host = Host(table, method, tolerance)
     n, m = host.packed.inputs, host.packed.outputs
 
@@ -222,7 +223,7 @@ def jax(table: Table, method: str | None = None, tolerance: Any = None) -> Evalu
     return Evaluator(host, jnp, array, answers, slopes, inverse)
 
 
-def torch(table: Table, method: str | None = None, tolerance: Any = None) -> Evaluator:
+def torch(table: Table, method: str | None = None, tolerance: Tolerance | None = None) -> Evaluator:
     """Return a function on tensors of PyTorch: ``autograd`` and ``torch.func`` work on it.
 
     Results are on the wrenches' device. Parameters and errors are those of `jax`.
@@ -234,7 +235,7 @@ def torch(table: Table, method: str | None = None, tolerance: Any = None) -> Eva
     MissingPackage
         If PyTorch is not installed.
     """
-    package = _required("torch", "tensors of PyTorch")
+    package = required("torch", "arrays.torch", "'wrenchbook[torch]'")
     host = Host(table, method, tolerance)
     slopes = _torch_function(package, lambda w: (host.slopes(w),))
     answers = _torch_function(package, host.answers, lambda w, *_: slopes(w)[0])
@@ -306,15 +307,3 @@ def _torch_function(
             return results, (0,) * len(results)
 
     return Function.apply
-
-
-def _required(module: str, what: str) -> ModuleType:
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        name = module.partition(".")[0]
-        raise MissingPackage(
-            f"tables on {what} need the package {name!r}, which is not installed: "
-            f"pip install 'wrenchbook[{name}]'",
-            name=name,
-        ) from error

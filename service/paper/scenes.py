@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.client.mount.mujoco_checks import engine
-from wrenchbook.service.client.mount.mujoco_mount import MujocoMount
+from wrenchbook.service.client.mount.mujoco_mount import MujocoMount, engine
 from wrenchbook.service.paper.part import Mask, Vector
 
 _HERE = Path(__file__).resolve()
