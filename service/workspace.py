@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from wrenchbook.service.jobs.attempt import (
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.solver_pool import open_engine
 from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
-from wrenchbook.service.ledger import JobRecord, Ledger, LedgerRow, LedgerUnavailableError
+from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError
 from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
@@ -45,7 +46,7 @@ from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
 from wrenchbook.surrogate.scene.plan import design_of, plan_of
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 log = logging.getLogger(__name__)
 
@@ -148,20 +149,20 @@ class Workspace:
         known = self.tables.surrogate(name).solver_error
         return known or self.errors.read(name, self.library[name].fingerprint)
 
-    def unbuilt(self, name: str, table: ServedTable) -> tuple[int, list[LedgerRow]]:
+    def unbuilt(self, name: str, table: ServedTable) -> tuple[int, Rows]:
         """How many rows the next version adds to a table, and the first `MAX_UNBUILT` of them.
 
         No rows where the ledger cannot be read: an answer needs no ledger.
         """
         component = self.library[name]
+        setup = {"space": component.space, "fingerprint": component.fingerprint}
         with suppress(LedgerUnavailableError):
-            changes = self.ledger.row_changes(name, table.version, MAX_UNBUILT)
-            setups = "", component.fingerprint  # of measured rows, and the present one
-            rows = [row for row in changes.rows if row.fingerprint in setups]
+            changes = self.ledger.row_changes(name, table.version, MAX_UNBUILT, **setup)
             if changes.whole:
-                return len(rows), rows
-            return self.ledger.count_new(name, component.fingerprint, table.version), rows
-        return 0, []
+                return len(changes.rows), changes.rows
+            count = self.ledger.count_new(name, component.fingerprint, table.version)
+            return count, changes.rows
+        return 0, Rows.empty(component.space)
 
     async def newest(self, name: str, seconds: float) -> ServedTable:
         """Return the table once it holds all rows there are now, or after `seconds` as it is.
