@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
+from urllib.parse import urlencode
 
 import numpy as np
 import orjson
@@ -23,6 +24,27 @@ def json_reply(
     """Write a body; what is not finite is null, never a number."""
     content = orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)
     return Response(content, status, headers, "application/json")
+
+
+def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:
+    """Return the URL of a list's next page, and put it into the header Link (RFC 8288)."""
+    parameters = {
+        name: "true" if value is True else value for name, value in query.items() if value
+    }
+    url = f"{path}?{urlencode(parameters)}"
+    response.headers["Link"] = f'<{url}>; rel="next"'
+    return url
+
+
+def naming(tag: str) -> dict[str, str]:
+    """Return the headers of a version: its entity tag, and that caches revalidate it."""
+    return {"ETag": tag, "Cache-Control": "no-cache"}
+
+
+def holds(if_none_match: str | None, tag: str) -> bool:
+    """Return whether the caller has this version (RFC 9110, section 13.1.2)."""
+    tags = [tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")]
+    return tag in tags or "*" in tags
 
 
 def write_outcome(outcome: Outcome) -> Response:

@@ -16,11 +16,10 @@ from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
-from wrenchbook.service.http.links import next_page
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.replies import json_reply, next_page
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.http.schemas import Queued

@@ -16,9 +16,9 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from wrenchbook.service.contract import by_part
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.http.links import next_page
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.http.replies import next_page
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, zipped
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError

@@ -22,11 +22,10 @@ from wrenchbook.service.http.bodies import (
     ends_of,
 )
 from wrenchbook.service.http.body import read_limited
-from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.openapi import BYTES, refused, takes
 from wrenchbook.service.http.parsing import read_body, tolerance_of
 from wrenchbook.service.http.problems import bad_body
-from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.replies import holds, json_reply, naming
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.http.schemas import Plans
