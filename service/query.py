@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from math import hypot
 from time import perf_counter_ns
 from typing import Any, Literal, NamedTuple, get_args
@@ -20,10 +20,10 @@ from starlette.concurrency import run_in_threadpool
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
 from wrenchbook.service.client.replies import EXACT, ROUNDED
 from wrenchbook.service.contract import OnThin, by_part
-from wrenchbook.service.ledger import JobRecord, LedgerRow, LedgerUnavailableError
+from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placed
-from wrenchbook.service.tables.rows import others_in_words, table_rows
+from wrenchbook.service.tables.rows import others_in_words
 from wrenchbook.service.tables.served import (
     ROW,
     ROW_DETAIL,
@@ -37,7 +37,7 @@ from wrenchbook.surrogate.kernel.replies import Replies, Reply
 from wrenchbook.surrogate.rig_error import error_of_a_reading
 from wrenchbook.surrogate.solver_error import UNKNOWN
 from wrenchbook.surrogate.table.row_index import RowIndex
-from wrenchbook.surrogate.table.rows import Tolerance, acting_one, why_beyond
+from wrenchbook.surrogate.table.rows import Rows, Tolerance, acting_one, why_beyond
 
 Floats = NDArray[np.float64]
 Wanted = OnThin | Literal["solve"]
@@ -284,9 +284,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     return _ended(workspace, query, outcome) if placed.own else outcome
 
 
-def _uncovered(
-    workspace: Workspace, component: Component, query: Query, outcome: Outcome
-) -> list[LedgerRow]:
+def _uncovered(workspace: Workspace, component: Component, query: Query, outcome: Outcome) -> Rows:
     """Count a query that the table does not cover, complete the reason, and refuse it for `reject`.
 
     Returns the rows that no table holds yet.
@@ -472,30 +470,30 @@ def _being_built(component: Component, table: ServedTable, on_thin: Wanted, coun
     return f"{rows}: the table answers from them soon"
 
 
-def _rows_at(
-    component: Component, rows: Sequence[LedgerRow], wrenches: Floats
-) -> list[LedgerRow | None]:
+def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | None]:
     """Return the row at each wrench (k, inputs), within 1e-6 of the range in each load."""
-    if not rows:
+    if not len(rows):
         return [None] * len(wrenches)
-    index = RowIndex(np.array([row.wrench for row in rows]), component.load_range.scale)
-    return [None if at < 0 else rows[at] for at in index.places(wrenches).tolist()]
+    places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
+    return [None if place < 0 else rows.take([place]) for place in places.tolist()]
 
 
-def _table_of_row(workspace: Workspace, name: str, row: LedgerRow) -> ServedTable:
-    """Return a table of one row, which the kernel answers from by the same law as from all."""
-    component = workspace.library[name]
-    rows, newest = table_rows(component, (row,)), workspace.tables.surrogate(name)
-    return row_table(component, rows, workspace.solver_error(name), newest)
+def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTable:
+    """Return a table of one row, or of its number: the kernel has one law for it and for all."""
+    component, newest = workspace.library[name], workspace.tables.surrogate(name)
+    if isinstance(row, int):
+        row = Rows.from_records([asdict(workspace.ledger.row(row))], component.space)
+    return row_table(component, row, workspace.solver_error(name), newest)
 
 
-def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: LedgerRow) -> Outcome:
+def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows | int) -> Outcome:
     """Return the answer of a row that no table holds yet."""
     name, job = outcome.component, outcome.job
     table, query = _table_of_row(workspace, name, row), query._replace(method=None)
     notes = workspace.notes(job) if job else []
     reply = answer(table, query)
-    solved = Outcome(name, table, reply, outcome.elapsed_us, job=job, row=row.seq, notes=notes)
+    seq = int(table.rows.seq[0])
+    solved = Outcome(name, table, reply, outcome.elapsed_us, job=job, row=seq, notes=notes)
     _describe(workspace, query, solved)
     return solved
 
@@ -508,7 +506,7 @@ def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         raise SolveFailedError(job)
     if job.row is None:
         return outcome
-    return _by_row(workspace, query, outcome, workspace.ledger.row(job.row))
+    return _by_row(workspace, query, outcome, job.row)
 
 
 def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
@@ -576,8 +574,7 @@ def _take_rows(
         job = jobs[placed.job.id]
         outcome.jobs[place] = Placed(job, placed.own)
         if job.row is not None and placed.own:
-            row = workspace.ledger.row(job.row)
-            _take_row(workspace, wrenches, query, outcome, place, row)
+            _take_row(workspace, wrenches, query, outcome, place, job.row)
 
 
 def _take_row(
@@ -586,7 +583,7 @@ def _take_row(
     query: Query,
     outcome: BatchOutcome,
     place: int,
-    row: LedgerRow,
+    row: Rows | int,
 ) -> None:
     """Put a row's answer in the place of the table's answer to a wrench."""
     table, wrench = _table_of_row(workspace, outcome.component, row), wrenches[place, None]
