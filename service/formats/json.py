@@ -29,7 +29,7 @@ from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.formats.columns import ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.json_reader import JsonError, JsonReader
 from wrenchbook.service.formats.json_records import is_records, read_json_records
-from wrenchbook.service.formats.options import MOST_LISTED, Options, ReadReport
+from wrenchbook.service.formats.options import MAX_LISTED, Options, ReadReport
 from wrenchbook.service.formats.rows import (
     Array,
     ParsedTable,
@@ -100,7 +100,7 @@ def _pieces(reader: JsonReader, options: Options, report: ReadReport) -> Iterato
         for value in reader.items():
             report.read += 1
             piece.add(report.read, value)
-            if report.read % PIECE == 0 or len(piece.mistakes) > MOST_LISTED:
+            if report.read % PIECE == 0 or len(piece.mistakes) > MAX_LISTED:
                 yield piece.table(options, report)
                 if report.is_beyond_limits():
                     return

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from wrenchbook.service.formats.cells import Digits
+from wrenchbook.service.formats.header import Record
 from wrenchbook.service.formats.json_reader import JsonError, JsonReader
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.preamble import Record
 from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.service.formats.text import read_records
 

@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.arrow import read_hdf5, read_mat, read_parquet
+from wrenchbook.service.formats.arrow import read_parquet
 from wrenchbook.service.formats.csv import read_csv
 from wrenchbook.service.formats.findings import FindingsSample
+from wrenchbook.service.formats.hdf5 import read_hdf5, read_mat
 from wrenchbook.service.formats.json import read_json
 from wrenchbook.service.formats.logs import joined_loads, with_loads, zeroed
 from wrenchbook.service.formats.options import Format, Options, ReadReport
@@ -31,8 +32,8 @@ from wrenchbook.service.formats.xlsx import read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.table.rows import unknown_column
 
-MOST_PREVIEW = 100
-MOST_BYTES = 512 * 1024 * 1024
+MAX_PREVIEW = 100
+MAX_BYTES = 512 * 1024 * 1024
 """Of a file, packed or not: two million rows of 12 numbers, or a million with 17 digits each."""
 
 _LIMITS = Limits(memory=1024 << 20, seconds=60.0, output=1024 << 20)
@@ -132,7 +133,7 @@ def table_parts(
         if report.mistakes.whole:
             break
         sample.add(piece)
-        shown += _preview(piece, min(preview, MOST_PREVIEW) - len(shown))
+        shown += _preview(piece, min(preview, MAX_PREVIEW) - len(shown))
         good += len(piece)
         if len(piece):
             yield _part(piece)
@@ -226,7 +227,7 @@ def _is_gzip(path: Path) -> bool:
         return file.read(2) == b"\x1f\x8b"
 
 
-def unpack(path: Path, target: Path, most: int = MOST_BYTES) -> None:
+def unpack(path: Path, target: Path, most: int = MAX_BYTES) -> None:
     """Unpack a gzipped file, at most `most` bytes of it.
 
     Raises

@@ -30,8 +30,8 @@ from wrenchbook.service.formats.rows import (
 )
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
-MOST_RIG = 4000  # characters of a TOML: it is sent in a URL
-_MOST_NAME = 100  # characters
+MAX_RIG = 4000  # characters of a TOML: it is sent in a URL
+_MAX_NAME = 100  # characters
 _SKEW = 1e-3  # axes written as 0.707 are perpendicular unit vectors to 2e-4
 _FARTHEST = 100.0  # m: a point given in mm is refused
 _KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
@@ -106,8 +106,8 @@ class Rig:
         if unknown := [key for key in values if key not in _KEYS]:
             raise RigError(f"the rig has no {unknown[0][:100]!r}; it may have {', '.join(_KEYS)}")
         name = values.get("name", hashlib.sha256(text.encode()).hexdigest()[:8])
-        if not isinstance(name, str) or len(name) > _MOST_NAME or text_problem(name):
-            raise RigError(f"name: is not a text of at most {_MOST_NAME} characters")
+        if not isinstance(name, str) or len(name) > _MAX_NAME or text_problem(name):
+            raise RigError(f"name: is not a text of at most {_MAX_NAME} characters")
         cell = values.get("load_cell", "")
         if cell not in ("", *_LOAD_CELLS):
             raise RigError(f"load_cell: is moving or fixed, not {str(cell)[:100]!r}")
@@ -209,7 +209,7 @@ def with_known_point(
     count, rows, row, value, worst = np.zeros(len(size) + 1), 0, 0, 0.0, 0.0
     for piece in pieces:
         yield piece
-        asked, names = np.ones(len(piece), dtype=bool), {one.name for one in report.columns}
+        asked, names = np.ones(len(piece), dtype=bool), {name for _, name, _ in report.columns}
         if not options.rig:
             asked = ~(_of_interface(piece) | np.array([*map(bool, piece.source)], dtype=bool))
             size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf

@@ -17,16 +17,15 @@ from typing import Any, BinaryIO
 
 from wrenchbook.service.formats.cells import NO_VALUE, Digits
 from wrenchbook.service.formats.columns import Layout, WritableRows
-from wrenchbook.service.formats.header import Header
+from wrenchbook.service.formats.header import Header, Record
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.preamble import Record
 from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.service.formats.text import read_records
 
-MOST_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
-MOST_IN_MEMORY = 64 * 1024 * 1024  # of a member that is no sheet: texts, styles
-MOST_MEMBERS = 1000
-MOST_SHEET_ROWS = 1_048_575  # below the header (ECMA-376)
+MAX_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
+MAX_IN_MEMORY = 64 * 1024 * 1024  # of a member that is no sheet: texts, styles
+MAX_MEMBERS = 1000
+MAX_SHEET_ROWS = 1_048_575  # below the header (ECMA-376)
 ABOUT_SHEET = "about"  # of an export; it has no rows
 _BLOCK = 1 << 20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -79,9 +78,9 @@ def write_xlsx(
         numbers = [column.digits(piece) for column in layout.numbers]
         texts = layout.words(piece)
         count += len(piece.wrench)
-        if count > MOST_SHEET_ROWS:
+        if count > MAX_SHEET_ROWS:
             raise SheetFullError(
-                f"the table has more than {MOST_SHEET_ROWS:,} rows, the most of a sheet; export it "
+                f"the table has more than {MAX_SHEET_ROWS:,} rows, the most of a sheet; export it "
                 "as CSV, Parquet or HDF5"
             )
         kinds = ["n"] * len(numbers) + ["s"] * len(texts)
@@ -107,9 +106,9 @@ def _write_cell(sheet: Any, text: str, kind: str) -> Any:
 
 def _sheet(path: Path, file: BinaryIO, name: str | None) -> Any:
     """Return the sheet of a name, or the first one."""
-    for entry, size in entry_sizes(path, MOST_UNPACKED).items():
-        if size > MOST_IN_MEMORY and not entry.startswith("xl/worksheets/"):
-            raise ZipBoundsError(f"holds more than {MOST_IN_MEMORY >> 20} MiB in {entry}")
+    for entry, size in entry_sizes(path, MAX_UNPACKED).items():
+        if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
+            raise ZipBoundsError(f"holds more than {MAX_IN_MEMORY >> 20} MiB in {entry}")
     # Imported on first use: 0.2 s and 20 MB.
     import openpyxl
 
@@ -140,8 +139,8 @@ def _records(sheet: Any, most: int) -> Iterator[Record]:
             timedelta_formats=book._timedelta_formats,
         )
         for count, (number, cells) in enumerate(parser.parse()):
-            if count > MOST_SHEET_ROWS:
-                raise ValueError(f"a sheet has more than {MOST_SHEET_ROWS + 1:,} rows")
+            if count > MAX_SHEET_ROWS:
+                raise ValueError(f"a sheet has more than {MAX_SHEET_ROWS + 1:,} rows")
             texts = _texts([cell for cell in cells if cell["value"] is not None], most)
             if any(texts):
                 yield number, texts
@@ -238,8 +237,8 @@ def entry_sizes(path: Path, most: int) -> dict[str, int]:
 
 
 def _directory_problem(entries: list[zipfile.ZipInfo], most: int) -> str:
-    if len(entries) > MOST_MEMBERS:
-        return f"has {len(entries)} members; at most {MOST_MEMBERS} are read"
+    if len(entries) > MAX_MEMBERS:
+        return f"has {len(entries)} members; at most {MAX_MEMBERS} are read"
     if len({entry.filename for entry in entries}) < len(entries):
         return "has two members of one name"
     if any(entry.compress_type not in _METHODS or entry.flag_bits & 1 for entry in entries):

@@ -7,12 +7,12 @@ from typing import Annotated, Any, Literal
 import orjson
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from wrenchbook.service.formats import MOST_PREVIEW, MOST_ZERO_ROWS, Options
-from wrenchbook.service.formats.rig import MOST_RIG, Rig, rig_text
+from wrenchbook.service.formats import MAX_PREVIEW, MAX_ZERO_ROWS, Options
+from wrenchbook.service.formats.rig import MAX_RIG, Rig, rig_text
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.tables.importing import ImportRequest
 
-_MOST_COLUMNS = 1000
+_MAX_COLUMNS = 1000
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MOST_WAIT_S = 600.0  # a million rows take minutes
 _POINT = "x,y,z from the interface's point in its frame, m: the point that"
@@ -34,7 +34,7 @@ class ImportQuery(Body):
         False
     )
     preview: Annotated[
-        int, Field(ge=0, le=MOST_PREVIEW, description="so many first good rows come back")
+        int, Field(ge=0, le=MAX_PREVIEW, description="so many first good rows come back")
     ] = 0
     decimal: Annotated[
         Literal[".", ","] | None,
@@ -42,7 +42,7 @@ class ImportQuery(Body):
     ] = None
     ignore: Annotated[
         list[_Text],
-        Field(default_factory=list, max_length=_MOST_COLUMNS, description="columns to leave out"),
+        Field(default_factory=list, max_length=_MAX_COLUMNS, description="columns to leave out"),
     ]
     ignore_extra: Annotated[bool, Field(description="leave out all unknown columns")] = False
     mapping: Annotated[
@@ -57,7 +57,7 @@ class ImportQuery(Body):
         Literal["zero"] | None, Field(description="loads without a column were zero")
     ] = None
     tare: Annotated[
-        int, Field(ge=0, le=MOST_ZERO_ROWS, description="rows whose mean is taken off all others")
+        int, Field(ge=0, le=MAX_ZERO_ROWS, description="rows whose mean is taken off all others")
     ] = 0
     sheet: Annotated[str | None, Field(max_length=200, description="xlsx: its name")] = None
     frame: Annotated[
@@ -69,7 +69,7 @@ class ImportQuery(Body):
         Literal["moving", "fixed"] | None, Field(description=f"moments are about {_LOAD_CELL}")
     ] = None
     rig: Annotated[
-        str, Field(max_length=MOST_RIG, description="TOML: these four, name; kept with the import")
+        str, Field(max_length=MAX_RIG, description="TOML: these four, name; kept with the import")
     ] = ""
     time_offset_s: Annotated[
         Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
@@ -157,6 +157,6 @@ def _pairs(text: str) -> dict[str, str]:
         raise ValueError(f"is not JSON: {error}") from None
     if not isinstance(pairs, dict) or not all(isinstance(one, str) for one in pairs.values()):
         raise ValueError('is not of the form {"column in the file": "fz [N]"}')
-    if len(pairs) > _MOST_COLUMNS:
-        raise ValueError(f"names more than {_MOST_COLUMNS} columns")
+    if len(pairs) > _MAX_COLUMNS:
+        raise ValueError(f"names more than {_MAX_COLUMNS} columns")
     return pairs
