@@ -1,7 +1,5 @@
 """JSON tables: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
-Objects of columns, a list of them or one a line, are read by `json_records`.
-
 A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
 numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
 of ux uy uz rx ry rz, over fx fy fz mx my mz), ``curvature`` (third derivatives of the complementary
@@ -11,24 +9,24 @@ name; without these two the order is the component's.
 An export also has ``component``, ``table_version`` and the number of each row in the ledger,
 ``row``; an import ignores them.
 
-The text is decoded row by row: decoded at once, the rows of a text of 256 MB take seven times its
-size, and orjson reports neither duplicate keys nor 1e-400 nor NaN.
+Objects of named columns, a list of them as pandas writes or one a line, are records as of a CSV.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.cells import Digits, text_problem
 from wrenchbook.service.formats.columns import ORIGIN, TEXTS, Columns, WritableRows
-from wrenchbook.service.formats.json_reader import JsonError, JsonReader
-from wrenchbook.service.formats.json_records import is_records, read_json_records
+from wrenchbook.service.formats.header import Record
 from wrenchbook.service.formats.options import MAX_LISTED, Options, ReadReport
 from wrenchbook.service.formats.rows import (
     Array,
@@ -37,33 +35,105 @@ from wrenchbook.service.formats.rows import (
     known_column,
     number_word,
 )
+from wrenchbook.service.formats.text import PIECE, read_records
 from wrenchbook.service.formats.units import vanished
 from wrenchbook.surrogate.table.rows import curvature_column
 
-PIECE = 20_000  # rows at once
+MAX_BYTES = 112 * 1024 * 1024
+"""Decoded rows take seven times their text: 450,000 rows are 800 MB."""
+
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
 _NUMBERS = ("wrench", "displacement", "uncertainty", "compliance", "curvature")
 _ROW_KEYS = (*_NUMBERS, *TEXTS, *ORIGIN)
+_RECORDS = re.compile(rf'\s*(\[\s*\{{|\{{\s*"(?!({"|".join((*_TABLE_KEYS, *_SPACE_KEYS))})"))')
+_BLANKS = re.compile(r"[ \t\n\r]*")
+
+
+class JsonError(ValueError):
+    """The text is no JSON, or no table; the message has the place."""
 
 
 def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a JSON file piece by piece; `report` gets the mistakes."""
     try:
-        text = _text_of(path)
-        if is_records(text):
-            yield from read_json_records(text, options, report)
-        else:
-            yield from _pieces(JsonReader(text, _parsed_float), options, report)
+        if path.stat().st_size > MAX_BYTES:
+            raise JsonError(
+                f"is JSON of more than {MAX_BYTES >> 20} MiB; send it in parts, or as CSV, "
+                "Parquet or HDF5"
+            )
+        try:
+            text = path.read_bytes().decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
+        if _RECORDS.match(text):
+            # Numbers stay text, so that their digits and units are read as those of a CSV.
+            values = _values(text, Digits, Digits)
+            yield from read_records(_records(values), options, report)
+            return
+        values = list(islice(_values(text, _parsed_float, int), 2))
+        if len(values) != 1:
+            reason = "there is more behind its end" if values else "it is empty"
+            raise JsonError(f"is not JSON: {reason}")
+        yield from _pieces(values[0], options, report)
     except ValueError as error:
         report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
 
 
-def _text_of(path: Path) -> str:
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
+def _values(text: str, parse_float: Any, parse_int: Any) -> Iterator[Any]:
+    """Yield the values of a text, one behind the other; JsonError."""
+    decoder = json.JSONDecoder(
+        parse_float=parse_float, parse_int=parse_int, object_pairs_hook=_unique
+    )
+    at = 0
+    while True:
+        blanks = _BLANKS.match(text, at)
+        at = blanks.end() if blanks else at
+        if at == len(text):
+            return
+        try:
+            value, at = decoder.raw_decode(text, at)
+        except RecursionError as error:
+            raise JsonError("is not JSON of a table: it is nested too deeply") from error
+        except ValueError as error:
+            broken = isinstance(error, json.JSONDecodeError)
+            reason, place = (error.msg, error.pos) if broken else (str(error), at)
+            raise JsonError(f"is not JSON: {reason} at character {place:,}") from error
+        yield value
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object; ValueError if a key stands twice."""
+    members = dict(pairs)
+    if len(members) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {twice!r} stands twice in one object; keep one")
+    return members
+
+
+def _records(values: Iterator[Any]) -> Iterator[Record]:
+    """Yield the header as record 0, then the rows: those of a list, or each value."""
+    names: list[str] = []
+    rows = (row for value in values for row in (value if isinstance(value, list) else [value]))
+    for number, row in enumerate(rows, start=1):
+        if not isinstance(row, dict) or any(isinstance(cell, dict) for cell in row.values()):
+            raise JsonError(
+                f"row {number} is no object of named columns; write pandas' frames with "
+                "to_json(orient='records')"
+            )
+        if number == 1:
+            names = list(row)
+            yield 0, names
+        if not row.keys() <= set(names):
+            more = ", ".join(row.keys() - set(names))
+            raise JsonError(
+                f"row {number} has columns that row 1 has not: {more}; write them as null"
+            )
+        for name, cell in row.items():
+            if not (cell is None or isinstance(cell, str)):
+                raise JsonError(f"row {number}: {name!r} is neither a number nor a text")
+        yield number, [row.get(name) or "" for name in names]
 
 
 def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Iterator[str]:
@@ -82,34 +152,26 @@ def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Itera
     yield "]}"
 
 
-def _pieces(reader: JsonReader, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+def _pieces(table: Any, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     columns = options.columns
-    piece, listed, no_table = _JsonRows(columns), False, _no_table(columns)
-    if reader.peek() != "{":
-        reader.value()
-        reader.end()
-        report.mistakes.ruin(0, "rows", no_table)
+    if not isinstance(table, dict) or "rows" not in table:
+        report.mistakes.ruin(0, "rows", _no_table(columns))
         return
-    for key in reader.members():
-        if key != "rows" or reader.peek() != "[":
-            if problem := _key_problem(key, reader.value(), columns):
-                report.mistakes.ruin(0, key, problem)
-                return
-            continue
-        listed = True
-        for value in reader.items():
-            report.read += 1
-            piece.add(report.read, value)
-            if report.read % PIECE == 0 or len(piece.mistakes) > MAX_LISTED:
-                yield piece.table(options, report)
-                if report.is_beyond_limits():
-                    return
-                piece = _JsonRows(columns)
-    reader.end()
-    if not listed:
-        report.mistakes.ruin(0, "rows", no_table)
-    elif not report.read:
+    for key, value in table.items():
+        if problem := _key_problem(key, value, columns):
+            report.mistakes.ruin(0, key, problem)
+            return
+    if not table["rows"]:
         report.mistakes.ruin(0, "rows", "there is no row")
+    piece = _JsonRows(columns)
+    for value in table["rows"]:
+        report.read += 1
+        piece.add(report.read, value)
+        if report.read % PIECE == 0 or len(piece.mistakes) > MAX_LISTED:
+            yield piece.table(options, report)
+            if report.is_beyond_limits():
+                return
+            piece = _JsonRows(columns)
     yield piece.table(options, report)
     report.is_beyond_limits()
 
@@ -121,9 +183,9 @@ def _no_table(columns: Columns) -> str:
 
 
 def _key_problem(key: str, value: Any, columns: Columns) -> str:
-    """Return what is wrong with a member of the table that is no list of rows."""
+    """Say what is wrong with a member of the table."""
     if key == "rows":
-        return _no_table(columns)
+        return "" if isinstance(value, list) else _no_table(columns)
     if key == "units" and value != "SI":
         return "a JSON table is in SI; convert it, or send CSV with units"
     if key in _SPACE_KEYS:
@@ -287,7 +349,7 @@ class _Vanished(float):
 
 def _parsed_float(text: str) -> float:
     number = float(text)
-    return _Vanished(number) if vanished(text, number) else number
+    return _Vanished(number) if number == 0.0 and vanished(text) else number
 
 
 def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:

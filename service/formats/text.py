@@ -28,7 +28,7 @@ from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import Header, HeaderColumn, Record, read_head
 from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
 from wrenchbook.service.formats.rows import Array, ParsedTable, good_rows
-from wrenchbook.service.formats.units import vanished
+from wrenchbook.service.formats.units import scaled, vanished
 from wrenchbook.surrogate.table.rows import unknown_column
 
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
@@ -309,7 +309,7 @@ class _Conversion:
             for at in np.flatnonzero(np.isinf(values) | empty).tolist():
                 self._refuse(at, column.label, number_problem(self._cell(column, at), False))
         with np.errstate(over="ignore"):
-            converted = values * column.factor + column.zero
+            converted = scaled(values, column.factor) + column.zero
         for at in np.flatnonzero(np.isinf(converted) & np.isfinite(values)).tolist():
             message = f"{quoted(self._cell(column, at))} is too large a number"
             self._refuse(at, column.label, message)

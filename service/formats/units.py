@@ -14,6 +14,8 @@ from decimal import Context, Decimal, localcontext
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 
 class UnitError(ValueError):
     """A unit is unknown or measures another quantity; the message has the remedy."""
@@ -170,6 +172,12 @@ def _registry() -> Any:
         return pint.UnitRegistry(non_int_type=Decimal)  # pyright: ignore[reportArgumentType]
 
 
+def scaled(values: np.ndarray, factor: float) -> np.ndarray:
+    """Return numbers, shape (n,), times a factor, in one rounding if it is 1 over an integer."""
+    inverse = float(round(1.0 / factor))
+    return values / inverse if inverse and 1.0 / inverse == factor else values * factor
+
+
 def in_unit(value: float, factor: float) -> str:
     """Return the digits of an SI value in a unit; read back they agree to rounding.
 
@@ -177,7 +185,8 @@ def in_unit(value: float, factor: float) -> str:
     """
     if factor == 1.0:
         return repr(value)
-    number = value / factor
+    inverse = float(round(1.0 / factor))
+    number = value * inverse if inverse and 1.0 / inverse == factor else value / factor
     short = f"{number:.15g}"
     return short if abs(float(short) - number) <= 3e-16 * abs(number) else repr(number)
 

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from wrenchbook.service.files.lock import take
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.connection import Connection, sequences
@@ -125,6 +127,21 @@ class ImportTable(Database):
         if new:
             self.notify(Change(component, rows=new))
         return new, count - new, number if new else None
+
+    def stored_numbers(self, component: str, inputs: int, outputs: int) -> np.ndarray:
+        """Return wrench, displacement and uncertainty of all rows, (n, inputs + 2 outputs), SI."""
+        unknown = np.full(outputs, np.nan).tobytes()
+        select = (
+            "SELECT wrench, displacement, uncertainty FROM rows WHERE component = ?"
+            " AND length(wrench) = ? AND length(displacement) = ?"
+        )
+        with self.reading() as db:
+            found = db.execute(select, (component, 8 * inputs, 8 * outputs))
+            content = b"".join(
+                wrench + displacement + (uncertainty or unknown)
+                for wrench, displacement, uncertainty in found
+            )
+        return np.frombuffer(content, dtype="<f8").reshape(-1, inputs + 2 * outputs)
 
     def imports(self, component: str, most: int = 1000) -> list[ImportRecord]:
         """Return the imports of a component that have ended, newest first."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats import Options, ReadResult, read_untrusted
+from wrenchbook.service.formats import Options, ParsedTable, ReadResult, read_untrusted
 from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
 from wrenchbook.service.library.component import Component
@@ -19,6 +19,9 @@ from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.findings.find import MOST
 from wrenchbook.surrogate.table.compliance import fit_compliance
+
+SAME = 1e-12  # of a number: what an export in other units and its import may lose
+_MAX_TRIED = 16  # stored rows of nearly one size that a row is compared with
 
 
 @dataclass(frozen=True)
@@ -64,13 +67,20 @@ def import_files(
     read = read_untrusted(files, own, request.preview)
     report = dict(read.report)
     refused = report.pop("whole") or bool(report["errors"] and not request.partial)
+    report.pop("converted")
     inserted, existing, number = 0, 0, None
+
+    def pieces() -> Iterator[ParsedTable]:
+        return _with_stored_numbers(ledger, component, read)
+
     if not refused and request.dry_run:
-        inserted, existing = _counted(ledger, component, read)
+        keys = [row[-2] for block in packed_pieces(component, pieces()) for row in block]
+        existing = ledger.known_rows([key for key in keys if isinstance(key, bytes)])
+        inserted = len(keys) - existing
     elif not refused:
-        packed = packed_pieces(component, read.pieces())
-        about = replace(about, format=report["format"], rig=options.rig)
-        about = replace(about, findings=_with_keys(component, read))
+        findings = _with_keys(component, read.report["findings"], pieces)
+        about = replace(about, format=report["format"], rig=options.rig, findings=findings)
+        packed = packed_pieces(component, pieces())
         inserted, existing, number = ledger.import_rows(component.name, packed, about)
     rows = report.pop("rows")
     good = rows.pop("good")
@@ -100,28 +110,67 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
     return np.where(fit.known, fit.matrix, 0.0).tolist()
 
 
-def _with_keys(component: Component, read: ReadResult) -> str:
+def _with_stored_numbers(
+    ledger: Ledger, component: Component, read: ReadResult
+) -> Iterator[ParsedTable]:
+    """Yield the rows of a file; numbers from other units that agree with a stored row are its own.
+
+    Factors of units round. A row whose numbers all agree with those of a stored row to `SAME` gets
+    that row's bits, so that an export in any unit comes back as known rows.
+    """
+    space = component.space
+    if not read.report["converted"]:
+        yield from read.pieces()
+        return
+    stored = ledger.stored_numbers(component.name, len(space.inputs), len(space.outputs))
+    sizes = _sizes(stored, len(space.inputs))
+    order = np.argsort(sizes, kind="stable")
+    sizes = sizes[order]
+    for piece in read.pieces():
+        columns = piece.wrench, piece.displacement, piece.uncertainty
+        numbers = np.hstack(columns)
+        size = _sizes(numbers, len(space.inputs))
+        first = np.searchsorted(sizes, size * (1.0 - 2.0 * SAME))
+        end = np.searchsorted(sizes, size * (1.0 + 2.0 * SAME), side="right")
+        open_ = np.flatnonzero(first < end)
+        for step in range(_MAX_TRIED):
+            candidates = stored[order[first[open_] + step]]
+            ours = numbers[open_]
+            same = np.abs(candidates - ours) <= SAME * np.abs(ours)
+            same = np.all(same | (np.isnan(candidates) & np.isnan(ours)), axis=1)
+            numbers[open_[same]] = candidates[same]
+            open_ = open_[~same & (first[open_] + step + 1 < end[open_])]
+        n, m = len(space.inputs), len(space.outputs)
+        wrench, displacement, uncertainty = np.hsplit(numbers, [n, n + m])
+        known = {"uncertainty": uncertainty} if any(piece.uncertainty.strides) else {}
+        yield replace(piece, wrench=wrench, displacement=displacement, **known)
+
+
+def _sizes(numbers: np.ndarray, inputs: int) -> np.ndarray:
+    """Return a sum of all numbers' sizes, (n,), as exact as they are, of (n, k), SI.
+
+    Displacements count a million times, so that repeated readings of a wrench differ in it.
+    """
+    weights = np.where(np.arange(numbers.shape[1]) < inputs, 1.0, 1e6)
+    return np.nansum(np.abs(numbers) * weights, axis=1)
+
+
+def _with_keys(
+    component: Component,
+    findings: Sequence[dict[str, Any]],
+    pieces: Callable[[], Iterator[ParsedTable]],
+) -> str:
     """Return the findings of a file as JSON, with the keys of their rows instead of places."""
-    findings = read.report["findings"]
-    named = [row for one in findings for row in one["rows"]]
+    named = [row for finding in findings for row in finding["rows"]]
     keys: dict[int, str] = {}
-    for piece in read.pieces() if named else ():
+    for piece in pieces() if named else ():
         some = piece.take(np.isin(piece.row, named))
         for block in packed_pieces(component, iter((some,))):
             packed = (row[-2].hex() for row in block if isinstance(row[-2], bytes))
             keys |= zip(some.row.tolist(), packed, strict=True)
     return json.dumps(
-        [{**one, "rows": [], "keys": [keys[k] for k in one["rows"]]} for one in findings]
+        [{**one, "rows": [], "keys": [keys[row] for row in one["rows"]]} for one in findings]
     )
-
-
-def _counted(ledger: Ledger, component: Component, read: ReadResult) -> tuple[int, int]:
-    """Return how many rows would be new and how many are there already."""
-    keys: list[bytes] = []
-    for block in packed_pieces(component, read.pieces()):
-        keys += [row[-2] for row in block if isinstance(row[-2], bytes)]
-    known = ledger.known_rows(keys)
-    return len(keys) - known, known
 
 
 def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:

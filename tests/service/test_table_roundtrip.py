@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tests.service import table_files
 from tests.service.table_files import ReadTable, read_hdf5, read_json, write_csv, write_json
 from wrenchbook.service.formats import UnitError, write_hdf5
-from wrenchbook.service.formats.units import QUANTITIES, in_unit, si_factor
+from wrenchbook.service.formats.units import QUANTITIES, in_unit, scaled, si_factor
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange
 
@@ -133,7 +133,8 @@ def test_an_export_in_any_unit_is_read_back_to_rounding(table: ReadTable, units)
 def test_every_float_survives_every_unit_within_17_digits(quantity, unit: str, number: float):
     factor = si_factor(unit, quantity)
     text = in_unit(number, factor)
-    assert float(text) * factor == pytest.approx(number, rel=1e-15, abs=1e-290)
+    (back,) = scaled(np.array([float(text)]), factor)
+    assert back == pytest.approx(number, rel=1e-15, abs=1e-290)
     assert len(Decimal(text).as_tuple().digits) <= 17
 
 
