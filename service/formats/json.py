@@ -17,6 +17,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
@@ -42,6 +43,7 @@ from wrenchbook.surrogate.table.rows import curvature_column
 MAX_BYTES = 112 * 1024 * 1024
 """Decoded rows take seven times their text: 450,000 rows are 800 MB."""
 
+_MAX_FLOAT = sys.float_info.max
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
 _NUMBERS = ("wrench", "displacement", "uncertainty", "compliance", "curvature")
@@ -221,8 +223,12 @@ class _JsonRows:
         numbers += self._required(row, "displacement", self._columns.displacement)
         numbers += self._uncertainty(row.get("uncertainty"))
         numbers += self._tangent(row.get("compliance"))
-        curvature = self._curvature(row.get("curvature"))
-        texts = [self._text(row, key) for key in TEXTS]
+        curvature, count = row.get("curvature"), len(self._columns.curvature)
+        if curvature is not None and not _are(curvature, count):
+            self._refuse("curvature", f"is not a list of {count} numbers; a row has all or none")
+        elif curvature is not None:
+            curvature = self._finite("curvature", curvature)
+        texts = [self._text(row.get(key), key) for key in TEXTS]
         if len(self.mistakes) == before:
             self._row.append(at)
             self._numbers.append(numbers)
@@ -254,13 +260,12 @@ class _JsonRows:
 
     def _required(self, row: dict[str, Any], key: str, names: Sequence[str]) -> list[float]:
         """Return finite numbers, one a name, NaN for a displacement that is null."""
-        values = row.get(key)
+        values, partial = row.get(key), key == "displacement"
         if not _are(values, len(names)):
             count = number_word(len(names))
             problem = "is missing" if values is None else f"is not a list of {count} numbers"
             self._refuse(key, f"{problem}; write [{', '.join(names)}] in SI")
             return []
-        partial = key == "displacement"
         if partial and all(value is None for value in values):
             self._refuse(key, "is all null; a row needs at least one number")
         return self._finite(key, values, nulls=partial)
@@ -294,41 +299,27 @@ class _JsonRows:
         numbers = (self._finite(f"compliance[{at}]", line) for at, line in enumerate(lines))
         return [number for line in numbers for number in line]
 
-    def _curvature(self, values: Any) -> list[float] | None:
-        count = len(self._columns.curvature)
-        if values is None:
-            return None
-        if not _are(values, count):
-            self._refuse("curvature", f"is not a list of {count} numbers; a row has all or none")
-            return None
-        return self._finite("curvature", values)
-
     def _finite(self, key: str, values: list[Any], nulls: bool = False) -> list[float]:
-        """Return finite numbers, with NaN for null where that is allowed."""
-        return [
-            math.nan if nulls and value is None else self._number(f"{key}[{index}]", value)
-            for index, value in enumerate(values)
-        ]
+        """Return finite numbers, NaN for null where that is allowed, zero and a mistake else."""
+        numbers = []
+        for index, value in enumerate(values):
+            problem, number = "", 0.0
+            if nulls and value is None:
+                number = math.nan
+            elif isinstance(value, _Vanished):
+                problem = "is too small a number and would become 0; write 0"
+            elif type(value) is not float and type(value) is not int:  # a bool is an int to Python
+                problem = f"{json.dumps(value)[:40]} is not a number"
+            elif not abs(value) <= _MAX_FLOAT:
+                problem = "is not finite; leave the row out"
+            else:
+                number = float(value)
+            if problem:
+                self._refuse(f"{key}[{index}]", problem)
+            numbers.append(number)
+        return numbers
 
-    def _number(self, key: str, value: Any) -> float:
-        """Return a finite number, or zero and a mistake."""
-        if isinstance(value, _Vanished):
-            self._refuse(key, "is too small a number and would become 0; write 0")
-            return 0.0
-        if type(value) is not float and type(value) is not int:  # a bool is an int to Python
-            self._refuse(key, f"{json.dumps(value)[:40]} is not a number")
-            return 0.0
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if math.isfinite(number):
-            return number
-        self._refuse(key, "is not finite; leave the row out")
-        return 0.0
-
-    def _text(self, row: dict[str, Any], key: str) -> str:
-        value = row.get(key)
+    def _text(self, value: Any, key: str) -> str:
         if value is None:
             return ""
         if not isinstance(value, str):
@@ -365,20 +356,16 @@ def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:
         if not all(map(math.isnan, bounds)):
             row["uncertainty"] = _nulls(bounds)
     for name in ("compliance", "curvature"):
-        for at, numbers in _known_of(getattr(table, name, None)):
-            rows[at][name] = numbers
+        column = getattr(table, name, None)
+        if column is not None and column.size:  # rows that have them all
+            known = np.isfinite(column).all(axis=tuple(range(1, column.ndim)))
+            for at in np.flatnonzero(known).tolist():
+                rows[at][name] = column[at].tolist()
     for name in (*TEXTS, "when", "who"):
         for row, text in zip(rows, getattr(table, name, ()), strict=False):
             if text:
                 row[name] = str(text)
     return rows
-
-
-def _known_of(column: Array | None) -> Iterator[tuple[int, list[Any]]]:
-    """Yield place and numbers of those rows of a column, (n, ...), that have them all."""
-    if column is not None and column.size:
-        known = np.isfinite(column).all(axis=tuple(range(1, column.ndim)))
-        yield from ((at, column[at].tolist()) for at in np.flatnonzero(known).tolist())
 
 
 def _nulls(values: list[float]) -> list[float | None]:

@@ -77,23 +77,14 @@ class RigError(ValueError):
 
 @dataclass(frozen=True)
 class Rig:
-    """Axes and reference points of the readings of a test.
+    """Axes and reference points of the readings of a test."""
 
-    Attributes
-    ----------
-    axes : numpy.ndarray
-        Shape (3, 3), dimensionless: the rig's x, y and z axis in the interface's frame, one a row.
-    load_point, displacement_point : numpy.ndarray
-        Shape (3,), m: the point that moments are about, and the one whose translation was measured.
-    name : str
-    load_cell : {"moving", "fixed", ""}
-        Whether the load point moves with the interface or stays where it was; empty: not known.
-    """
-
-    axes: Array
-    load_point: Array
-    displacement_point: Array
+    axes: Array  # (3, 3), the rig's x, y and z axis in the interface's frame, a row each
+    load_point: Array  # (3,), m: the point that moments are about
+    displacement_point: Array  # (3,), m: the point whose translation was measured
     name: str = ""
+    # Whether the load point moves with the interface or stays where it was: moving, fixed; empty if
+    # not known.
     load_cell: str = ""
 
     @classmethod

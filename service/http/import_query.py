@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 import orjson
@@ -10,7 +11,6 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 from wrenchbook.service.formats import MAX_PREVIEW, MAX_ZERO_ROWS, Options
 from wrenchbook.service.formats.rig import MAX_RIG, Rig, rig_text
 from wrenchbook.service.http.bodies import Body
-from wrenchbook.service.tables.importing import ImportRequest
 
 _MAX_COLUMNS = 1000
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
@@ -130,24 +130,17 @@ class ImportQuery(Body):
         return text
 
     def options(self) -> Options:
-        """Return what reading the file has to know."""
+        """Return the options of reading the file."""
+        same = self.model_dump(include={field.name for field in fields(Options)})
         return Options(
-            format=self.format,
-            decimal=self.decimal,
-            ignore=tuple(self.ignore),
-            ignore_extra=self.ignore_extra,
-            mapping=_pairs(self.mapping) if self.mapping else {},
-            missing_loads=self.missing_loads,
-            zero_rows=self.tare,
-            sheet=self.sheet,
-            rig=self._rig_text(),
-            time_offset_s=self.time_offset_s,
-            max_gap_s=self.max_gap_s,
+            **same
+            | {
+                "ignore": tuple(self.ignore),
+                "mapping": _pairs(self.mapping) if self.mapping else {},
+                "zero_rows": self.tare,
+                "rig": self._rig_text(),
+            }
         )
-
-    def wish(self) -> ImportRequest:
-        """Return what is to become of the rows."""
-        return ImportRequest(self.dry_run, self.partial, self.preview)
 
 
 def _pairs(text: str) -> dict[str, str]:

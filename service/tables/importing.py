@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,56 +24,36 @@ SAME = 1e-12  # of a number: what an export in other units and its import may lo
 _MAX_TRIED = 16  # stored rows of nearly one size that a row is compared with
 
 
-@dataclass(frozen=True)
-class ImportRequest:
-    """What is to become of a file's rows.
-
-    Attributes
-    ----------
-    dry_run : bool
-        Only count: nothing is changed.
-    partial : bool
-        Load the good rows though others have mistakes.
-    preview : int
-        Number of the first good rows in the reply.
-    """
-
-    dry_run: bool = False
-    partial: bool = False
-    preview: int = 0
-
-
 def import_files(
     ledger: Ledger,
     component: Component,
     files: Sequence[Path],
     options: Options,
-    request: ImportRequest,
     about: About,
+    *,
+    dry_run: bool = False,
+    partial: bool = False,
+    preview: int = 0,
 ) -> dict[str, Any]:
     """Read one table, or the logs of the loads and the displacements, and load its rows.
 
-    Load range and fingerprint are the component's, not those of `options`.
-
-    Returns the members of a reply: ``inserted``, ``existing``, ``errors``, ``rows`` and so on;
-    ``loaded`` is whether rows were loaded.
-
-    Raises
-    ------
-    SandboxBusyError, ImportRunningError, LedgerUnavailableError, OSError
-        If it could not be read or written now; nothing was loaded.
+    Load range and fingerprint are the component's, not those of `options`. `dry_run` only counts;
+    with `partial` the good rows are loaded though others have mistakes; the reply has the first
+    `preview` good rows. It has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so
+    on; ``loaded`` is whether rows were loaded. Raises SandboxBusyError, ImportRunningError,
+    LedgerUnavailableError or OSError if nothing could be read or written now.
     """
     own = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
-    read = read_untrusted(files, own, request.preview)
+    read = read_untrusted(files, own, preview)
     report = dict(read.report)
-    refused = report.pop("whole") or bool(report["errors"] and not request.partial)
+    refused = report.pop("whole") or bool(report["errors"] and not partial)
     report.pop("converted")
     inserted, existing, number = 0, 0, None
 
     def pieces() -> Iterator[ParsedTable]:
         return _with_stored_numbers(ledger, component, read)
 
-    if not refused and request.dry_run:
+    if not refused and dry_run:
         keys = [row[-2] for block in packed_pieces(component, pieces()) for row in block]
         existing = ledger.known_rows([key for key in keys if isinstance(key, bytes)])
         inserted = len(keys) - existing
@@ -87,21 +67,18 @@ def import_files(
     return {
         "inserted": inserted,
         "existing": existing,
-        "dry_run": request.dry_run,
-        "partial": request.partial,
+        "dry_run": dry_run,
+        "partial": partial,
         "import": number,
         "rig": Rig.read(options.rig).as_json() if options.rig else None,
-        "loaded": not refused and not request.dry_run,
+        "loaded": not refused and not dry_run,
         **report,
-        "rows": {**rows, "loaded": 0 if refused or request.dry_run else good},
+        "rows": {**rows, "loaded": 0 if refused or dry_run else good},
     }
 
 
 def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:
-    """Return the compliance (outputs, inputs), SI, of a component's solves; None if it has none.
-
-    Columns of loads that they do not tell are zero.
-    """
+    """Return the compliance (outputs, inputs), SI, of a component's solves, zero where unknown."""
     if not component.has_fea or not table.sources.get("fea"):
         return None
     rows = table.rows
@@ -174,12 +151,9 @@ def _with_keys(
 
 
 def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:
-    """Copy the rows of a component's present setup; return their number.
+    """Copy the rows of a component's present setup, all or none; return their number.
 
-    Raises
-    ------
-    ImportRunningError, LedgerUnavailableError
-        If they cannot be written now; none is copied then.
+    Raises ImportRunningError or LedgerUnavailableError if they cannot be written now.
     """
     with ledger.table_at(source.name) as table:
 
