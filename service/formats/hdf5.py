@@ -85,7 +85,7 @@ def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
                 "is no table of numeric vectors of one length, a variable or a field a column: "
                 f"{why}"
             )
-        starts = range(0, *lengths, PIECE)
+        starts = range(0, lengths.pop(), PIECE)
         parts = ([one[at : at + PIECE] for one in columns.values()] for at in starts)
         yield from read_columns(_cells((list(columns), part) for part in parts), options, report)
     except ValueError as error:

@@ -88,9 +88,10 @@ def read_columns(
     pieces: Iterator[tuple[Sequence[str], Sequence[Cells]]], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of columns with labels, all labels with each piece."""
-    labels, first = next(pieces, ((), ()))
-    cells = [column[:1] for column in first]
-    row = [Digits(c[0]) if isinstance(c, np.ndarray) else c[0] for c in cells if len(c)]
+    empty: tuple[Sequence[str], Sequence[Cells]] = ((), ())
+    labels, first = next(pieces, empty)
+    columns = [column for column in first if len(column)]
+    row = [Digits(c[0]) if isinstance(c, np.ndarray) else c[0] for c in columns]
     records: list[Record] = [(0, list(labels)), (1, row)]
     header, rest = read_head(iter(records if row else records[:1]), options)
     skipped = int(bool(row) and next(rest, None) is None)  # a row of units
@@ -98,7 +99,7 @@ def read_columns(
     def numbered() -> Iterator[Piece]:
         end = 0
         for _, columns in chain([(labels, first)], pieces):
-            start, end = end, end + len(columns[0])
+            start, end = end, end + len(next(iter(columns), ()))
             skip = max(skipped - start, 0)
             yield Piece(range(start + skip + 1, end + 1), [c[skip:] for c in columns], end - start)
 
