@@ -310,7 +310,9 @@ class _Conversion:
             for at in np.flatnonzero(np.isinf(values) | empty).tolist():
                 self._refuse(at, column.label, number_problem(self._cell(column, at), False))
         with np.errstate(over="ignore"):
-            converted = scaled(values, column.factor) + column.zero
+            converted = scaled(values, column.factor)
+            if column.zero:  # 0.1 K is -273.05 degC
+                converted = np.round(converted + column.zero, 10)
         for at in np.flatnonzero(np.isinf(converted) & np.isfinite(values)).tolist():
             message = f"{quoted(self._cell(column, at))} is too large a number"
             self._refuse(at, column.label, message)
