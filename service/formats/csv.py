@@ -164,7 +164,7 @@ class _Body:
         from pyarrow import csv as arrow_csv
 
         ascii_only = self._encoding == "utf-8-sig" or block.isascii()
-        marked = block.startswith(b"#") or b"\n#" in block or b"\0" in block
+        marked = b"\0" in block or (b"#" in block and b"\n#" in b"\n" + block)
         if marked or not ascii_only or not self._numbers or _may_vanish(block):
             return None
         wanted = self._numbers + self._texts
@@ -215,7 +215,8 @@ class _Body:
 def _may_vanish(block: bytes) -> bool:
     """Return whether a number of a block may be too small for a float: 1e-400."""
     codes = np.frombuffer(block + bytes(5), dtype=np.uint8)
-    exponent = np.flatnonzero((codes[:-5] | 32) == ord("e"))
+    letters = b"eE" if b"E" in block else b"e"
+    exponent = np.concatenate([np.flatnonzero(codes == letter) for letter in letters])
     exponent = exponent[codes[exponent + 1] == ord("-")]
     digits = [(codes[exponent + step] - ord("0")) < 10 for step in (2, 3, 4)]
     return bool(np.logical_and.reduce(digits).any()) or _LONG_ZERO in block

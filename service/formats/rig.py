@@ -238,12 +238,15 @@ def _shift(wrench: Array, displacement: Array) -> Array:
 
 def _of_interface(piece: ParsedTable) -> Array:
     """Return which rows, (n,), are solves, have slopes, or were imported with a rig before."""
-    known = np.asarray(np.isfinite(piece.compliance).any(axis=(1, 2)))
+    known = np.zeros(len(piece), dtype=bool)
+    if any(piece.compliance.strides):
+        known |= np.isfinite(piece.compliance).any(axis=(1, 2))
     if piece.curvature is not None:
         known |= np.isfinite(piece.curvature).any(axis=1)
-    pairs = zip(piece.source, piece.fingerprint, strict=True)
-    named = [source == FEA or bool(setup) or _MARK in source for source, setup in pairs]
-    return np.asarray(known | np.array(named, dtype=bool))
+    if any(piece.source) or any(piece.fingerprint):
+        pairs = zip(piece.source, piece.fingerprint, strict=True)
+        known |= [source == FEA or bool(setup) or _MARK in source for source, setup in pairs]
+    return known
 
 
 def _problems(

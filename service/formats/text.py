@@ -313,25 +313,28 @@ class _Conversion:
             converted = scaled(values, column.factor)
             if column.zero:  # 0.1 K is -273.05 degC
                 converted = np.round(converted + column.zero, 10)
-        for at in np.flatnonzero(np.isinf(converted) & np.isfinite(values)).tolist():
-            message = f"{quoted(self._cell(column, at))} is too large a number"
-            self._refuse(at, column.label, message)
-        zero = np.flatnonzero(converted == 0.0).tolist() if not column.zero else ()
-        for at in zero if self._may_vanish(cells, values, zero) else ():
-            if vanished(cell := self._cell(column, at)):
-                message = f"{quoted(cell)} is too small a number and would become 0; write 0"
-                self._refuse(at, column.label, message)
+        self._refuse_lost(column, values, converted)
         if column.name in self._names.uncertainty:
             for at in np.flatnonzero(converted < 0.0).tolist():
                 message = f"{quoted(self._cell(column, at))}: an uncertainty is not negative"
                 self._refuse(at, column.label, message)
         return converted
 
-    def _may_vanish(self, cells: Cells, values: Array, zero: Sequence[int]) -> bool:
-        """Return whether any of the zeros may be none: a file has many, in few spellings."""
+    def _refuse_lost(self, column: HeaderColumn, values: Array, converted: Array) -> None:
+        """Refuse numbers that are too large or too small for a float, shapes (n,)."""
+        cells = self._columns[column.index]
+        for at in np.flatnonzero(np.isinf(converted) & np.isfinite(values)).tolist():
+            message = f"{quoted(self._cell(column, at))} is too large a number"
+            self._refuse(at, column.label, message)
+        zero = np.flatnonzero(converted == 0.0) if not column.zero else np.empty(0, dtype=int)
         if isinstance(cells, np.ndarray):
-            return bool(values[list(zero)].any())
-        return any(map(vanished, {cells[at] for at in zero}))
+            zero = zero[values[zero] != 0.0]
+        elif not any(map(vanished, {cells[at] for at in zero.tolist()})):
+            zero = zero[:0]  # a file has many zeros, in few spellings
+        for at in zero.tolist():
+            if vanished(cell := self._cell(column, at)):
+                message = f"{quoted(cell)} is too small a number and would become 0; write 0"
+                self._refuse(at, column.label, message)
 
     def _cell(self, column: HeaderColumn, at: int) -> str:
         """Return a cell as the file writes it, empty for NaN in an array."""

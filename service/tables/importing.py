@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,9 @@ import numpy as np
 
 from wrenchbook.service.formats import Options, ParsedTable, ReadResult, read_untrusted
 from wrenchbook.service.formats.rig import Rig
-from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
+from wrenchbook.service.ledger import About, Ledger, row_keys
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
+from wrenchbook.service.tables.rows import noted_rows
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.findings.find import MOST
 from wrenchbook.surrogate.table.compliance import fit_compliance
@@ -53,15 +52,27 @@ def import_files(
     def pieces() -> Iterator[ParsedTable]:
         return _with_stored_numbers(ledger, component, read)
 
+    def keys(piece: ParsedTable) -> list[bytes]:
+        return row_keys(component.name, noted_rows(component, piece))
+
     if not refused and dry_run:
-        keys = [row[-2] for block in packed_pieces(component, pieces()) for row in block]
-        existing = ledger.known_rows([key for key in keys if isinstance(key, bytes)])
-        inserted = len(keys) - existing
+        named = [key for piece in pieces() for key in keys(piece)]
+        existing = ledger.known_rows(named)
+        inserted = len(named) - existing
     elif not refused:
-        findings = _with_keys(component, read.report["findings"], pieces)
-        about = replace(about, format=report["format"], rig=options.rig, findings=findings)
-        packed = packed_pieces(component, pieces())
-        inserted, existing, number = ledger.import_rows(component.name, packed, about)
+        findings = report["findings"]
+        rows_of_findings = [row for finding in findings for row in finding["rows"]]
+        key_of: dict[int, str] = {}
+        for piece in pieces() if rows_of_findings else ():
+            some = piece.take(np.isin(piece.row, rows_of_findings))
+            key_of |= zip(some.row.tolist(), (key.hex() for key in keys(some)), strict=True)
+        stored = [
+            {**one, "rows": [], "keys": [key_of[row] for row in one["rows"]]} for one in findings
+        ]
+        about = replace(about, format=report["format"], rig=options.rig)
+        about = replace(about, findings=json.dumps(stored))
+        blocks = (noted_rows(component, piece) for piece in pieces())
+        inserted, existing, number = ledger.import_rows(component.name, blocks, about)
     rows = report.pop("rows")
     good = rows.pop("good")
     return {
@@ -132,36 +143,11 @@ def _sizes(numbers: np.ndarray, inputs: int) -> np.ndarray:
     return np.nansum(np.abs(numbers) * weights, axis=1)
 
 
-def _with_keys(
-    component: Component,
-    findings: Sequence[dict[str, Any]],
-    pieces: Callable[[], Iterator[ParsedTable]],
-) -> str:
-    """Return the findings of a file as JSON, with the keys of their rows instead of places."""
-    named = [row for finding in findings for row in finding["rows"]]
-    keys: dict[int, str] = {}
-    for piece in pieces() if named else ():
-        some = piece.take(np.isin(piece.row, named))
-        for block in packed_pieces(component, iter((some,))):
-            packed = (row[-2].hex() for row in block if isinstance(row[-2], bytes))
-            keys |= zip(some.row.tolist(), packed, strict=True)
-    return json.dumps(
-        [{**one, "rows": [], "keys": [keys[row] for row in one["rows"]]} for one in findings]
-    )
-
-
 def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:
     """Copy the rows of a component's present setup, all or none; return their number.
 
     Raises ImportRunningError or LedgerUnavailableError if they cannot be written now.
     """
-    with ledger.table_at(source.name) as table:
-
-        def blocks() -> Iterator[list[PackedRow]]:
-            for lot in table.lots:
-                rows = export_rows(source.space, own_rows(source, lot), ())
-                columns = rows.wrench, rows.displacement, rows.uncertainty, rows.compliance
-                texts = rows.source, rows.fingerprint, rows.note
-                yield packed_columns(target.name, columns, texts, time.time(), rows.curvature)
-
-        return ledger.import_rows(target.name, blocks(), about)[0]
+    setup = {"space": source.space, "fingerprint": source.fingerprint}
+    with ledger.table_at(source.name, **setup) as table:
+        return ledger.import_rows(target.name, table.lots, about)[0]

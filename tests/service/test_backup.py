@@ -15,17 +15,10 @@ from typer.testing import CliRunner
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.keys import Keyring
-from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.backup import MANIFEST, SCHEMA, BackupError, back_up, verify
 from wrenchbook.service.ops.restore import restore
 from wrenchbook.service.tables.solver_errors import SolverErrors
-
-
-def new_rows(count, first=0):
-    return [
-        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
-        for i in range(first, first + count)
-    ]
 
 
 @pytest.fixture
@@ -333,7 +326,7 @@ def test_a_backup_that_cannot_be_written_is_told_and_leaves_nothing(folder, tmp_
 
 
 def test_a_directory_whose_jobs_are_being_run_is_not_restored_into(backup, tmp_path):
-    from wrenchbook.service.jobs.lease import Lease
+    from wrenchbook.service.jobs.dispatcher import Lease
 
     lease = Lease(tmp_path / "busy" / "jobs" / "owners")
     with pytest.raises(BackupError, match="stop it first"):

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.service.ledger_rows import stored
 from tests.until import until
-from wrenchbook.service.jobs.attempt import attempt_folder
+from wrenchbook.service.jobs.attempt import EngineError, attempt_folder
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.engines.engine import EngineError
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 
 HERE = Path(__file__).parent
@@ -63,7 +63,7 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.ledger.states.BACKOFF_SECONDS", (0.01, 0.01, 0.01))
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.01, 0.01, 0.01))
     monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.OUTLIVE_SECONDS", 0.05)
     monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.RECOVER_SECONDS", 0.1)
     bench = Bench(tmp_path)
@@ -92,7 +92,7 @@ def test_jobs_that_waited_before_the_start_are_solved_with_no_more_solvers_than_
     for job in jobs:
         assert bench.end(job.id, 30).status == "done"
     assert max(most) == 2
-    assert len(bench.ledger.rows("bar")) == 6
+    assert len(stored(bench.ledger, "bar")) == 6
 
 
 def test_a_job_starts_and_is_committed_without_idle_waiting(bench):
@@ -119,7 +119,7 @@ def test_a_failure_is_recorded_with_its_reason_and_its_folder_kept_whole(bench):
         "remedy": "use smaller load steps",
     }
     assert "Traceback" in (bench.folder(failed) / "log.txt").read_text()
-    assert bench.ledger.rows("bar") == []
+    assert stored(bench.ledger, "bar") == []
 
 
 def test_a_solver_that_dies_is_tried_again_and_given_up_after_four_times(bench):
@@ -133,7 +133,7 @@ def test_a_solver_that_dies_twice_is_in_time_with_the_third_attempt(bench):
     bench.start("dies_twice")
     done = bench.end(bench.accept().id, 30)
     assert (done.status, done.attempt) == ("done", 3)
-    assert len(bench.ledger.rows("bar")) == 1
+    assert len(stored(bench.ledger, "bar")) == 1
 
 
 def test_an_interpreter_that_cannot_start_is_no_dead_solver(bench, monkeypatch):
@@ -170,7 +170,7 @@ def test_a_dispatcher_killed_right_after_its_solver_has_not_seen_it_die(bench, m
     for attempt in range(1, 6):
         dispatcher = bench.start("endless")
         os.kill(bench.solver_pid(job, attempt), signal.SIGKILL)
-        until(lambda d=dispatcher: [run for run in d._runs.values() if run.died])
+        until(lambda d=dispatcher: [each for each in d._attempts.values() if each.died])
         dispatcher.stop(keep_solvers=True)
         assert bench.ledger.job(job.id).lost == 0
     bench.start("quick")
@@ -183,7 +183,7 @@ def test_a_solver_seen_alive_by_the_dispatcher_that_took_it_over_dies_by_itself(
     pid = bench.solver_pid(job)
     first.stop(keep_solvers=True)
     second = bench.start("endless")
-    until(lambda: second._runs)
+    until(lambda: second._attempts)
     os.kill(pid, signal.SIGKILL)
     until(lambda: bench.ledger.job(job.id).lost == 1)
 
@@ -293,7 +293,7 @@ def test_two_dispatchers_share_the_jobs_and_solve_each_once(bench):
         assert (done.status, done.attempt) == ("done", 1)
     second.stop()
     other.close()
-    assert len(bench.ledger.rows("bar")) == 10
+    assert len(stored(bench.ledger, "bar")) == 10
 
 
 def test_a_component_that_is_gone_fails_its_jobs_with_what_to_do(bench):

@@ -7,6 +7,7 @@ import sqlite3
 import pytest
 from typer.testing import CliRunner
 
+from tests.service.ledger_rows import stored
 from tests.service.test_durable_tables import Site, new_rows
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.ledger import Ledger
@@ -30,7 +31,7 @@ def rows_of(folder):
     found = {
         (name, row.seq, row.wrench, row.displacement)
         for name in ("rig", "other")
-        for row in ledger.rows(name)
+        for row in stored(ledger, name)
     }
     ledger.close()
     return found
@@ -239,7 +240,7 @@ def test_jobs_that_a_damaged_ledger_still_tells_are_in_the_new_one(folder):
 
 
 def test_a_damaged_ledger_in_use_is_not_replaced(folder):
-    from wrenchbook.service.jobs.lease import Lease
+    from wrenchbook.service.jobs.dispatcher import Lease
 
     overwrite(folder / "ledger.sqlite", 4096, 8192)
     before = (folder / "ledger.sqlite").read_bytes()
