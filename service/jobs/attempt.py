@@ -40,56 +40,32 @@ class BadOutcomeError(Exception):
 
 @dataclass
 class Attempt:
-    """One attempt, from its claim to its solver: a wrench (N, N·m) on a component.
-
-    Attributes
-    ----------
-    job, attempt : int
-        Number of the job, and which of its attempts this is.
-    bundle : str
-        The component's folder on this machine.
-    estimate : bool
-        Whether the solver also estimates its own error, once a set-up.
-    folder : Path
-        The attempt's folder on this machine, absolute.
-    task : str
-        The task key: unique to an attempt of a job of a data directory, and in the ledger before
-        the engine gets it. Two submissions of one key are one attempt.
-    priority : int
-        Higher ones go first where an engine has a queue of its own.
-    deadline : float or None
-        Seconds from the solver's first instruction after which the attempt fails as ``deadline``.
-    memory : int or None
-        Bytes a solve of this component takes, as the check of its bundle estimates them (right to a
-        factor of two); None if no check has been stored.
-    cores : int
-        Cores of a solver; its libraries use as many threads.
-    taken, witnessed, adopted, leaving, began : bool
-        Of its dispatcher: whether an engine has taken it, its solver has lived in this dispatcher's
-        time, another dispatcher started it, its answer is not needed any more, a solver was seen.
-    died : float or None
-        When it was first seen dead, monotonic seconds.
-    """
+    """One attempt, from its claim to its solver: a wrench (N, N·m) on a component."""
 
     job: int
-    attempt: int
+    attempt: int  # which of the job's attempts
     component: str
-    bundle: str
+    bundle: str  # the component's folder on this machine
     fingerprint: str
     wrench: tuple[float, ...]
-    estimate: bool = False
-    folder: Path = Path()
+    estimate: bool = False  # whether the solver also estimates its own error, once a set-up
+    folder: Path = Path()  # of the attempt on this machine, absolute
+    # Unique to an attempt of a job of a data directory, and in the ledger before the engine gets
+    # it. Two submissions of one key are one attempt.
     task: str = ""
-    priority: int = 0
-    deadline: float | None = None
+    priority: int = 0  # higher ones go first where an engine has a queue of its own
+    deadline: float | None = None  # s from the solver's first instruction until it fails
+    # Bytes a solve of this component takes, as the check of its bundle estimates them (right to a
+    # factor of two); None if no check has been stored.
     memory: int | None = None
-    cores: int = 1
-    taken: bool = field(default=False, compare=False)
-    witnessed: bool = field(default=True, compare=False)
-    adopted: bool = field(default=False, compare=False)
-    leaving: bool = field(default=False, compare=False)
-    began: bool = field(default=False, compare=False)
-    died: float | None = field(default=None, compare=False)
+    cores: int = 1  # of a solver; its libraries use as many threads
+    # Of the dispatcher that looks after it
+    taken: bool = field(default=False, compare=False)  # by an engine
+    witnessed: bool = field(default=True, compare=False)  # its solver has lived in its time
+    adopted: bool = field(default=False, compare=False)  # another dispatcher started it
+    leaving: bool = field(default=False, compare=False)  # its answer is not needed any more
+    began: bool = field(default=False, compare=False)  # a solver was seen at it
+    died: float | None = field(default=None, compare=False)  # first seen dead, monotonic s
 
     @classmethod
     def of(cls, job: JobRecord, folder: Path) -> Attempt:
@@ -338,7 +314,7 @@ class Engine(Protocol):
 
     @property
     def trouble(self) -> str | None:
-        """What keeps it from running attempts at present, in words; None if nothing does."""
+        """What keeps it from running attempts at present; None if nothing does."""
         ...
 
     def submit(self, attempt: Attempt) -> None:
