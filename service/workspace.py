@@ -17,14 +17,13 @@ from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import (
     Attempt,
-    Engine,
     Progress,
     attempt_folder,
     notes_of,
     read_progress,
 )
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.solver_pool import open_engine
+from wrenchbook.service.jobs.engines import Engine, open_engine
 from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
 from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError, OpenJob
 from wrenchbook.service.ledger.watch import Watcher

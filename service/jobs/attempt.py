@@ -1,4 +1,4 @@
-"""Attempts: one solve of a job, its folder, and the interface of the engines that run attempts.
+"""Attempts: one solve of a job, and the folder that it has.
 
 The folder is the only thing dispatcher, engine and solver share. ``spec.json`` is the attempt,
 ``lock`` is locked by the solver as long as it lives, ``log.txt`` is what it printed,
@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.redact import redact
@@ -294,77 +294,8 @@ class EngineError(Exception):
     """The engine cannot take an attempt now; the job should wait and be tried again."""
 
 
-class Engine(Protocol):
-    """Runs attempts; the ledger decides. Several threads may call it, one at a time.
-
-    An engine that ends an attempt itself, at its deadline for example, writes the ``result.json``
-    in the solver's stead, once the solver is dead. The cause of a solver's death, as far as the
-    engine knows it, is the last line of the attempt's log.
-    """
-
-    @property
-    def name(self) -> str:
-        """Its name in the ledger: only dispatchers with this engine take its attempts over."""
-        ...
-
-    @property
-    def slots(self) -> int:
-        """How many attempts it takes at the same time; may change as workers come and go."""
-        ...
-
-    @property
-    def trouble(self) -> str | None:
-        """What keeps it from running attempts at present; None if nothing does."""
-        ...
-
-    def submit(self, attempt: Attempt) -> None:
-        """Start or queue the attempt, without waiting for it.
-
-        Raises OSError or `EngineError` if it could not be taken; nothing runs then.
-        """
-        ...
-
-    def attach(self, attempt: Attempt) -> None:
-        """Take over an attempt of another dispatcher, which has died, on an engine of this name.
-
-        If nothing of the task is known any more, `poll` returns ``lost`` or the engine submits it
-        again under the same key.
-        """
-        ...
-
-    def poll(self, attempt: Attempt) -> State:
-        """Return the attempt's state, without waiting for any other machine.
-
-        ``submitted`` until a solver works on it, then ``running``. ``finished`` once its folder
-        holds a result.json and the other artifacts. ``lost`` is final: no solver lives that could
-        still write one there. A death of workers, scheduler or machines is no state: the engine
-        runs the attempt again.
-        """
-        ...
-
-    def cancel(self, attempt: Attempt) -> None:
-        """Have the attempt's solver end soon; `poll` shows when it counts as ended. Repeatable.
-
-        The attempt may be one that was neither submitted nor attached here: it was cancelled while
-        no dispatcher lived, and its task key is all there is.
-        """
-        ...
-
-    def forget(self, attempt: Attempt) -> None:
-        """Drop what is kept of an attempt that is settled, or that another dispatcher has."""
-        ...
-
-    def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call the listener when an attempt's state may have changed; returns what ends that."""
-        ...
-
-    def close(self) -> None:
-        """Release the engine's resources; running attempts go on."""
-        ...
-
-
 class Listeners:
-    """The listeners of an engine."""
+    """What an engine calls with the task key of an attempt whose state may have changed."""
 
     _listeners: tuple[Listener, ...] = ()
 
