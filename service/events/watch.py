@@ -17,7 +17,7 @@ from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.service.events.feed import Feed, Listener
 from wrenchbook.service.ledger import Change, JobRecord, LedgerError, LedgerUnavailableError
-from wrenchbook.service.tables.served import TableBehindError
+from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
 
 _log = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.service.recording.store import EnvelopeState
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import Space

@@ -44,7 +44,7 @@ class WebWorker(Server):
         raise_open_files()
         self._scratch = take_scratch()
         security = security_of_options(options)
-        app = create_app(settings_of_options(options, "web"), security)
+        app = create_app(settings_of_options(options), security)
         super().__init__(server_config(app, options["log_level"], log_config=None))
         # The private server of a command ends before that pays; a process each takes 90 MB.
         self._warms_up = security.own_key is None and options["processes"] == 1

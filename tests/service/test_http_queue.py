@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.settings import settings_of_options
-from wrenchbook.service.tables.live import Tables
+from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.workspace import Settings
 
 CALL = "/v1/components/plate_thin/displacement"
@@ -185,7 +185,7 @@ def test_many_who_look_at_a_table_that_is_being_built_do_not_hold_up_the_loop(
     http, scale, monkeypatch
 ):
     built = threading.Event()
-    monkeypatch.setattr(Tables, "catch_up", lambda *_: built.wait(60.0))
+    monkeypatch.setattr(MappedTables, "catch_up", lambda *_: built.wait(60.0))
     with ThreadPoolExecutor(45) as pool:
         for call in ("", "/coverage", "/compliance"):
             looks = [pool.submit(http.get, f"/v1/components/plate_thin{call}") for _ in range(45)]

@@ -181,7 +181,7 @@ def test_a_linear_component_whose_solves_bring_no_compliance_asks_for_all_six(ht
 
 def test_a_server_starts_and_answers_though_a_component_and_a_table_are_damaged(http, folder, rig):
     http.post("/v1/components", json={**TABLE_ONLY, "name": "other"})
-    http.app.state.workspace.tables.stop()
+    http.app.state.workspace.stop_building()
     (folder / "components" / "other" / "component.toml").write_text("")
     raw = bytearray((folder / "tables" / "rig.h5").read_bytes())
     raw[3000] ^= 64
