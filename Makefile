@@ -26,10 +26,6 @@ $(VENV)/.installed: $(BIN)/python requirements.lock pyproject.toml
 	$(PIP) install --require-hashes -r requirements.lock
 	@command -v $${CC:-cc} >/dev/null || $(PIP) install --require-hashes -r requirements-zig.lock
 	$(PIP) install --no-deps --no-build-isolation -e .
-	@# Links for type checker and import-linter: the packages under their imported names.
-	@mkdir -p $(VENV)/face/wrenchbook
-	@ln -sfn ../../../wrenchbook.py $(VENV)/face/wrenchbook/__init__.py
-	@for package in fea surrogate service; do ln -sfn ../../../$$package $(VENV)/face/wrenchbook/$$package; done
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
@@ -65,7 +61,7 @@ types: $(VENV)/.installed-dev
 
 # import rules of pyproject.toml by import-linter
 arch: $(VENV)/.installed-dev
-	cd $(VENV)/face && ../bin/lint-imports --config ../../pyproject.toml
+	$(BIN)/lint-imports
 
 # files a package, import cycles, lengths, duplicates, units in docstrings
 house: $(VENV)/.installed-dev

@@ -3,10 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, Literal
 
-WRENCH_NAMES: Final = ("fx", "fy", "fz", "mx", "my", "mz")
-DISPLACEMENT_NAMES: Final = ("ux", "uy", "uz", "rx", "ry", "rz")
+from wrenchbook.surrogate.answer import NAMES as COVERAGE
+from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
+
+__all__ = [
+    "CONTRACT",
+    "CONTRACT_TEXT",
+    "COVERAGE",
+    "LOADS",
+    "LOAD_UNITS",
+    "MAX_BATCH",
+    "MAX_BLOCK",
+    "MOMENT_POINT",
+    "OUTPUTS",
+    "OUTPUT_UNITS",
+    "Coverage",
+    "OnThin",
+    "by_part",
+]
+
+Coverage = Literal["covered", "thin", "outside"]
+OnThin = Literal["queue", "wait", "estimate", "reject"]
+
+MAX_BATCH: Final = 1_000_000  # wrenches of a batch
+MAX_BLOCK: Final = 10_000  # wrenches of a block, as many as a recording keeps
 
 MOMENT_POINT: Final = "the interface point where it is now"
 
@@ -31,13 +53,9 @@ CONTRACT: Final[dict[str, str]] = {
 
 
 def by_part(values: Sequence[float | None], interfaces: Sequence[str] = ()) -> dict[str, Any]:
-    """Return six numbers an interface as the wire has them.
+    """Six numbers an interface by ``translation`` and ``rotation``, m and rad.
 
-    Returns
-    -------
-    dict
-        ``{"translation": three, "rotation": three}``, m and rad; by the name of the interface where
-        names are given.
+    With names of interfaces these by interface.
     """
     if interfaces:
         return {name: by_part(values[6 * k : 6 * k + 6]) for k, name in enumerate(interfaces)}

@@ -18,7 +18,7 @@ from rich.table import Table
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli import render
 from wrenchbook.service.client import Client, Displacement, Job
-from wrenchbook.service.contract import DISPLACEMENT_NAMES
+from wrenchbook.service.contract import OUTPUTS
 
 COMPONENT = "plate_thin"
 SOLVERS = 2
@@ -196,7 +196,7 @@ def _error_table(compared: Sequence[tuple[Displacement, Displacement, Job]]) -> 
     table = Table(title=f"{method} against FEA, {len(compared)} full wrenches not in the table")
     for heading in ("", "range", "RMS error", "largest", "RMS/range", "in bar", "griddata"):
         table.add_column(heading, justify="right" if heading else "left")
-    for place, name in enumerate(DISPLACEMENT_NAMES):
+    for place, name in enumerate(OUTPUTS):
         one, unit = error[:, place], "m" if place < 3 else "rad"
         rms, plain_rms = (np.sqrt(np.mean(e[:, place] ** 2)) for e in (error, other))
         table.add_row(

@@ -36,7 +36,7 @@ from wrenchbook.service.cli.tables import TABLE_COMMANDS
 from wrenchbook.service.client import Displacement, ProblemError, Scene, ServerUnreachable
 from wrenchbook.service.client.deformed import deformed_format
 from wrenchbook.service.client.errors import InvalidArgument
-from wrenchbook.service.client.wrenches import OnThin
+from wrenchbook.service.contract import OnThin
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from wrenchbook.service.contract import DISPLACEMENT_NAMES
+from wrenchbook.service.contract import OUTPUTS
 
 
 class Pace:
@@ -46,7 +46,7 @@ def error_bars(coverage: Mapping[str, Any]) -> str:
                 largest[output] = max(mean, largest.get(output, 0.0))
     named = [
         f"{name} {largest[name]:.1e} {'m' if name[0] == 'u' else 'rad'}"
-        for name in DISPLACEMENT_NAMES
+        for name in OUTPUTS
         if name in largest
     ]
     if not named:

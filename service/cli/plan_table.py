@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from wrenchbook.service.client import ComponentPlan
-from wrenchbook.service.contract import DISPLACEMENT_NAMES
+from wrenchbook.service.contract import OUTPUTS
 
 
 def show(out: Console, plans: Mapping[str, ComponentPlan]) -> None:
@@ -54,7 +54,7 @@ def _axes(plan: ComponentPlan) -> str:
 def _bounds(plan: ComponentPlan) -> str:
     """Name what the outputs that are read do not exceed."""
     lines = []
-    for name, bound in zip(DISPLACEMENT_NAMES, plan.displacement_bound, strict=True):
+    for name, bound in zip(OUTPUTS, plan.displacement_bound, strict=True):
         if name in plan.outputs:
             unit = "m" if name[0] == "u" else "rad"
             lines.append(f"{name} {bound:.2g} {unit}" if np.isfinite(bound) else f"{name} unknown")

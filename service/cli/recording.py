@@ -21,9 +21,8 @@ from wrenchbook.service.cli.connect import (
 )
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.client import Client, Envelope, Recording, Started
-from wrenchbook.service.client.wrenches import NAMES
+from wrenchbook.service.contract import LOADS, OUTPUTS
 
-OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 WAIT_S = 86_400.0  # a start may be thousands of solves
 
 Clear = Annotated[bool, typer.Option("--clear", help="delete the recorded wrenches")]
@@ -122,7 +121,7 @@ def _show_recording(out: Console, name: str, found: Recording) -> None:
 
 
 def _show_envelope(out: Console, found: Envelope) -> None:
-    inputs = found.raw.get("inputs", NAMES)
+    inputs = found.raw.get("inputs", LOADS)
     table = Table("input", "least", "largest")
     for load, low, high in zip(inputs, found.min, found.max, strict=True):
         table.add_row(load, f"{low:.6g}", f"{high:.6g}")

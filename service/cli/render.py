@@ -20,7 +20,7 @@ from wrenchbook.service.cli.pace import Pace, error_bars
 from wrenchbook.service.client import Client, Displacement, Job, ProblemError
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.wrenches import wrench_of
-from wrenchbook.service.contract import DISPLACEMENT_NAMES, WRENCH_NAMES
+from wrenchbook.service.contract import LOADS, OUTPUTS
 
 POLL_S = 0.2
 INTERRUPTED = 130  # exit status of shells: 128 + SIGINT
@@ -35,7 +35,7 @@ def answer_table(answer: Displacement, interface: str = "") -> Table:
     )
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
-    for place, name in enumerate(DISPLACEMENT_NAMES):
+    for place, name in enumerate(OUTPUTS):
         table.add_row(
             name,
             _number(answer.vector, place),
@@ -99,7 +99,7 @@ def method_line(component: dict[str, Any]) -> str:
 def compliance_tables(body: dict[str, Any]) -> list[Table]:
     """Lay out the compliance at zero load, and the mean over the load range."""
     # Servers before 0.3 name neither columns nor rows.
-    inputs = [name.split(" ")[0] for name in body.get("columns", WRENCH_NAMES)]
+    inputs = [name.split(" ")[0] for name in body.get("columns", LOADS)]
     known = [load in body["known_loads"] for load in inputs]
     mean = [
         [value if tells else None for value, tells in zip(line, known, strict=True)]
@@ -109,7 +109,7 @@ def compliance_tables(body: dict[str, Any]) -> list[Table]:
         (f"tangent at zero load ({body['tangent_origin']})", body["tangent"]),
         (f"mean over the load range ({body['origin']})", mean),
     )
-    outputs = [name.split(" ")[0] for name in body.get("rows", DISPLACEMENT_NAMES)]
+    outputs = [name.split(" ")[0] for name in body.get("rows", OUTPUTS)]
     return [matrix_table(title, outputs, inputs, lines) for title, lines in matrices]
 
 

@@ -11,9 +11,10 @@ from urllib.parse import urlencode
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..contract import LOADS
 from .errors import InvalidArgument
 from .request import Call, Request, component_path, sync_and_async
-from .wrenches import NAMES, one_wrench
+from .wrenches import one_wrench
 
 FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}
 """The format of each file ending."""
@@ -180,5 +181,5 @@ class SurfaceCalls:
 
 def _path(name: str, force: ArrayLike, moment: ArrayLike | None, form: str) -> str:
     loads = one_wrench(force, moment).tolist()
-    query = {load: repr(value) for load, value in zip(NAMES, loads, strict=True)}
+    query = {load: repr(value) for load, value in zip(LOADS, loads, strict=True)}
     return f"{component_path(name, 'deformed')}?{urlencode({**query, 'format': form})}"

@@ -7,9 +7,10 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from ..contract import OnThin
 from .replies import Displacement, Displacements
 from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
-from .wrenches import OnThin, Vector, loads_body, many_wrenches, options, wrench_of
+from .wrenches import Vector, loads_body, many_wrenches, options, wrench_of
 
 BINARY_FROM = 1000  # wrenches from which a batch is sent as float64, if not given
 

@@ -32,17 +32,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..contract import COVERAGE, LOADS, OUTPUTS
 from .deformed import DeformedShape
 from .errors import InvalidArgument, MissingPackage
 from .notebook import DISPLACEMENT_COLUMNS, WRENCH_COLUMNS
-from .replies import COVERAGE, Displacements, Vector
+from .replies import Displacements, Vector
 from .table import Table
-from .wrenches import NAMES, one_wrench
+from .wrenches import one_wrench
 
 if TYPE_CHECKING:
     from . import Client
 
-OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 COLOURS = ("#4c9f70", "#f0c05a", "#c9594c")  # of COVERAGE
 LARGEST = 0.1  # drawn displacement over the part's size, if no scale is given
 
@@ -68,7 +68,7 @@ def response(
     matplotlib.axes.Axes
         N or N·m over m or rad. Answers that are not covered are dashed.
     """
-    along, out = _index(load, NAMES), _index(output, OUTPUTS)
+    along, out = _index(load, LOADS), _index(output, OUTPUTS)
     low, high = _load_range(source, component)
     wrenches = np.tile(np.zeros(6) if wrench is None else one_wrench(wrench), (count, 1))
     wrenches[:, along] = np.linspace(low[along], high[along], count)
@@ -109,7 +109,7 @@ def coverage(
     matplotlib.axes.Axes
         The plane, N or N·m, in the colours of ``covered``, ``thin`` and ``outside``.
     """
-    across, up = _index(first, NAMES), _index(second, NAMES)
+    across, up = _index(first, LOADS), _index(second, LOADS)
     if across == up:
         raise InvalidArgument(f"coverage needs two different loads, both are {first!r}")
     low, high = _load_range(source, component)

@@ -14,9 +14,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..contract import LOADS, MAX_BLOCK
 from .errors import InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
-from .recording import KINDS, MOST_BLOCK, Kind, Started, checked_rows
-from .wrenches import NAMES, one_wrench
+from .recording import KINDS, Kind, Started, checked_rows
+from .wrenches import one_wrench
 
 BLOCK = 256
 MOST_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
@@ -76,12 +77,12 @@ class Recorder:
         component: str,
         kind: Kind = "recording",
         block: int = BLOCK,
-        inputs: int = len(NAMES),
+        inputs: int = len(LOADS),
     ) -> None:
         if kind not in KINDS:
             raise InvalidArgument(f"kind must be one of {', '.join(KINDS)}, not {kind!r}")
-        if not 1 <= block <= MOST_BLOCK:
-            raise InvalidArgument(f"block must be 1 to {MOST_BLOCK} wrenches, not {block}")
+        if not 1 <= block <= MAX_BLOCK:
+            raise InvalidArgument(f"block must be 1 to {MAX_BLOCK} wrenches, not {block}")
         self.component, self.recorded = component, 0
         self.kind: Kind = kind
         self.reply: dict[str, Any] = {}
@@ -131,7 +132,7 @@ class Recorder:
         RecorderError
             If the server refuses what is recorded, if 100,000 wrenches wait, or after `close`.
         """
-        shape, default = np.shape(wrench), self._width == 8 * len(NAMES)
+        shape, default = np.shape(wrench), self._width == 8 * len(LOADS)
         if shape != (self._width // 8,):
             what = "six numbers, force then moment" if default else f"{self._width // 8} numbers"
             raise InvalidArgument(f"a wrench is {what}; this has shape {shape}")

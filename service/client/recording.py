@@ -10,14 +10,14 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..contract import LOADS, MAX_BLOCK
 from .errors import InvalidArgument
 from .job import Job
 from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
-from .wrenches import NAMES, many_wrenches, options, tolerance_body
+from .wrenches import many_wrenches, options, tolerance_body
 
 Kind = Literal["recording", "envelope"]
 KINDS: tuple[Kind, ...] = ("recording", "envelope")
-MOST_BLOCK = 10_000  # wrenches the server takes in one call
 
 Vector = NDArray[np.float64]
 
@@ -265,8 +265,8 @@ def _block_request(
 def _send_blocks(name: str, kind: Kind, wrenches: ArrayLike) -> Call[dict[str, Any]]:
     """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as it takes."""
     block, client, reply = checked_rows(wrenches), secrets.token_hex(16), {}
-    for sequence, start in enumerate(range(0, max(len(block), 1), MOST_BLOCK)):
-        part = np.ascontiguousarray(block[start : start + MOST_BLOCK], dtype="<f8").tobytes()
+    for sequence, start in enumerate(range(0, max(len(block), 1), MAX_BLOCK)):
+        part = np.ascontiguousarray(block[start : start + MAX_BLOCK], dtype="<f8").tobytes()
         reply = (yield _block_request(name, kind, part, client, sequence, retry=True)).json()
     return reply | {"recorded": len(block)}
 
@@ -281,7 +281,7 @@ def checked_rows(wrenches: ArrayLike) -> Vector:
         rows = np.array(wrenches, dtype=float)
     except (TypeError, ValueError):
         return many_wrenches(wrenches)
-    if rows.ndim != 2 or rows.shape[1] <= len(NAMES):
+    if rows.ndim != 2 or rows.shape[1] <= len(LOADS):
         return many_wrenches(wrenches)
     if not np.isfinite(rows).all():
         raise InvalidArgument("a wrench has a number that is not finite")
@@ -289,4 +289,4 @@ def checked_rows(wrenches: ArrayLike) -> Vector:
 
 
 def _block(rows: Any) -> Vector:
-    return np.array(rows, dtype=float).reshape(len(rows), -1 if rows else len(NAMES))
+    return np.array(rows, dtype=float).reshape(len(rows), -1 if rows else len(LOADS))

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..contract import COVERAGE
 from .errors import InvalidArgument
 from .job import Job, joined
 from .notebook import (
@@ -28,7 +29,6 @@ Vector = NDArray[np.float64]
 
 EXACT = "One row of the table has exactly this wrench."
 ROUNDED = "One row of the table has this wrench, rounded to 1e-6 of the load range."
-COVERAGE = ("covered", "thin", "outside")
 
 
 @dataclass(frozen=True, eq=False)

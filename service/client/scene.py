@@ -11,12 +11,12 @@ from typing import Any, Self, overload
 
 import numpy as np
 
+from ..contract import OUTPUTS
 from .errors import InvalidArgument
 from .replies import Vector
 from .request import AsyncRunner, BlockingRunner, Call, json_request
 from .wrenches import tolerance_body
 
-OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 _FIELDS = ("force", "moment", "loads", "inputs", "outputs", "tolerance")
 
 

@@ -14,10 +14,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..contract import COVERAGE, LOADS
 from .errors import InvalidArgument, TableError
 from .notebook import html_table, named_columns, require_pandas
 from .replies import (
-    COVERAGE,
     EXACT,
     ROUNDED,
     Displacement,
@@ -28,7 +28,7 @@ from .replies import (
 from .request import BlockingRunner, Call, Request, component_path, sync_and_async
 from .scene import ComponentPlan, Scene
 from .transport import Transport
-from .wrenches import NAMES, loads_body, many_wrenches, one_wrench, tolerance_body, wrench_of
+from .wrenches import loads_body, many_wrenches, one_wrench, tolerance_body, wrench_of
 
 
 class Table:
@@ -432,7 +432,7 @@ class DownloadCalls(Transport):
         return Table(_opened("from_bytes", content), name, self.blocking(), etag, scene)
 
 
-_WHOLE = len(NAMES)  # loads, or outputs, of one interface
+_WHOLE = len(LOADS)  # loads, or outputs, of one interface
 _ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
 
 

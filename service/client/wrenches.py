@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
-from typing import Any, Literal, TypeGuard, get_args
+from typing import Any, TypeGuard, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..contract import LOADS, OnThin
 from .errors import InvalidArgument
 
-NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
-OnThin = Literal["queue", "wait", "estimate", "reject"]
 ON_THIN: tuple[OnThin, ...] = get_args(OnThin)
 
 Vector = NDArray[np.float64]
@@ -113,7 +112,7 @@ def _parts(wrench: Vector) -> dict[str, Any]:
     return {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()}
 
 
-def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(NAMES)) -> Vector:
+def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(LOADS)) -> Vector:
     """Return checked wrenches, shape (n, inputs), SI; of any number of inputs if that is None.
 
     Raises
@@ -123,8 +122,8 @@ def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(NAMES)) -> Vecto
     """
     block = _numbers(wrenches, "wrenches")
     if block.size == 0 and block.ndim <= 2:
-        return np.empty((0, inputs or len(NAMES)))
-    if block.ndim != 2 or block.shape[1] < len(NAMES) or inputs not in (None, block.shape[1]):
+        return np.empty((0, inputs or len(LOADS)))
+    if block.ndim != 2 or block.shape[1] < len(LOADS) or inputs not in (None, block.shape[1]):
         shape = f"(n, {inputs or 6})"
         raise InvalidArgument(f"wrenches must have shape {shape}, not {block.shape}")
     _require_finite(block, "wrench {}: ")
@@ -201,5 +200,5 @@ def _require_finite(block: Vector, where: str) -> None:
     if not finite.all():
         bad = np.argwhere(~finite)
         row, column = bad[0].tolist()
-        name = NAMES[column] if block.shape[1] == len(NAMES) else f"input {column}"
+        name = LOADS[column] if block.shape[1] == len(LOADS) else f"input {column}"
         raise InvalidArgument(f"{where.format(row)}{name} is {block[row, column]}, not finite")

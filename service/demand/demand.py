@@ -19,10 +19,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.demand.counts import QueryCounts, add, kept, read
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.lock import take
-from wrenchbook.surrogate.answer import NAMES
 from wrenchbook.surrogate.table.rows import LoadRange
 
 log = logging.getLogger(__name__)
@@ -93,7 +93,7 @@ class QueryStatistics:
         _, first, counts = np.unique(key, axis=0, return_index=True, return_counts=True)
         for at, count in zip(left[::step][first].tolist(), counts.tolist(), strict=True):
             wrench = tuple(wrenches[at].tolist())
-            self.note(name, span, wrench, NAMES[int(coverage[at])], count * step)
+            self.note(name, span, wrench, COVERAGE[int(coverage[at])], count * step)
 
     def map_of(self, name: str, span: LoadRange) -> dict[str, Any]:
         """Return a component's map as a reply has it, the most asked first."""

@@ -19,8 +19,8 @@ from pydantic import Field
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
 from wrenchbook.service.answering.queries import BatchQuery
+from wrenchbook.service.contract import MAX_BATCH
 from wrenchbook.service.http.bodies import (
-    MAX_BATCH,
     BatchBody,
     Body,
     Derivatives,

@@ -19,6 +19,7 @@ from pydantic import (
 from pydantic_core import PydanticKnownError
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, OnThin
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
@@ -27,16 +28,13 @@ Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
 Wrench = Annotated[list[Load], Field(description="six numbers an interface, further inputs")]
 # A list of a million mistakes takes gigabytes.
 Wrenches = Annotated[list[Wrench], FailFast()]
-OnThin = Literal["queue", "wait", "estimate", "reject"]
 Flag = Annotated[
     bool, Field(description="whether a wrench outside the load range may be solved as well")
 ]
 Derivatives = Annotated[bool, Field(description="whether to add du/dw, 6 x 6, to the answer")]
 Seconds = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 
-MAX_BATCH = 1_000_000
 MAX_SCENE_COMPONENTS = 64  # each is measured, tenths of a second, while the caller waits
-MAX_BLOCK = 10_000  # as many as a recording keeps
 ClientName = Annotated[str, Field(min_length=1, max_length=64)]
 # The ledger's numbers are SQLite's: 64 bits with a sign.
 Sequence = Annotated[int, Field(ge=0, lt=2**63)]

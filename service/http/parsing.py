@@ -15,8 +15,8 @@ from starlette.datastructures import QueryParams
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
 from wrenchbook.service.answering.queries import Query
+from wrenchbook.service.contract import MAX_BLOCK
 from wrenchbook.service.http.bodies import (
-    MAX_BLOCK,
     BlockBody,
     Body,
     DisplacementBody,

@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 from starlette.responses import Response, StreamingResponse
 
 from wrenchbook.service.answering.queries import BatchOutcome, Outcome, QueuedWrench
-from wrenchbook.service.contract import by_part
+from wrenchbook.service.contract import COVERAGE, OUTPUTS, by_part
 from wrenchbook.service.http.batch import BINARY_TYPE
 from wrenchbook.service.http.links import job_link
 from wrenchbook.surrogate.answer import within_tolerance_many
-from wrenchbook.surrogate.table.space import OUTPUTS
 
 Floats = NDArray[np.float64]
 
 PIECE = 20_000  # wrenches laid out at once, in hundredths of a second
-COVERAGE = ("covered", "thin", "outside")
 
 
 def json_reply(

@@ -15,7 +15,7 @@ from typing import (
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.contract import CONTRACT, Coverage
 
 
 def text(description: str) -> Any:
@@ -30,7 +30,6 @@ Slopes = Annotated[
     Matrix | None,
     text("du/dw, a line an output, m and rad over N and N·m; null where it is not known"),
 ]
-Coverage = Literal["covered", "thin", "outside"]
 JobStatus = Literal["waiting", "running", "done", "failed", "cancelled"]
 Part = Literal["translation", "rotation"]
 _WITHIN = (

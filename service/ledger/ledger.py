@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from wrenchbook.service.ledger import jobs, rows, states
+from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.imports import ImportTable
 from wrenchbook.service.ledger.packing import pack_vector
 from wrenchbook.service.ledger.recordings import Recordings
@@ -16,7 +17,6 @@ from wrenchbook.service.ledger.records import (
     OpenJob,
     Status,
 )
-from wrenchbook.service.ledger.schema import Connection
 from wrenchbook.service.ledger.tables import TableRows
 
 # Leases of owners that were killed without a job are deleted then.

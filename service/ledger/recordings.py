@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
+from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.ledger.records import BlockKeyError
-from wrenchbook.service.ledger.schema import Connection
 
 Kind = Literal["recording", "envelope"]
 

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from wrenchbook.service.ledger import rows
-from wrenchbook.service.ledger.records import NewRow
-from wrenchbook.service.ledger.schema import (
+from wrenchbook.service.ledger.connection import (
     USE_ERRORS,
     Connection,
     connect,
@@ -26,6 +25,7 @@ from wrenchbook.service.ledger.schema import (
     raise_sequences,
     sequences,
 )
+from wrenchbook.service.ledger.records import NewRow
 
 SEQUENCES = ("jobs", "rows")  # of sqlite_sequence; rows and edits share one
 _DIGEST = 8  # bytes

@@ -22,7 +22,7 @@ from typing import IO, Any
 
 from wrenchbook.service.files.durable import sync, sync_folder
 from wrenchbook.service.ledger import Ledger, LedgerError
-from wrenchbook.service.ledger.versions import SCRIPTS
+from wrenchbook.service.ledger.schema import VERSION
 
 FORMAT = "wrenchbook backup"
 SCHEMA = 2  # 1 held all files of the directory but attempts: keys and settings too
@@ -203,7 +203,7 @@ def _write(target: Path, files: Iterable[tuple[str, Path]]) -> None:
         open(descriptor, "w+b") as whole,  # noqa: PTH123 (a descriptor)
         zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED, allowZip64=True) as archive,
     ):
-        manifest, written = Manifest(time.time(), len(SCRIPTS)), {}
+        manifest, written = Manifest(time.time(), VERSION), {}
         for name, path in files:
             # From one open file: a table that is replaced meanwhile is the whole previous one.
             with (

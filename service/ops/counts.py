@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.lock import take
-from wrenchbook.surrogate.answer import NAMES
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ class Counts:
 
     def add_batch(self, coverage: NDArray[np.integer], method: str, us: float) -> None:
         """Count a batch of wrenches with coverage numbers (n,), as one call of `us` µs."""
-        for word, number in zip(NAMES, np.bincount(coverage, minlength=3).tolist(), strict=True):
+        for word, number in zip(COVERAGE, np.bincount(coverage, minlength=3).tolist(), strict=True):
             if number:
                 self._queries[word, method] = self._queries.get((word, method), 0) + number
         self.buckets[bisect_left(_EDGES_US, us)] += 1

@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.recording.store import EnvelopeState
 from wrenchbook.service.tables.mapped import ServedTable
-from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE
+from wrenchbook.surrogate.answer import COVERED, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import Space
 
@@ -78,7 +79,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     negligible, reason = _judged(most, coverage, kind, tolerance, table.load_range.space)
     count = len(corners) - 2
     formula = EXACT if exact else ESTIMATE.format(f"the {count}" if count < MOST_CORNERS else count)
-    return Bound(most, kind, formula, NAMES[coverage], negligible, reason)
+    return Bound(most, kind, formula, COVERAGE[coverage], negligible, reason)
 
 
 def _corners(low: Floats, high: Floats) -> Floats:

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from wrenchbook.service.contract import OUTPUTS
 from wrenchbook.service.report.measure import lookup, mesh_error, name_of
-
-OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True)

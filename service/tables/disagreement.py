@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from wrenchbook.service.contract import LOADS, OUTPUTS
 from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
-from wrenchbook.surrogate.table.space import LOADS, OUTPUTS
 
 MOST_ROWS = 5000  # measured ones that are compared; more are thinned evenly
 MOST_LISTED = 500

@@ -12,7 +12,8 @@ import numpy as np
 
 from tests.service.fmu.made import Opened, answers, judged, slopes
 from wrenchbook.service.client import Client, Displacement, Displacements, Table
-from wrenchbook.service.client.replies import COVERAGE, EXACT, ROUNDED
+from wrenchbook.service.client.replies import EXACT, ROUNDED
+from wrenchbook.service.contract import COVERAGE
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.kernel.binding import PackedTable

@@ -225,7 +225,7 @@ def test_settings_are_printed_as_json(run: Run, tmp_path: Path):
 
 @pytest.mark.parametrize("command", [["serve", "--port", "0", "--solvers", "0"], ["work"]])
 def test_a_server_prints_one_json_line_when_it_is_ready(tmp_path: Path, command: list[str]):
-    words = [sys.executable, str(ROOT / "wrenchbook.py"), *command, "--data", str(tmp_path)]
+    words = [sys.executable, "-m", "wrenchbook", *command, "--data", str(tmp_path)]
     with subprocess.Popen([*words, "--json"], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:

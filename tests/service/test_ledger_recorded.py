@@ -1,12 +1,10 @@
 """Recordings in the ledger: files of earlier schemas, keys of blocks, what is bounded."""
 
-import sqlite3
 from dataclasses import replace
 
 import pytest
 
 from wrenchbook.service.ledger import BlockKeyError, Kept, Ledger, block_of, recordings
-from wrenchbook.service.ledger import versions as schema
 from wrenchbook.service.ledger.packing import pack_vector
 
 WRENCH = pack_vector((1.0, 2, 3, 4, 5, 6))
@@ -26,32 +24,6 @@ def add_one(now, _):
 def count(ledger, table):
     with ledger.reading() as db:
         return db.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
-
-
-@pytest.mark.parametrize("version", [1, 2, 3, 4])
-def test_a_ledger_of_an_earlier_schema_is_taken_over_and_records(tmp_path, version):
-    path = tmp_path / "ledger.sqlite"
-    old = sqlite3.connect(path)
-    old.create_function("seal", 3, lambda *_: b"")
-    for script in schema.SCRIPTS[:version]:
-        old.executescript(script)
-    old.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
-    old.execute(f"PRAGMA user_version = {version}")
-    old.execute(
-        "INSERT INTO jobs (id, component, fingerprint, wrench, status, priority, attempt, lost,"
-        " created) VALUES (7, 'plate', 'f1', ?, 'waiting', 0, 0, 0, 1.0)",
-        (WRENCH,),
-    )
-    old.commit()
-    old.close()
-    ledger = Ledger(path)
-    assert ledger.job(7).wrench == (1.0, 2, 3, 4, 5, 6)
-    assert ledger.recording("plate")[1] == []
-    ledger.record("plate", None, lambda now, _: Kept(replace(now, offered=1), [WRENCH], []))
-    ledger.close()
-    again = Ledger(path)
-    assert again.recording("plate")[1] == [WRENCH]
-    again.close()
 
 
 def test_keys_of_a_client_are_kept_while_a_block_may_be_sent_again_and_no_longer(ledger):

@@ -9,13 +9,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...contract import LOADS, OUTPUTS
 from ..errors import InvalidArgument
 from .joint import FREEDOMS, further_inputs, moving
 
 Vector = NDArray[np.float64]
-
-NAMES = ("ux", "uy", "uz", "rx", "ry", "rz")
-LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class LinearPart:
         return cls(
             component=table.name,
             table_version=table.version,
-            freedoms=tuple(NAMES[place] for place in free),
+            freedoms=tuple(OUTPUTS[place] for place in free),
             stiffness=np.linalg.inv(compliance).tolist(),
             wrench=centre[places].tolist(),
             displacement=first.tolist(),
@@ -128,7 +126,7 @@ class LinearPart:
         mass : array_like, optional
             Shape (6, 6), kg to kg·m^2; null in the dict where it is not known.
         """
-        places = [NAMES.index(name) for name in self.freedoms]
+        places = [OUTPUTS.index(name) for name in self.freedoms]
         whole = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(places, places)]
         return {
             **asdict(self),

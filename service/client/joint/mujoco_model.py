@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...contract import OUTPUTS
 from ..table import packed_tables
 from .errors import JointError
 from .joint import FREEDOMS
-from .linear import NAMES, LinearPart
+from .linear import LinearPart
 from .mujoco_joint import engine
 
 Vector = NDArray[np.float64]
@@ -52,7 +53,7 @@ def scene_with_joint(
         If the scene cannot be read, has no such bodies or site, the tip is no child of the base or
         has joints.
     """
-    free = [name for name in NAMES if name not in locked]
+    free = [name for name in OUTPUTS if name not in locked]
     if sum(name[0] == "r" for name in free) not in (0, 1, 3):
         raise JointError("the part locks one rotation of three: no MuJoCo joint does")
     return str(_with_freedoms(scene, base, tip, free, site, mass, ball=True).to_xml())
@@ -161,8 +162,8 @@ def _add_joints(
     """Add a slide a free translation, then a ball or a hinge a free rotation."""
     kinds = engine.mjtJoint
     bare = {"stiffness": 0, "damping": 0, "frictionloss": 0, "armature": 0, "limited": 0}
-    one_ball = ball and all(name in free for name in NAMES[3:])
-    for place, name in enumerate(NAMES[: 3 if one_ball else FREEDOMS]):
+    one_ball = ball and all(name in free for name in OUTPUTS[3:])
+    for place, name in enumerate(OUTPUTS[: 3 if one_ball else FREEDOMS]):
         if name in free:
             kind = kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE
             _joint(body, f"{tip}_{name}", kind, at, axes[:, place % 3].tolist(), bare)

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...contract import OnThin
 from ..errors import InvalidArgument
 from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement
 from ..rotation import rotation_matrix
-from ..wrenches import ON_THIN, OnThin, tolerance_body
+from ..wrenches import ON_THIN, tolerance_body
 from . import options, reading
 from .errors import DisplacementUnknown, MountWarning
 from .frequency import warn_if_ringing

@@ -9,16 +9,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ...contract import OUTPUTS, OnThin
 from ..errors import InvalidArgument, ServerTimeout
 from ..replies import Displacement
-from ..wrenches import OnThin, tolerance_body
+from ..wrenches import tolerance_body
 from .errors import DisplacementUnknown
 from .options import require_server
 
 Vector = NDArray[np.float64]
 Tolerance = dict[str, float]
 
-OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 LONGEST_CALL_S = 20.0  # proxies end calls that take longer
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
-from wrenchbook.service.contract import MOMENT_POINT
+from wrenchbook.service.contract import LOADS, MOMENT_POINT
 from wrenchbook.service.fields import surface_files
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.http.openapi import BYTES, answers, refused
@@ -25,7 +25,6 @@ router = APIRouter(
 )
 CATCH_UP_S = 25.0
 
-_NAMES = ("fx", "fy", "fz", "mx", "my", "mz", "format")
 _FORCE = Query(allow_inf_nan=False, description="N, in the undeformed interface frame")
 _MOMENT = Query(allow_inf_nan=False, description=f"N·m, about {MOMENT_POINT}")
 
@@ -64,16 +63,17 @@ async def deformed(
 
 def _require_known_names(request: Request) -> None:
     """Refuse parameters that this call has not: a misspelt load would be a zero one."""
+    known = (*LOADS, "format")
     names = [key for key, _ in request.query_params.multi_items()]
     errors = [
-        {"loc": key, "msg": f"no such parameter; there are {', '.join(_NAMES)}"}
+        {"loc": key, "msg": f"no such parameter; there are {', '.join(known)}"}
         for key in dict.fromkeys(names)
-        if key not in _NAMES
+        if key not in known
     ]
     errors += [
         {"loc": key, "msg": "given more than once"}
         for key in dict.fromkeys(names)
-        if key in _NAMES and names.count(key) > 1
+        if key in known and names.count(key) > 1
     ]
     if errors:
         raise bad_body(errors)

@@ -18,16 +18,16 @@ from wrenchbook.service.answering.drawn import (
     sweep_of,
     whole_bars,
 )
+from wrenchbook.service.contract import COVERAGE, LOADS, OUTPUTS
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.http.replies import COVERAGE, json_reply
+from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.arrival import surface_of
 from wrenchbook.service.library.component import require_one_wrench
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.rows import CLEAN, Rows
-from wrenchbook.surrogate.table.space import LOADS, OUTPUTS
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 CATCH_UP_S = 25.0

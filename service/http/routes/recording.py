@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from wrenchbook.service.contract import CONTRACT_TEXT
+from wrenchbook.service.contract import CONTRACT_TEXT, MAX_BLOCK
 from wrenchbook.service.http import table_schemas as schemas
 from wrenchbook.service.http.batch import BINARY_BODY, is_binary, read_wrenches
 from wrenchbook.service.http.bodies import (
-    MAX_BLOCK,
     BlockBody,
     BlockKey,
     Body,
