@@ -26,7 +26,7 @@ LONGEST_DELAY_S: Final = 0.01
 SHARE: Final = 8  # of the open connections, one in so many is taken at once: bursts of thousands
 PARSERS = (
     "wrenchbook.service.library.bundle_zip",
-    "wrenchbook.service.formats.table_file",
+    "wrenchbook.service.formats.read",
     "wrenchbook.service.http.batch",
 )
 

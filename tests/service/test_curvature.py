@@ -13,7 +13,7 @@ import pytest
 from tests.service.table_files import read_csv, read_json, write_json
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.formats import UnitError, layout, write_hdf5
-from wrenchbook.service.formats.column_names import columns_of
+from wrenchbook.service.formats.columns import columns_of
 from wrenchbook.service.formats.options import Options
 from wrenchbook.service.jobs import solve_attempt
 from wrenchbook.service.jobs.attempt import prepare, read_outcome, write_outcome

@@ -26,11 +26,11 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.formats.column_names import ORIGIN, TEXTS, Columns, WritableRows
+from wrenchbook.service.formats.columns import ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.json_reader import JsonError, JsonReader
 from wrenchbook.service.formats.json_records import is_records, read_json_records
 from wrenchbook.service.formats.options import MOST_LISTED, Options, ReadReport
-from wrenchbook.service.formats.table_rows import (
+from wrenchbook.service.formats.rows import (
     Array,
     ParsedTable,
     good_rows,

@@ -24,11 +24,11 @@ from wrenchbook.service.formats.cells import (
     time_seconds,
     unguard_formula,
 )
-from wrenchbook.service.formats.column_names import TEXTS, TIME_COLUMN
+from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import Header, HeaderColumn, read_head
 from wrenchbook.service.formats.options import FoundColumn, Mistakes, Options, ReadReport
 from wrenchbook.service.formats.preamble import Record
-from wrenchbook.service.formats.table_rows import Array, ParsedTable, good_rows
+from wrenchbook.service.formats.rows import Array, ParsedTable, good_rows
 from wrenchbook.service.formats.units import to_si, vanished
 from wrenchbook.surrogate.table.rows import unknown_column
 

@@ -17,11 +17,11 @@ import numpy as np
 from scipy.io import loadmat, whosmat
 
 from wrenchbook.service.formats.cells import Digits, text_problem
-from wrenchbook.service.formats.column_names import Columns, Layout, WritableRows
+from wrenchbook.service.formats.columns import Columns, Layout, WritableRows
 from wrenchbook.service.formats.options import MOST_ROWS, Options, ReadReport
 from wrenchbook.service.formats.preamble import Record
-from wrenchbook.service.formats.records import read_records
-from wrenchbook.service.formats.table_rows import Array, ParsedTable, Problem, good_rows
+from wrenchbook.service.formats.rows import Array, ParsedTable, Problem, good_rows
+from wrenchbook.service.formats.text import read_records
 from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows

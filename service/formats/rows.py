@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wrenchbook.service.formats.column_names import Columns
+from wrenchbook.service.formats.columns import Columns
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.surrogate.limits import (
     ROTATION_LIMIT,

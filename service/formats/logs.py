@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.table_rows import Array, ParsedTable
+from wrenchbook.service.formats.rows import Array, ParsedTable
 from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag, repeated
 
 GAP_FACTOR = 5.0

@@ -18,16 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.binary_table import read_hdf5, read_mat, read_parquet
-from wrenchbook.service.formats.csv_table import read_csv
+from wrenchbook.service.formats.arrow import read_hdf5, read_mat, read_parquet
+from wrenchbook.service.formats.csv import read_csv
 from wrenchbook.service.formats.findings import FindingsSample
-from wrenchbook.service.formats.json_table import read_json
-from wrenchbook.service.formats.measured_logs import joined_loads, with_loads, zeroed
+from wrenchbook.service.formats.json import read_json
+from wrenchbook.service.formats.logs import joined_loads, with_loads, zeroed
 from wrenchbook.service.formats.options import Format, Options, ReadReport
 from wrenchbook.service.formats.rig import rigged, with_known_point
-from wrenchbook.service.formats.table_rows import ParsedTable, with_own_setup, within_limits
+from wrenchbook.service.formats.rows import ParsedTable, with_own_setup, within_limits
 from wrenchbook.service.formats.units import FORCE, si_factor
-from wrenchbook.service.formats.xlsx_table import read_xlsx
+from wrenchbook.service.formats.xlsx import read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.table.rows import unknown_column
 
@@ -93,9 +93,7 @@ def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) ->
         "preview": preview,
     }
     try:
-        parts = run(
-            "wrenchbook.service.formats.table_file:table_parts", files[0], arguments, _LIMITS
-        )
+        parts = run("wrenchbook.service.formats.read:table_parts", files[0], arguments, _LIMITS)
     except SandboxError as error:
         report = ReadReport()
         report.mistakes.ruin(0, "file", str(error))

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from wrenchbook.service.formats.cells import NO_VALUE, Digits
-from wrenchbook.service.formats.column_names import Layout, WritableRows
+from wrenchbook.service.formats.columns import Layout, WritableRows
 from wrenchbook.service.formats.header import Header
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.preamble import Record
-from wrenchbook.service.formats.records import read_records
-from wrenchbook.service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.text import read_records
 
 MOST_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
 MOST_IN_MEMORY = 64 * 1024 * 1024  # of a member that is no sheet: texts, styles

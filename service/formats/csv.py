@@ -20,17 +20,17 @@ from pathlib import Path
 from typing import BinaryIO
 
 from wrenchbook.service.formats.cells import guard_formula, number_text
-from wrenchbook.service.formats.column_names import TEXTS, TIME_COLUMN, Layout, WritableRows
+from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN, Layout, WritableRows
 from wrenchbook.service.formats.header import Header
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.preamble import Preamble, Record, delimiter_in
-from wrenchbook.service.formats.records import (
+from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.text import (
     BrokenLineError,
     CellFormat,
     format_in,
     read_records,
 )
-from wrenchbook.service.formats.table_rows import ParsedTable
 
 MOST_LINE = 1 << 20  # characters; 54 numbers and three texts are some thousands
 MOST_RECORD = 4 * MOST_LINE  # a quoted text may have many lines
