@@ -127,8 +127,7 @@ def _serve(**options: Any) -> None:
     from wrenchbook.service.http.instrumentation import MissingExtraError, tracing_packages
     from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
     from wrenchbook.service.keys.needed import require_keys
-    from wrenchbook.service.workers.listen import AddressError
-    from wrenchbook.service.workers.supervisor import supervise
+    from wrenchbook.service.workers.supervisor import AddressError, supervise
 
     try:
         check_engine(options["engine"], options["scheduler"])

@@ -94,31 +94,25 @@ def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Itera
         yield tables
 
 
-class Builder:
-    """Builds tables and dispatches jobs until SIGTERM; `started` once tables and jobs are."""
+def run(options: Mapping[str, Any], started: threading.Event) -> None:
+    """Build tables and dispatch jobs until SIGTERM; `started` is set once both are at work.
 
-    def __init__(self, options: Mapping[str, Any]) -> None:
-        self._settings = settings_of_options(options)
-        self._state = CoordinatorState(self._settings.folder / FOLDER)
-        self._stop = threading.Event()
-        self.started = False
-
-    def run(self, sockets: object = None) -> None:
-        """Build and dispatch; a data directory with another builder ends the process."""
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the parent ends this process
-        signal.signal(signal.SIGTERM, lambda *_: self._stop.set())
-        if not self._state.take():
-            log.error(
-                "another server uses %s; stop it first, or serve another directory with --data",
-                self._settings.folder,
-            )
-            sys.exit(STARTUP_FAILURE)
-        try:
-            with (
-                opened(self._settings) as parts,
-                building(self._settings, parts, self._state),
-            ):
-                self.started = True
-                self._stop.wait()
-        finally:
-            self._state.release()
+    A data directory with another builder ends the process.
+    """
+    stop = threading.Event()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the parent ends this process
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    settings = settings_of_options(options)
+    state = CoordinatorState(settings.folder / FOLDER)
+    if not state.take():
+        log.error(
+            "another server uses %s; stop it first, or serve another directory with --data",
+            settings.folder,
+        )
+        sys.exit(STARTUP_FAILURE)
+    try:
+        with opened(settings) as parts, building(settings, parts, state):
+            started.set()
+            stop.wait()
+    finally:
+        state.release()

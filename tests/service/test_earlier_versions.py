@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.service.test_durable_tables import Site
+from tests.until import until
 from wrenchbook.service.ledger import Ledger, LedgerFileError
 from wrenchbook.service.ops.doctor import examine
 from wrenchbook.surrogate.table.hdf5 import read_table, write_table
@@ -71,7 +72,7 @@ def test_a_ledger_that_is_older_than_a_file_of_0_1_is_still_doubted(site):
     site.open()
     assert site.tables.catch_up("rig", 20)
     site.tables.surrogate("rig")
-    assert "withdrawn" in site.tables.faults()["rig"]
+    assert "withdrawn" in until(lambda: site.tables.faults().get("rig"))
     site.close()
 
 

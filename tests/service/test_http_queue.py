@@ -201,7 +201,7 @@ def test_a_wrench_solved_a_moment_ago_is_answered_and_not_solved_again(http, sta
     """Until the table held the row, the same query was `outside` and queued a second solve."""
     stand_in("quick")
     tables = http.app.state.workspace.tables
-    monkeypatch.setattr(tables, "_build", lambda *_: None)  # no row comes into use
+    monkeypatch.setattr(tables, "_map", lambda *_: False)  # no row comes into use
     wrench = [10.123456789, 0.0, -20.0, 0.0, 3.0, 0.0]
     solved = ask(http, wrench, on_thin="wait", wait_s=20).json()
     again = ask(http, wrench)
