@@ -56,7 +56,8 @@ class CoordinatorState:
         self._folder = folder
         self._written: Status | None = None
         self._lock: int | None = None
-        folder.mkdir(parents=True, exist_ok=True)
+        with suppress(OSError):  # a web worker answers on a read-only disk
+            folder.mkdir(parents=True, exist_ok=True)
 
     def take(self) -> bool:
         """Take the lock of the process that builds; False if another process has it."""

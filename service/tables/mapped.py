@@ -345,8 +345,9 @@ class MappedTables:
                     self._unread.pop(name, None)
         mapped = {name: _mark(table) for name, table in self.present().items()}
         if mapped != self._published or status != self._status:  # a new builder's folder is empty
-            self._state.publish(mapped)
-            self._published = mapped
+            with suppress(OSError):  # answers need no disk
+                self._state.publish(mapped)
+                self._published = mapped
         with self._changed:
             self._status = status
             self._changed.notify_all()

@@ -215,14 +215,13 @@ class StandIn:
     """A child process that lives, dies and starts as a test says; `all` has them in order."""
 
     all: ClassVar[list] = []
+    sentinel: ClassVar = None
 
     def __init__(self, kind, options, *sockets):
-        self.name, self.process = (
-            kind[0],
-            SimpleNamespace(is_alive=lambda: True, exitcode=None, pid=0),
-        )
-        self.process.sentinel = os.open(os.devnull, os.O_RDONLY)
-        self.healthy, self.started, self.begun, self.got = True, len(self.all) < 3, 0.0, []
+        about = {"is_alive": lambda: True, "exitcode": None, "pid": 0, "sentinel": self.sentinel}
+        self.name, self.process = kind[0], SimpleNamespace(**about)
+        self.healthy, self.started, self.got = True, len(self.all) < 3, []
+        self.begun = time.monotonic()
         self.all.append(self)
 
     def is_healthy(self):
@@ -245,7 +244,11 @@ def supervisor(monkeypatch):
     monkeypatch.setattr(supervisors, "Child", StandIn)
     monkeypatch.setattr(supervisors, "REFUSE_AFTER_S", 0.0)
     monkeypatch.setattr(signal, "signal", lambda *_: None)
-    made = Supervisor({"processes": 2}, socket.socket(), "ready")
+    with socket.socket() as bound, socket.socket() as StandIn.sentinel:
+        yield from _looking(Supervisor({"processes": 2}, bound, "ready"))
+
+
+def _looking(made):
     made._announce()
 
     def look(*signals):
@@ -254,7 +257,7 @@ def supervisor(monkeypatch):
         made._replace()
         return made
 
-    return look
+    yield look
 
 
 def test_twenty_restarts_that_wait_are_one(supervisor):
@@ -276,7 +279,6 @@ def test_an_end_waits_neither_for_restarts_nor_for_a_web_worker_that_starts(supe
 
 def test_a_web_worker_that_does_not_start_leaves_the_others(supervisor, monkeypatch):
     supervisor(signal.SIGHUP)
-    StandIn.all[3].begun = time.monotonic()
     supervisor()
     assert StandIn.all[3].got == []
     StandIn.all[3].healthy = False
