@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wrenchbook.service.demand.demand import QueryStatistics
+from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import Progress, attempt_folder, read_progress
 from wrenchbook.service.jobs.record_outcome import notes_of
 from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
-from wrenchbook.service.ledger import Change, JobRecord, Ledger, LedgerUnavailableError, OpenJob
+from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError, OpenJob
+from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
@@ -56,6 +57,7 @@ class Workspace:
         self.ledger = Ledger(settings.folder / "ledger.sqlite", patient=True)
         if trouble := self.ledger.trouble():
             log.error("nothing is accepted until this is repaired: %s", trouble)
+        self.watcher = Watcher(self.ledger)
         self.library = Library(
             settings.folder / "components",
             allow_decks=settings.allow_decks,
@@ -63,10 +65,10 @@ class Workspace:
             on_checked=self._on_checked,
             on_copy=self._on_copy,
         )
-        self.catalogue = Catalogue(settings.folder / "library.json")
-        self.query_counts = QueryStatistics(settings.folder / "demand.json")
+        self.catalogue = Catalogue(self.ledger)
+        self.query_counts = QueryStatistics(self.ledger)
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
-        self.errors = SolverErrors(settings.folder / "solver_errors")
+        self.errors = SolverErrors(self.ledger)
         self.tables = MappedTables(
             self.ledger,
             self.library,
@@ -90,12 +92,14 @@ class Workspace:
         threadpool_limits(limits=1)
         with suppress(LedgerUnavailableError):
             self.ledger.drop_abandoned()  # what a server left that was killed during an import
-        self.ledger.on_change(self._on_change)
+        self.watcher.on_change(self._on_commit)
+        self.watcher.start()
         self.tables.start()
         self.query_counts.start()
 
     def close(self) -> None:
         """Stop."""
+        self.watcher.stop()
         self.reports.close()
         self.shapes.close()
         self.tables.stop()
@@ -342,8 +346,8 @@ class Workspace:
         except LedgerUnavailableError:
             del self._compliance_requested[name]  # the next query tries again
 
-    def _on_change(self, _: Change) -> None:
-        """Wake the callers that wait for a job; called from the thread that committed."""
+    def _on_commit(self) -> None:
+        """Wake the callers that wait for a job; for the watcher's thread."""
         loop = self._loop
         if loop is None or loop.is_closed():
             return

@@ -126,7 +126,7 @@ def _serve(**options: Any) -> None:
     """Serve by the settings found."""
     from wrenchbook.service.http.instrumentation import MissingExtraError, tracing_packages
     from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
-    from wrenchbook.service.keys.needed import require_keys
+    from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 
     try:

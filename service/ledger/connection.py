@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.ledger import earlier
 from wrenchbook.service.ledger.records import (
     LedgerDamagedError,
     LedgerFileError,
@@ -147,6 +148,7 @@ def open_file(path: Path) -> Connection:
             _check_whole(connection, path)
             _use_wal(connection)
             _upgrade(connection)
+            _take_over(connection, path.parent)
         except BaseException:
             connection.close()
             raise
@@ -268,6 +270,19 @@ def _upgrade(connection: Connection) -> None:
         connection.execute(f"PRAGMA user_version = {version}")
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute("COMMIT")
+
+
+def _take_over(connection: Connection, folder: Path) -> None:
+    """Write the state that release 0.3 kept in files; an entry that is there wins."""
+    entries, read = earlier.read_files(folder)
+    if not read:
+        return
+    connection.execute("BEGIN IMMEDIATE")
+    for table, values in entries:
+        marks = ", ".join("?" * len(values))
+        connection.execute(f"INSERT OR IGNORE INTO {table} VALUES ({marks})", values)
+    connection.execute("COMMIT")
+    earlier.remove_files(folder, read)
 
 
 def checkpoint(connection: Connection) -> bool:

@@ -7,7 +7,6 @@ from wrenchbook.service.ledger import jobs, rows, states
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.imports import ImportTable
 from wrenchbook.service.ledger.packing import pack_vector
-from wrenchbook.service.ledger.recordings import Recordings
 from wrenchbook.service.ledger.records import (
     Beat,
     Change,
@@ -23,8 +22,8 @@ from wrenchbook.service.ledger.tables import TableRows
 FORGOTTEN_SECONDS = 24 * 3600.0
 
 
-class Ledger(jobs.Jobs, TableRows, ImportTable, Recordings):
-    """Jobs, rows and recordings in one SQLite file, for many threads and several processes at once.
+class Ledger(jobs.Jobs, TableRows, ImportTable):
+    """Jobs and rows in one SQLite file, for many threads and several processes at once.
 
     A method that returned has committed to disk; one that raised changed nothing. Parameters and
     errors are those of `Database`.

@@ -31,7 +31,7 @@ SEQUENCES = ("jobs", "rows")  # of sqlite_sequence; rows and edits share one
 _DIGEST = 8  # bytes
 _TABLES = (
     *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
-    *("imports", "import_parts"),
+    *("imports", "import_parts", "catalogue", "demand", "solver_errors"),
 )
 _MOST_ROWID = 10_000_000  # where the highest number is unknown
 _MOST_NUMBER = 1 << 48  # larger numbers are damaged

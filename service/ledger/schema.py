@@ -1,7 +1,7 @@
 """The SQL of the ledger's tables, and the steps from the schemas of released versions."""
 
 APPLICATION_ID = 0x77726E63  # "wrnc": tells a ledger from other programs' SQLite files
-VERSION = 12  # of TABLES; raise it, and add a step from the previous one, with each change
+VERSION = 13  # of TABLES; raise it, and add a step from the previous one, with each change
 
 # `wrench`, `displacement` and their kin are float64, little-endian, of any number of loads and
 # outputs; see packing.py.
@@ -10,6 +10,28 @@ _CURVATURE = """curvature BLOB CHECK (length(curvature) * 6
         = length(wrench) * (length(wrench) / 8 + 1) * (length(wrench) / 8 + 2))"""
 _RIG = "rig TEXT NOT NULL DEFAULT ''"
 _FINDINGS = "findings TEXT NOT NULL DEFAULT '[]'"
+
+# Notes on components and which are archived; JSON of the queries that no table covered, and of the
+# error of the solver of a setup.
+_STATE = """
+    CREATE TABLE catalogue (
+        component TEXT PRIMARY KEY,
+        notes TEXT NOT NULL,
+        archived INTEGER NOT NULL CHECK (archived IN (0, 1)),
+        renamed_to TEXT,
+        copied_from TEXT
+    );
+    CREATE TABLE demand (
+        component TEXT PRIMARY KEY,
+        counts TEXT NOT NULL
+    );
+    CREATE TABLE solver_errors (
+        component TEXT NOT NULL,
+        fingerprint TEXT NOT NULL,
+        estimate TEXT NOT NULL,
+        PRIMARY KEY (component, fingerprint)
+    );
+"""
 
 TABLES = f"""
     CREATE TABLE jobs (
@@ -146,11 +168,12 @@ TABLES = f"""
         digest BLOB NOT NULL,
         UNIQUE (component, kind, client, sequence)
     );
+    {_STATE}
 """
 
 # By the schema version of a file: the version that the script leads to, and the script. 8 is that
-# of release 0.2. A CHECK is text of the schema alone, changed as sqlite.org/lang_altertable.html,
-# section 7, has it: wrenches and displacements had six numbers.
+# of release 0.2, 12 that of 0.3. A CHECK is text of the schema alone, changed as
+# sqlite.org/lang_altertable.html, section 7, has it: wrenches and displacements had six numbers.
 STEPS = {
     8: (
         12,
@@ -172,4 +195,5 @@ STEPS = {
         ALTER TABLE rows ADD COLUMN {_CURVATURE}
         """,
     ),
+    12: (13, _STATE),
 }

@@ -41,7 +41,7 @@ def opened(settings: Settings) -> Iterator[Parts]:
         if trouble := ledger.trouble():
             log.error("nothing is accepted until this is repaired: %s", trouble)
         library = Library(folder / "components", allow_decks=settings.allow_decks)
-        yield ledger, library, SolverErrors(folder / "solver_errors")
+        yield ledger, library, SolverErrors(ledger)
     finally:
         ledger.close()
 

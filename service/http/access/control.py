@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping
 from math import ceil
 from secrets import compare_digest
@@ -12,7 +11,7 @@ from weakref import WeakKeyDictionary
 from starlette.types import Receive, Send
 from starlette.types import Scope as Scope_
 
-from wrenchbook.service.events.feed import Listener
+from wrenchbook.service.events import Listener
 from wrenchbook.service.http.access.headers import preflight, sending
 from wrenchbook.service.http.access.origins import check_host, check_origin, is_public
 from wrenchbook.service.http.access.permission import (
@@ -25,9 +24,7 @@ from wrenchbook.service.http.access.permission import (
 from wrenchbook.service.http.access.security import SecuritySettings
 from wrenchbook.service.http.body import counted
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.keys import Keyring, Scope, digest_of
-from wrenchbook.service.keys.keyring import LOOK_S
-from wrenchbook.service.keys.record import Key
+from wrenchbook.service.keys import Key, Keyring, Scope, digest_of
 
 _READING: Final = ("GET", "HEAD", "OPTIONS")
 _JSON: Final = b"application/json"
@@ -88,12 +85,6 @@ class AccessControl:
         if not self._holds(permission):  # since it was permitted
             listener.end()
 
-    async def watch(self) -> None:
-        """Look for changed keys: streams end with their key, and the fast path caches by head."""
-        while True:
-            await asyncio.sleep(LOOK_S)
-            self._look()
-
     async def pass_on(
         self, scope: Scope_, receive: Receive, send: Send
     ) -> tuple[Receive, Send] | None:
@@ -145,7 +136,7 @@ class AccessControl:
         return permission
 
     def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
-        self._look()
+        self.refresh()
         if not self.keys_needed:
             return OPEN
         word, _, secret = head.get(b"authorization", b"").decode("latin-1").partition(" ")
@@ -166,8 +157,8 @@ class AccessControl:
             return self._own
         return self.keyring.find(secret)
 
-    def _look(self) -> None:
-        """Drop cached permissions once a key has changed."""
+    def refresh(self) -> None:
+        """Once a key has changed, end its streams and drop cached permissions; for the loop."""
         if self.keyring.look() == self._version:
             return
         self._version = self.keyring.version

@@ -11,8 +11,7 @@ from pathlib import Path
 from struct import Struct
 from typing import Any, Final
 
-from wrenchbook.service.keys import Key, Scope
-from wrenchbook.service.keys.keyring import MOST_KEYS
+from wrenchbook.service.keys import MAX_KEYS, Key, Scope
 
 _AT_ONCE_S: Final = 2.0  # a burst is what this many seconds allow
 # Share of a second's requests that a process takes from the common bucket at a time: a lock costs
@@ -56,7 +55,7 @@ class Rates:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     break
             with suppress(OSError):
-                content = os.pread(file, MOST_KEYS * _BUCKET.size, 0)
+                content = os.pread(file, MAX_KEYS * _BUCKET.size, 0)
         whole = len(content) - len(content) % _BUCKET.size
         buckets = {held: full for held, full in _BUCKET.iter_unpack(content[:whole]) if full > now}
         full = max(buckets.get(name, now), self._known.get(name, now))

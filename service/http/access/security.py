@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from wrenchbook.service.keys.needed import OWN_KEY, is_loopback
+from wrenchbook.service.keys import OWN_KEY, is_loopback
 
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 

@@ -15,8 +15,7 @@ from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
-from wrenchbook.service.keys import Keyring, KeysError
-from wrenchbook.service.keys.record import MEGABYTES, RATE
+from wrenchbook.service.keys import MEGABYTES, RATE, Keyring, KeysError
 
 router = APIRouter(
     prefix="/v1/keys", tags=["keys"], responses=refused(s409="this server has no keys")

@@ -28,23 +28,27 @@ from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import both_tolerances, checked, read_block, read_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.displacement import DirectRoute
-from wrenchbook.service.ledger import Block, Tally, block_of, packed
-from wrenchbook.service.ledger.recordings import MERGE
-from wrenchbook.service.recording.bound import bound_of
 from wrenchbook.service.recording.start import (
     StartedSolves,
     start_envelope,
     start_recording,
     start_resolving,
 )
-from wrenchbook.service.recording.store import EnvelopeState, RecordingStore, Took
+from wrenchbook.service.recording.store import (
+    BlockResult,
+    EnvelopeState,
+    RecordingStore,
+    Tally,
+    bound_of,
+)
+from wrenchbook.service.recording.thinning import MERGE
 from wrenchbook.service.workspace import Workspace
 
 Floats = NDArray[np.float64]
 Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 
 # Each wrench six numbers of 17 digits and a comma, and some blanks.
-MOST_BLOCK_BYTES = MAX_BLOCK * 6 * 40
+MAX_BLOCK_BYTES = MAX_BLOCK * 6 * 40
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["recording"], responses=refused(404, 422))
 blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
@@ -63,16 +67,17 @@ _QUEUED = answers(schemas.Started, "solves are queued", 202)
 )
 async def record(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
-    took = await run_in_threadpool(_store(request).record, name, wrenches, block)
-    body = {**_took(name, len(wrenches), took), **_standing(took.tally)}
-    return json_reply(body, 200 if took.known else 201)
+    result = await run_in_threadpool(_store(request).record, name, wrenches, block)
+    body = {**_block_fields(name, len(wrenches), result), **_counts(result.tally)}
+    return json_reply(body, 200 if result.known else 201)
 
 
 @router.get("/recording", summary="What is recorded", response_model=schemas.Recording)
 def get_recording(name: str, request: Request) -> Response:
-    found = _store(request).recording(name)
-    stands = {"component": name, "outside": found.tally.outside, **_standing(found.tally)}
-    return json_reply({**stands, "reason": _thinning(found.tally), "wrenches": found.wrenches})
+    recording = _store(request).recording(name)
+    tally = recording.tally
+    counts = {"component": name, "outside": tally.outside, **_counts(tally)}
+    return json_reply({**counts, "reason": _thinning(tally), "wrenches": recording.wrenches})
 
 
 @router.delete("/recording", summary="Forget what is recorded", response_model=schemas.Cleared)
@@ -89,7 +94,7 @@ def clear_recording(name: str, request: Request) -> Response:
     openapi_extra=takes(StartBody),
 )
 async def solve_recording(name: str, request: Request) -> Response:
-    return await _started(name, request, StartBody, start_recording)
+    return await _started(name, request, StartBody, start_recording, _store(request))
 
 
 @blocks.post(
@@ -101,9 +106,9 @@ async def solve_recording(name: str, request: Request) -> Response:
 )
 async def widen_envelope(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
-    took = await run_in_threadpool(_store(request).widen, name, wrenches, block)
+    result = await run_in_threadpool(_store(request).widen, name, wrenches, block)
     envelope = await run_in_threadpool(_store(request).envelope, name)
-    return json_reply({**_took(name, len(wrenches), took), **_box(envelope)})
+    return json_reply({**_block_fields(name, len(wrenches), result), **_box(envelope)})
 
 
 @router.get(
@@ -154,7 +159,7 @@ def clear_envelope(name: str, request: Request) -> Response:
     openapi_extra=takes(EnvelopeStartBody),
 )
 async def solve_envelope(name: str, request: Request) -> Response:
-    return await _started(name, request, EnvelopeStartBody, start_envelope)
+    return await _started(name, request, EnvelopeStartBody, start_envelope, _store(request))
 
 
 @blocks.post(
@@ -165,20 +170,17 @@ async def solve_envelope(name: str, request: Request) -> Response:
     openapi_extra=takes(StartBody),
 )
 async def resolve_table(name: str, request: Request) -> Response:
-    def start(workspace: Workspace, _: RecordingStore, name: str, **order: Any) -> StartedSolves:
-        return start_resolving(workspace, name, **order)
-
-    return await _started(name, request, StartBody, start)
+    return await _started(name, request, StartBody, start_resolving)
 
 
 def _store(request: Request) -> RecordingStore:
     return request.app.state.recording_store
 
 
-async def _block(name: str, request: Request) -> tuple[Floats, Block | None]:
+async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] | None]:
     """Return a block's wrenches, shape (n, inputs), SI, and its key if it has one."""
     space = request.app.state.workspace.library.as_read(name).space
-    binary, body = is_binary(request), await read_limited(request.receive, MOST_BLOCK_BYTES)
+    binary, body = is_binary(request), await read_limited(request.receive, MAX_BLOCK_BYTES)
     if binary:
         wrenches, key = (
             read_wrenches(body, MAX_BLOCK, np.inf, space),
@@ -188,29 +190,29 @@ async def _block(name: str, request: Request) -> tuple[Floats, Block | None]:
         wrenches, key = await run_in_threadpool(read_block, body, len(space.inputs))
     if key.client is None or key.sequence is None:
         return wrenches, None
-    return wrenches, block_of(key.client, key.sequence, packed(wrenches))
+    return wrenches, (key.client, key.sequence)
 
 
-def _took(name: str, count: int, took: Took) -> dict[str, Any]:
+def _block_fields(name: str, count: int, result: BlockResult) -> dict[str, Any]:
     """Return the fields of a block's reply that recordings and envelopes share."""
-    remarks = [_thinning(took.tally)]
-    if took.known:
+    remarks = [_thinning(result.tally)]
+    if result.known:
         remarks.append("this block was recorded before; nothing has changed")
-    if took.outside:
+    if result.outside:
         remarks.append(
-            f"{took.outside} of these are outside the load range: they are kept, and solved only "
+            f"{result.outside} of these are outside the load range: they are kept, and solved only "
             "by a start with beyond_range true"
         )
     return {
         "component": name,
         "recorded": count,
-        "duplicate": took.known,
-        "outside": took.tally.outside,
+        "duplicate": result.known,
+        "outside": result.tally.outside,
         "reason": "; ".join(filter(None, remarks)),
     }
 
 
-def _standing(tally: Tally) -> dict[str, Any]:
+def _counts(tally: Tally) -> dict[str, Any]:
     return {
         "total": tally.offered,
         "kept": tally.offered - tally.merged - tally.thinned,
@@ -236,14 +238,16 @@ def _box(envelope: EnvelopeState) -> dict[str, Any]:
 
 
 async def _started(
-    name: str, request: Request, kind: type[Body], start: Callable[..., StartedSolves]
+    name: str,
+    request: Request,
+    kind: type[Body],
+    start: Callable[..., StartedSolves],
+    *store: RecordingStore,
 ) -> Response:
     """Queue solves by the options in the body."""
     order: Body = read_body(kind, await read_limited(request.receive))
-    state = request.app.state
-    how = state.workspace, state.recording_store, name
-    began = time.time()
-    started = await run_in_threadpool(start, *how, **order.model_dump())
+    workspace, began = request.app.state.workspace, time.time()
+    started = await run_in_threadpool(start, workspace, name, *store, **order.model_dump())
     links = [job_link(job, began) for job in started.jobs]
     body = {"component": name, **vars(started), "jobs": links}
     return json_reply(body, 202 if started.jobs else 200)

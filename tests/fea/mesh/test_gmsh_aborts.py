@@ -14,7 +14,7 @@ from wrenchbook.fea.check.reporting import report
 from wrenchbook.fea.component import mesh_of
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.service.files.program import child_command
-from wrenchbook.service.library.arrival import check_mesh
+from wrenchbook.service.library.bundles import check_mesh
 
 SIZE = 8.0  # mm: its mesh is beside a coarser one
 
