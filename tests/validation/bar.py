@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.validation.boxes import box
+from tests.validation.clamped import clamped, shipped
+from tests.validation.finding import Finding, case
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation.boxes import box
-from wrenchbook.fea.validation.clamped import clamped, shipped
-from wrenchbook.fea.validation.finding import Finding, case
 
 Array = np.ndarray
 

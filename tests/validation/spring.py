@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tests.validation.calculix import same_mesh
+from tests.validation.clamped import shipped
+from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation.calculix import same_mesh
-from wrenchbook.fea.validation.clamped import shipped
-from wrenchbook.fea.validation.finding import Finding, case
 
 Array = np.ndarray
 

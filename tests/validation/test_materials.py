@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.fea.calculix import require_ccx
+from tests.validation import calculix, laminate
+from tests.validation.calculix import worst_gap
+from tests.validation.finding import CASES
+from tests.validation.materials import SQUEEZE, rubber_block
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation import calculix, laminate
-from wrenchbook.fea.validation.calculix import worst_gap
-from wrenchbook.fea.validation.finding import CASES
-from wrenchbook.fea.validation.materials import SQUEEZE, rubber_block
 
 
 def findings(name):

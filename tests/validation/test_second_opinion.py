@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.fea.calculix import require_ccx
+from tests.validation import calculix, second_opinion
+from tests.validation.second_opinion import difference, main
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.validation import calculix, second_opinion
-from wrenchbook.fea.validation.second_opinion import difference, main
 
 WRENCH = "--wrench=100,50,-80,10,20,5"
 

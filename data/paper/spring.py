@@ -9,12 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation.clamped import shipped
-from wrenchbook.fea.validation.finding import Finding
-from wrenchbook.fea.validation.spring import PRINTED_14, Rod, rod_of
-from wrenchbook.service.client import Client
-from wrenchbook.service.paper.part import (
+from data.paper.part import (
     PAPER,
     Curve,
     Effort,
@@ -25,7 +20,12 @@ from wrenchbook.service.paper.part import (
     Vector,
     apart,
 )
-from wrenchbook.service.paper.scenes import press
+from data.paper.scenes import press
+from tests.validation.clamped import shipped
+from tests.validation.finding import Finding
+from tests.validation.spring import PRINTED_14, Rod, rod_of
+from wrenchbook.fea.solve import Solver
+from wrenchbook.service.client import Client
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ LOOP = 1e-6  # of the third level against the second
 ROD_FORCE, ROD_ROTATION = (
     5e-3,
     1e-2,
-)  # of the solver against rod theory, as `validate spring` holds it
+)  # of the solver against rod theory, as `make validate` holds it
 SOLVE_S = 300.0
 
 _LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")

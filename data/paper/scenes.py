@@ -9,14 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from data.paper.part import Mask, Vector
 from wrenchbook.service.client.mount.mujoco_checks import engine
 from wrenchbook.service.client.mount.mujoco_mount import MujocoMount
-from wrenchbook.service.paper.part import Mask, Vector
 
-_HERE = Path(__file__).resolve()
-# As with the shipped components: a wheel has the scene in this room, a checkout where users look.
-_INSTALLED, _CHECKOUT = _HERE.with_name("scenes"), _HERE.parents[2] / "data" / "scenes"
-ARM = (_INSTALLED if _INSTALLED.is_dir() else _CHECKOUT) / "arm.xml"
+ARM = Path(__file__).parents[1] / "scenes" / "arm.xml"
 
 BLOCK_WEIGHT = 0.01 * 9.81  # N, of a block of 10 g: it shows that the sign is right
 # Steps that a load stays: the pose follows the answer, and the lever moves with the pose; each

@@ -1,4 +1,4 @@
-"""Reproduce the paper: ``python -m wrenchbook.service.paper FOLDER [--quick]``.
+"""Reproduce the paper: ``python -m data.paper FOLDER [--quick]``.
 
 Writes ``paper.html`` and ``paper.json`` into the folder, prints a table of what was found, and ends
 with status 1 if a band is missed. It runs in a process of its own, as every solve does, next to a
@@ -21,13 +21,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from data.paper.arm import arm
+from data.paper.bar import tip_load
+from data.paper.page import HEAD, as_page, lines_of
+from data.paper.part import PAPER, QUICK, WHOLE, Effort, Heard
+from data.paper.spring import spring
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.durable import write_whole_bytes
-from wrenchbook.service.paper.arm import arm
-from wrenchbook.service.paper.bar import tip_load
-from wrenchbook.service.paper.page import HEAD, as_page, lines_of
-from wrenchbook.service.paper.part import PAPER, QUICK, WHOLE, Effort, Heard
-from wrenchbook.service.paper.spring import spring
 from wrenchbook.service.workers.private import private_server
 
 PARTS = {"bar": tip_load, "spring": spring, "arm": arm}

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tests.validation.boxes import box
+from tests.validation.clamped import clamped
+from tests.validation.finding import Finding, case
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation.boxes import box
-from wrenchbook.fea.validation.clamped import clamped
-from wrenchbook.fea.validation.finding import Finding, case
 
 Array = np.ndarray
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.validation.boxes import box
+from tests.validation.calculix import same_mesh
+from tests.validation.clamped import clamped
+from tests.validation.finding import Finding, case
+from tests.validation.patch import MATERIAL, distort
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.coupling.rotation import rotation, skew
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation.boxes import box
-from wrenchbook.fea.validation.calculix import same_mesh
-from wrenchbook.fea.validation.clamped import clamped
-from wrenchbook.fea.validation.finding import Finding, case
-from wrenchbook.fea.validation.patch import MATERIAL, distort
 
 Array = np.ndarray
 

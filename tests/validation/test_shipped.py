@@ -10,7 +10,7 @@ from tests.fea.solver.test_linear import beam_compliance
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.solve import Solver
 
-SHIPPED = Path(__file__).parents[3] / "data" / "components"
+SHIPPED = Path(__file__).parents[2] / "data" / "components"
 
 
 @pytest.fixture(scope="module")

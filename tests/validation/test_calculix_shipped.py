@@ -11,9 +11,9 @@ import pytest
 
 from tests.fea.calculix import require_ccx
 from tests.fea.tets import in_tets
-from wrenchbook.fea.validation.calculix import same_mesh
-from wrenchbook.fea.validation.clamped import shipped
-from wrenchbook.fea.validation.plate import WRENCH
+from tests.validation.calculix import same_mesh
+from tests.validation.clamped import shipped
+from tests.validation.plate import WRENCH
 
 pytestmark = pytest.mark.ccx
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import linregress
 
-from wrenchbook.service.paper.spring import line_through
+from data.paper.spring import line_through
 
 
 def test_slope_and_standard_error_are_scipys():

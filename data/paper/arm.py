@@ -10,11 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation.clamped import shipped
-from wrenchbook.fea.validation.finding import Finding
-from wrenchbook.service.client import Client
-from wrenchbook.service.paper.part import (
+from data.paper.part import (
     LOADS,
     OUTPUTS,
     Curve,
@@ -25,7 +21,11 @@ from wrenchbook.service.paper.part import (
     Plot,
     Vector,
 )
-from wrenchbook.service.paper.scenes import LoopRun, move_arm
+from data.paper.scenes import LoopRun, move_arm
+from tests.validation.clamped import shipped
+from tests.validation.finding import Finding
+from wrenchbook.fea.solve import Solver
+from wrenchbook.service.client import Client
 
 METHODS = (None, "griddata")  # None: the table's own choice
 # Of each output's range over the trajectory, worst output, RMS: an engineer's one per cent.

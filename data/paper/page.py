@@ -7,7 +7,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from wrenchbook.service.paper.part import OUTPUTS
+from data.paper.part import OUTPUTS
 from wrenchbook.service.report.page import STYLE, section_html
 from wrenchbook.service.report.text import ReportSection
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.linalg import eigh
 
+from tests.validation.clamped import shipped
+from tests.validation.finding import Finding, case
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
-from wrenchbook.fea.validation.clamped import shipped
-from wrenchbook.fea.validation.finding import Finding, case
 
 _MODES = 12
 _CARRIED = 2.0  # kg, of the order of the parts' own mass

@@ -1,6 +1,6 @@
 """A user's own component by CalculiX too.
 
-``python -m wrenchbook.fea.validation.second_opinion FOLDER`` runs it.
+``python -m tests.validation.second_opinion FOLDER`` runs it.
 
 The same mesh, materials, supports and loads, each solver on its own: a table of the differences,
 and status 1 if one is beyond its tolerance. CalculiX does not report the motion of a distributing
@@ -21,6 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.validation import calculix
+from tests.validation.calculix import LINEAR, NONLINEAR
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.element.pressure_projection import projects
@@ -29,8 +31,6 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
-from wrenchbook.fea.validation import calculix
-from wrenchbook.fea.validation.calculix import LINEAR, NONLINEAR
 
 Array = np.ndarray
 
@@ -185,7 +185,7 @@ def table(opinion: Opinion) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare the bundle that the arguments name; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.validation.second_opinion")
+    parser = argparse.ArgumentParser(prog="python -m tests.validation.second_opinion")
     parser.add_argument("--wrench", action="append", default=[], metavar="FX,FY,FZ,MX,MY,MZ")
     parser.add_argument("--timeout", type=float, default=TIMEOUT, help="s for each CalculiX run")
     parser.add_argument("--json", action="store_true", help="print one JSON array")

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wrenchbook.fea.validation import __main__ as validate
-from wrenchbook.fea.validation import calculix, plate
-from wrenchbook.fea.validation.clamped import shipped
-from wrenchbook.fea.validation.finding import CASES, TOPICS, Case, Finding, case
-from wrenchbook.fea.validation.spring import PRINTED_14, rod_of
+from tests.validation import __main__ as validate
+from tests.validation import calculix, plate
+from tests.validation.clamped import shipped
+from tests.validation.finding import CASES, TOPICS, Case, Finding, case
+from tests.validation.spring import PRINTED_14, rod_of
 
-PAGE = Path(validate.__file__).parents[1] / "README.md"
+PAGE = Path(__file__).parents[2] / "fea" / "README.md"
 REFERENCE = (
     (0.5, 0.114644, 0.121148, 0.29113),
     (1, 0.231012, 0.244179, 0.581903),
@@ -29,7 +29,7 @@ REFERENCE = (
 )
 """Shortening (mm), turn by equation 14 as printed and by rod theory (degrees), force (N).
 
-Computed apart from this project, from the formulas that `fea.validation.spring` names.
+Computed apart from this project, from the formulas that `tests/validation.spring` names.
 """
 
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from wrenchbook.fea.validation.boxes import box
-from wrenchbook.fea.validation.finding import Finding, case
-from wrenchbook.fea.validation.patch import body_of, on_the_surface, solve_with_boundary
+from tests.validation.boxes import box
+from tests.validation.finding import Finding, case
+from tests.validation.patch import body_of, on_the_surface, solve_with_boundary
 
 Array = np.ndarray
 

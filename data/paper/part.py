@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.fea.validation.finding import Finding
+from tests.validation.finding import Finding
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""Run the verification suite: ``python -m wrenchbook.fea.validation [TOPIC]``.
+"""Run the verification suite: ``python -m tests.validation [TOPIC]``.
 
 Prints one line for each finding and ends with status 1 if one is beyond its tolerance. It runs in
 a process of its own, as every solve does: the command line never imports the finite elements.
@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from wrenchbook.fea.validation import (
+from tests.validation import (
     bar,
     curved_beam,
     laminate,
@@ -26,7 +26,7 @@ from wrenchbook.fea.validation import (
     supports,
     vibration,
 )
-from wrenchbook.fea.validation.finding import CASES, TOPICS, Case, Finding
+from tests.validation.finding import CASES, TOPICS, Case, Finding
 
 __all__ = ["MODULES", "main", "markdown", "replace_table", "run"]
 
@@ -113,9 +113,7 @@ def _plain(topic: str, found: list[tuple[Case, Finding]]) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run what the arguments ask for; return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m wrenchbook.fea.validation", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="python -m tests.validation", description=__doc__)
     parser.add_argument("topic", nargs="?", default="all", choices=(*TOPICS, "all"))
     shape = parser.add_mutually_exclusive_group()
     shape.add_argument("--markdown", action="store_true", help="print Markdown tables")

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation.clamped import shipped
-from wrenchbook.fea.validation.finding import Finding
-from wrenchbook.service.client import Client
-from wrenchbook.service.client.rotation import rotation_matrix
-from wrenchbook.service.paper.part import (
+from data.paper.part import (
     PAPER,
     Curve,
     Effort,
@@ -20,7 +14,13 @@ from wrenchbook.service.paper.part import (
     Vector,
     apart,
 )
-from wrenchbook.service.paper.scenes import press
+from data.paper.scenes import press
+from tests.validation.clamped import shipped
+from tests.validation.finding import Finding
+from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.solve import Solver
+from wrenchbook.service.client import Client
+from wrenchbook.service.client.rotation import rotation_matrix
 
 LEVERS = (0.0, 0.1)  # m: as in the figure, and with a moment at the tip as well
 # Euler's bar leaves out shear and the clamp's grip on lateral contraction: 0.2 % at this length.

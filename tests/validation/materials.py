@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.validation.boxes import box
+from tests.validation.calculix import same_mesh
+from tests.validation.clamped import clamped
+from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.schema import Material
-from wrenchbook.fea.validation.boxes import box
-from wrenchbook.fea.validation.calculix import same_mesh
-from wrenchbook.fea.validation.clamped import clamped
-from wrenchbook.fea.validation.finding import Finding, case
 
 Array = np.ndarray
 
