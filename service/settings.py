@@ -82,6 +82,5 @@ def settings_of_options(options: Mapping[str, Any]) -> Settings:
         keep=keep,
         method=options["method"],
         access_log=options["access_log"],
-        opentelemetry=options["opentelemetry"],
         processes=options["processes"],
     )
