@@ -56,7 +56,6 @@ class Settings:
     keep: Keep = KEEP
     method: str | None = None
     access_log: bool = False
-    opentelemetry: bool = False
     processes: int = 1
 
 

@@ -15,8 +15,7 @@ from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
-from wrenchbook.service.jobs.attempt import attempt_folder
-from wrenchbook.service.jobs.record_outcome import notes_of
+from wrenchbook.service.jobs.attempt import Attempt, attempt_folder, notes_of
 from wrenchbook.service.jobs.waiting import Polls
 from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError, OpenJob
 from wrenchbook.service.ledger.watch import Watcher
@@ -243,7 +242,9 @@ class Workspace:
 
     def notes(self, job: JobRecord) -> list[str]:
         """Return the solver's notes on the answer of a done job."""
-        return notes_of(job, self.attempt_folder(job)) if job.status == "done" else []
+        if job.status != "done":
+            return []
+        return notes_of(Attempt.of(job, self.attempt_folder(job)))
 
     def attempt_folder(self, job: JobRecord) -> Path:
         """Return the folder of a job's latest attempt."""
