@@ -265,9 +265,8 @@ class FastPathProtocol(HttpToolsProtocol):
         if self._partial or not self._in_request:
             data, self._partial = self._partial + data, b""
             # No other request is being answered, and the caller reads answers.
-            is_busy = not self._is_answered() or self.flow.write_paused
-            is_busy = is_busy or self.transport.is_closing()
-            if self._fast is not None and not is_busy and self._answer(self._fast, data):
+            free = not self.flow.write_paused and not self.transport.is_closing()
+            if self._fast and free and self._is_answered() and self._answer(self._fast, data):
                 return
         self._unset_keepalive_if_required()
         try:
@@ -426,7 +425,14 @@ class FastPathProtocol(HttpToolsProtocol):
         known = fast.answer(head, data[head.size :]) if missing == 0 else {}
         if isinstance(known, bytes):
             self._in_request, self._used = False, True
-            self._write(head, known)
+            fields = self.server_state.default_headers
+            self.transport.write(reply_bytes(fields, head, known, close=self._is_last))
+            self.server_state.total_requests += 1
+            self._answered_at = self.loop.time()
+            if self._is_last:
+                self.transport.close()
+            elif self.timeout_keep_alive_task is None:
+                self._close_after(self.timeout_keep_alive)
             return True
         self._known = known
         return False
@@ -434,18 +440,6 @@ class FastPathProtocol(HttpToolsProtocol):
     def _is_answered(self) -> bool:
         """Return whether no request of the application is being answered."""
         return self.cycle is None or self.cycle.response_complete
-
-    def _write(self, head: Head, content: bytes) -> None:
-        """Write a 200; the time until an idle connection is closed begins anew."""
-        fields = self.server_state.default_headers
-        self.transport.write(reply_bytes(fields, head, content, close=self._is_last))
-        self.server_state.total_requests += 1
-        if self._is_last:
-            self.transport.close()
-            return
-        self._answered_at = self.loop.time()
-        if self.timeout_keep_alive_task is None:
-            self._close_after(self.timeout_keep_alive)
 
     def _check_timeouts(self) -> None:
         """Close a connection that keeps the server waiting for too long."""
