@@ -14,8 +14,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events.watch import Watch
 from wrenchbook.service.http import instrumentation, openapi, problems
-from wrenchbook.service.http.access import AccessControl, SecuritySettings
-from wrenchbook.service.http.access.permission import Rates
+from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings
 from wrenchbook.service.http.fast_path import FastPath
 from wrenchbook.service.http.routes import (
     components,

@@ -15,8 +15,7 @@ from httptools import HttpParserError, HttpParserUpgrade, HttpRequestParser
 from starlette.datastructures import State
 
 from wrenchbook.service.answering.one import answer_at_once
-from wrenchbook.service.http.access.headers import PLAIN
-from wrenchbook.service.http.access.permission import PERMISSION, Permission
+from wrenchbook.service.http.access import PERMISSION, PLAIN, Permission
 from wrenchbook.service.http.instrumentation import HEADER, id_of
 from wrenchbook.service.http.parsing import read_plain_query
 from wrenchbook.service.http.replies import plain_content

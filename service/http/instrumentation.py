@@ -15,7 +15,7 @@ from typing import Any, Final
 from fastapi import FastAPI
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from wrenchbook.service.http.access.headers import sending
+from wrenchbook.service.http.access import sending
 from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
 from wrenchbook.service.ops.counts import Counts
 from wrenchbook.service.ops.logs import REQUEST_ID

@@ -15,8 +15,7 @@ from wrenchbook.service.answering.many import answer_or_submit_many
 from wrenchbook.service.answering.one import answer_or_submit
 from wrenchbook.service.answering.queries import BatchQuery, Query
 from wrenchbook.service.contract import CONTRACT_TEXT
-from wrenchbook.service.http.access import Permission, permission_of
-from wrenchbook.service.http.access.control import beyond_scope
+from wrenchbook.service.http.access import Permission, beyond_scope, permission_of
 from wrenchbook.service.http.batch import (
     BINARY_BODY,
     BINARY_REPLY,

@@ -12,7 +12,7 @@ from starlette.types import Receive, Scope, Send
 
 from wrenchbook.service.events.feed import Feed, Listener, TooManyListenersError
 from wrenchbook.service.events.watch import Watch
-from wrenchbook.service.http.access.permission import permission_of
+from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened

@@ -9,7 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service.formats import text_problem
-from wrenchbook.service.http.access.permission import permission_of
+from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.openapi import answers, refused, takes
