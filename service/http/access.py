@@ -459,7 +459,7 @@ def sending(send: Send, path: str, origin: bytes | None) -> Send:
             fields = list(message.get("headers", ()))
             present = {name.lower() for name, _ in fields}
             # The main call's reply is the same on both paths.
-            more = [*(_ALWAYS[:1] if main and not origin else _ALWAYS)]
+            more: list[tuple[bytes, bytes]] = list(_ALWAYS[:1] if main and not origin else _ALWAYS)
             if not main and path.startswith("/v1/"):
                 kind = next(
                     (value for name, value in fields if name.lower() == b"content-type"), b""

@@ -128,6 +128,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         description=f"The wrench contract:\n\n{CONTRACT_TEXT}",
         lifespan=lifespan,
         redirect_slashes=False,
+        strict_content_type=False,  # programs may leave it out, see `access`
         **openapi.OPTIONS,
     )
     app.state.counts = counts

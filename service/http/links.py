@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 from urllib.parse import urlencode
 
 from starlette.responses import Response
 
 from wrenchbook.service.ledger import JobRecord
+from wrenchbook.service.messages import JobLink
 
 
-def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
+def job_link(job: JobRecord, since: float | None = None) -> JobLink:
     """Return the short form of a job, as displacement answers carry it.
 
     `since`, the start of the request that queued it, s, adds whether the job is the request's own.
     """
-    own = {} if since is None else {"new": job.created >= since}
-    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}", **own}
+    link = JobLink(id=job.id, status=job.status)
+    return link if since is None else replace(link, new=job.created >= since)
 
 
 def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:

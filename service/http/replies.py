@@ -14,6 +14,7 @@ from wrenchbook.service.answering.queries import BatchOutcome, Outcome, QueuedWr
 from wrenchbook.service.contract import COVERAGE, OUTPUTS, by_part
 from wrenchbook.service.http.batch import BINARY_TYPE
 from wrenchbook.service.http.links import job_link
+from wrenchbook.service.messages import Message
 from wrenchbook.surrogate.answer import within_tolerance_many
 
 Floats = NDArray[np.float64]
@@ -22,7 +23,7 @@ PIECE = 20_000  # wrenches laid out at once, in hundredths of a second
 
 
 def json_reply(
-    fields: dict[str, Any], status: int = 200, headers: dict[str, str] | None = None
+    fields: dict[str, Any] | Message, status: int = 200, headers: dict[str, str] | None = None
 ) -> Response:
     """Write a body; what is not finite is null, never a number."""
     content = orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)
@@ -47,7 +48,7 @@ def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
     if not outcome.unsolved:
         return json_reply(fields)
     job = fields.setdefault("job", None)
-    return json_reply(fields, 202, {"Location": job["url"]} if job else None)
+    return json_reply(fields, 202, {"Location": job.url} if job else None)
 
 
 def plain_content(outcome: Outcome) -> bytes:
@@ -167,7 +168,7 @@ def _wrench_job(one: QueuedWrench) -> dict[str, Any]:
     if one.job is None:
         none = {"id": None, "status": None, "url": None, "reason": one.reason}
         return {"index": one.index, **none}
-    return {"index": one.index, **job_link(one.job)}
+    return {"index": one.index, **vars(job_link(one.job))}
 
 
 def _known(derivative: Floats | None) -> Floats | None:

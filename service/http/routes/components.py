@@ -15,7 +15,7 @@ from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
-from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
+from wrenchbook.service.http.body import MAX_QUERY_BYTES, JsonRoute, form_of, read_limited
 from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
@@ -23,7 +23,6 @@ from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.scenes import need_from
-from wrenchbook.service.http.schemas import Queued
 from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES
 from wrenchbook.service.library.catalogue import CatalogueCard
 from wrenchbook.service.library.component import (
@@ -33,13 +32,14 @@ from wrenchbook.service.library.component import (
     vibration_of,
     warnings_of,
 )
+from wrenchbook.service.messages import Queued
 from wrenchbook.service.tables.rows import warning_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import Tolerance
 
-router = APIRouter(prefix="/v1/components", tags=["components"])
+router = APIRouter(prefix="/v1/components", tags=["components"], route_class=JsonRoute)
 CATCH_UP_S = 25.0
 _BUNDLE = {
     "type": "object",
@@ -130,7 +130,7 @@ async def add_component(request: Request, workspace: Opened) -> Response:
 
 async def _add_bundle(workspace: Workspace, request: Request) -> Component:
     # The archive may be as large as a bundle, and its form has a head.
-    async with form_of(request, MAX_BUNDLE_BYTES + MOST_QUERY_BYTES, most_files=1) as form:
+    async with form_of(request, MAX_BUNDLE_BYTES + MAX_QUERY_BYTES, most_files=1) as form:
         upload = form.get("bundle")
         if not isinstance(upload, UploadFile):
             raise bad_body([{"loc": "bundle", "msg": "send the zip as the form's file 'bundle'"}])
@@ -148,16 +148,8 @@ def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component
     responses=answers(Queued, "the interpolation error is within the tolerance")
     | answers(Queued, "solves are queued", 202)
     | refused(404, 409, 422),
-    openapi_extra=takes(FillBody),
 )
-async def fill(name: str, request: Request, workspace: Opened) -> Response:
-    order = read_body(FillBody, await read_limited(request.receive))
-    reply = await run_in_threadpool(_fill, workspace, name, order)
-    return json_reply(reply, 202 if reply["jobs"] else 200)
-
-
-def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
-    """Design one round of solves on the newest table and accept them."""
+def fill(name: str, workspace: Opened, order: FillBody) -> Response:
     began = time.time()
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
     need, component = None, workspace.library[name]
@@ -179,12 +171,9 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     fewer = (
         f"{len(jobs)} of at most {order.budget} solves: " if 0 < len(jobs) < order.budget else ""
     )
-    return {
-        "component": name,
-        "jobs": [job_link(job, began) for job in jobs],
-        "stage": design.stage,
-        "reason": fewer + design.reason,
-    }
+    links = tuple(job_link(job, began) for job in jobs)
+    reply = Queued(component=name, jobs=links, stage=design.stage, reason=fewer + design.reason)
+    return json_reply(reply, 202 if jobs else 200)
 
 
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:

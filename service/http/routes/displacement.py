@@ -26,7 +26,7 @@ from wrenchbook.service.http.batch import (
     read_binary,
 )
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
-from wrenchbook.service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
+from wrenchbook.service.http.body import MAX_BATCH_BYTES, Spooled, read_limited, spooled
 from wrenchbook.service.http.fast_path import QUERY
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import read_query, read_solve, refuse_query
@@ -122,7 +122,7 @@ async def displacements(name: str, request: Request) -> Response:
         read = partial(_read_binary, options=dict(request.query_params), space=space)
     else:
         refuse_query(request.query_params)
-    async with spooled(request.receive, MOST_BATCH_BYTES) as body:
+    async with spooled(request.receive, MAX_BATCH_BYTES) as body:
         asking = read if permission.allows("write") else partial(_asking, permission, read)
         batch = await run_in_threadpool(asking, body)
         async with few_large(len(batch.wrenches)):

@@ -53,7 +53,7 @@ def job_body(
     """
     space = _space(workspace, job)
     body: dict[str, Any] = {
-        **job_link(job),
+        **vars(job_link(job)),
         "component": job.component,
         **(space.by_name(job.wrench) if space else {"wrench": job.wrench}),
         "attempt": job.attempt,
