@@ -11,12 +11,12 @@ COPY requirements.lock requirements-cluster.lock ./
 RUN python -m venv /opt/wrenchbook \
     && /opt/wrenchbook/bin/pip install --no-cache-dir --require-hashes \
         -r requirements.lock -r requirements-cluster.lock
-COPY pyproject.toml hatch_build.py README.md LICENSE wrenchbook.py ./
+COPY pyproject.toml hatch_build.py README.md LICENSE ./
+COPY src src
 COPY fea fea
 COPY surrogate surrogate
 COPY service service
 COPY data/components data/components
-COPY data/scenes/arm.xml data/scenes/
 RUN /opt/wrenchbook/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
 
 FROM base

@@ -26,10 +26,6 @@ $(VENV)/.installed: $(BIN)/python requirements.lock pyproject.toml
 	$(PIP) install --require-hashes -r requirements.lock
 	@command -v $${CC:-cc} >/dev/null || $(PIP) install --require-hashes -r requirements-zig.lock
 	$(PIP) install --no-deps --no-build-isolation -e .
-	@# Links for type checker and import-linter: the packages under their imported names.
-	@mkdir -p $(VENV)/face/wrenchbook
-	@ln -sfn ../../../wrenchbook.py $(VENV)/face/wrenchbook/__init__.py
-	@for package in fea surrogate service; do ln -sfn ../../../$$package $(VENV)/face/wrenchbook/$$package; done
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
@@ -65,7 +61,7 @@ types: $(VENV)/.installed-dev
 
 # import rules of pyproject.toml by import-linter
 arch: $(VENV)/.installed-dev
-	cd $(VENV)/face && ../bin/lint-imports --config ../../pyproject.toml
+	$(BIN)/lint-imports
 
 # files a package, import cycles, lengths, duplicates, units in docstrings
 house: $(VENV)/.installed-dev
@@ -103,12 +99,15 @@ soak: $(VENV)/.installed-dev
 soak-recording: $(VENV)/.installed-dev
 	WRENCHBOOK_SOAK=60 $(BIN)/python -m pytest tests/service/test_recording_killed.py -s --timeout 900
 
-validate: setup  ## verify the solver by closed forms, published numbers and CalculiX
-	$(BIN)/wrenchbook validate all
+validate: $(VENV)/.installed-dev  ## verify the solver by closed forms, published numbers and CalculiX
+	$(BIN)/python -m tests.validation all
+
+paper: $(VENV)/.installed-dev  ## reproduce the coupling paper with MuJoCo: build/paper/paper.html
+	$(BIN)/python -m data.paper build/paper
 
 # the same, and write its tables into fea/README.md
-validate-table: setup
-	$(BIN)/python -m wrenchbook.fea.validation all --update fea/README.md
+validate-table: $(VENV)/.installed-dev
+	$(BIN)/python -m tests.validation all --update fea/README.md
 
 # same mesh as CalculiX: the slow cases, about ten minutes
 validate-ccx: $(VENV)/.installed-dev

@@ -14,12 +14,6 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 KERNEL = Path("surrogate") / "kernel"
-# Files that lie elsewhere in a wheel, below `wrenchbook/`.
-FILES = {
-    "wrenchbook.py": "__init__.py",
-    "service/cli/__main__.py": "__main__.py",
-    "service/client/py.typed": "py.typed",
-}
 
 
 class CustomBuildHook(BuildHookInterface):
@@ -40,9 +34,8 @@ class CustomBuildHook(BuildHookInterface):
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{platform}"
         if version != "editable":  # an editable install reads the checkout
-            files = {**FILES, str(library): f"{KERNEL.as_posix()}/{library.name}"}
-            for source, place in files.items():
-                build_data["force_include"][source] = f"wrenchbook/{place}"
+            place = f"wrenchbook/{KERNEL.as_posix()}/{library.name}"
+            build_data["force_include"][str(library)] = place
 
 
 def _system(target: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wrenchbook.service.demand.demand import QueryStatistics
+from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
@@ -21,7 +21,8 @@ from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.jobs.engines.engine import Engine
 from wrenchbook.service.jobs.record_outcome import notes_of
 from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
-from wrenchbook.service.ledger import Change, JobRecord, Ledger, LedgerUnavailableError, OpenJob
+from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError, OpenJob
+from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
@@ -62,6 +63,7 @@ class Workspace:
         self.ledger = Ledger(settings.folder / "ledger.sqlite", patient=True)
         if trouble := self.ledger.trouble():
             log.error("nothing is accepted until this is repaired: %s", trouble)
+        self.watcher = Watcher(self.ledger)
         self.library = Library(
             settings.folder / "components",
             allow_decks=settings.allow_decks,
@@ -69,10 +71,10 @@ class Workspace:
             on_checked=self._on_checked,
             on_copy=self._on_copy,
         )
-        self.catalogue = Catalogue(settings.folder / "library.json")
-        self.query_counts = QueryStatistics(settings.folder / "demand.json")
+        self.catalogue = Catalogue(self.ledger)
+        self.query_counts = QueryStatistics(self.ledger)
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
-        self.errors = SolverErrors(settings.folder / "solver_errors")
+        self.errors = SolverErrors(self.ledger)
         self.tables = self._open_tables(settings.folder / "tables")
         self._retention = Retention(self.ledger, self._jobs_folder, settings.keep)
         self.fields = FieldStore(settings.folder / "fields")
@@ -91,7 +93,8 @@ class Workspace:
         threadpool_limits(limits=1)
         with suppress(LedgerUnavailableError):
             self.ledger.drop_abandoned()  # what a server left that was killed during an import
-        self.ledger.on_change(self._on_change)
+        self.watcher.on_change(self._on_commit)
+        self.watcher.start()
         self.tables.start()
         self.query_counts.start()
         self.start_solving()
@@ -109,6 +112,7 @@ class Workspace:
 
     def close(self) -> None:
         """Stop; the solves that run are ended and wait again for the next start."""
+        self.watcher.stop()
         self._retention.stop()
         if self._dispatcher and self._engine:
             self._dispatcher.stop()
@@ -380,8 +384,8 @@ class Workspace:
     def _bundle(self, name: str) -> Path:
         return self.library[name].folder
 
-    def _on_change(self, _: Change) -> None:
-        """Wake the callers that wait for a job; called from the thread that committed."""
+    def _on_commit(self) -> None:
+        """Wake the tables and the callers that wait for a job; for the watcher's thread."""
         self.tables.notify()
         loop = self._loop
         if loop is None or loop.is_closed():

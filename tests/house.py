@@ -21,8 +21,6 @@ import ast
 import io
 import re
 import statistics
-import sys
-import tempfile
 import tokenize
 import tomllib
 from collections import Counter, defaultdict
@@ -122,7 +120,7 @@ class Source:
 @cache
 def sources() -> tuple[Source, ...]:
     """Read the files of the rooms and the public face."""
-    paths = [ROOT / "wrenchbook.py"]
+    paths = [ROOT / "src/wrenchbook/__init__.py"]
     paths += [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
     texts = [(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")) for path in paths]
     return tuple(Source(path, text, ast.parse(text)) for path, text in texts)
@@ -131,20 +129,7 @@ def sources() -> tuple[Source, ...]:
 @cache
 def graph() -> grimp.ImportGraph:
     """Return who imports whom, imports inside functions and under TYPE_CHECKING included."""
-    imported = sys.modules.pop("wrenchbook", None)  # one file, which grimp takes for no package
-    with tempfile.TemporaryDirectory() as folder:
-        links = Path(folder) / "wrenchbook"
-        links.mkdir()
-        (links / "__init__.py").symlink_to(ROOT / "wrenchbook.py")
-        for room in ROOMS:
-            (links / room).symlink_to(ROOT / room)
-        sys.path.insert(0, folder)
-        try:
-            return grimp.build_graph("wrenchbook", cache_dir=None)
-        finally:
-            sys.path.remove(folder)
-            if imported is not None:
-                sys.modules["wrenchbook"] = imported
+    return grimp.build_graph("wrenchbook", cache_dir=None)
 
 
 def imports() -> dict[str, set[str]]:

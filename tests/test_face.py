@@ -13,7 +13,7 @@ import wrenchbook
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.files.program import child_command
 
-FACE = Path(wrenchbook.__file__)
+ROOT = Path(__file__).parents[1]
 
 
 def run_beside_strangers(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
@@ -35,7 +35,7 @@ def test_a_name_is_loaded_when_it_is_first_used_and_not_before():
         "print(sorted(name for name in sys.modules if name in ('fea', 'surrogate', 'service')))\n"
     )
     run = subprocess.run(
-        [sys.executable, "-c", code], cwd=FACE.parent, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert run.stdout.split("\n")[:2] == ["False False", "[]"]
 
@@ -63,12 +63,22 @@ def test_the_installed_command_runs_from_any_folder(tmp_path: Path):
     assert (run.returncode, run.stdout) == (0, f"wrenchbook {wrenchbook.__version__}\n"), run.stderr
 
 
-def test_every_python_process_is_started_in_the_one_way_that_finds_our_rooms():
+@pytest.mark.parametrize("package", ["fea", "surrogate", "service"])
+def test_a_package_is_imported_below_wrenchbook_alone(package: str):
+    """A second copy under its bare name had errors that no handler of the first one caught."""
+    run = subprocess.run(
+        [sys.executable, "-c", f"import {package}"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert run.returncode == 1
+    assert f"import wrenchbook.{package}" in run.stderr
+
+
+def test_every_child_process_is_started_by_its_modules_name():
     files = [
         path
-        for room in ("fea", "surrogate", "service")
-        for path in FACE.parent.glob(f"{room}/**/*.py")
-        if path != FACE.parent / "surrogate/kernel/build.py"  # runs ziglang, none of our rooms
+        for package in ("fea", "surrogate", "service")
+        for path in (ROOT / package).rglob("*.py")
+        if path != ROOT / "surrogate/kernel/build.py"  # runs ziglang
     ]
     starters = [path.name for path in files if "sys.executable" in path.read_text(encoding="utf-8")]
     assert starters == ["meshing.py", "program.py"]

@@ -28,7 +28,7 @@ release = version = wrenchbook.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 root_doc = "data/docs/index"
 include_patterns = ["data/docs/**.md", "data/docs/**.ipynb", "**README.md", "CHANGELOG.md"]
-exclude_patterns = [".*", "**/.*", "build", "dist", "tests", "wrenchbook-data"]
+exclude_patterns = [".*", "**/.*", "build", "dist", "src", "tests", "wrenchbook-data"]
 default_role = "code"
 suppress_warnings = ["misc.highlighting_failure"]  # replies with "..." in them
 
@@ -86,10 +86,9 @@ def start_server(app):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     app.data = tempfile.TemporaryDirectory()
-    program = [sys.executable, str(ROOT / "wrenchbook.py"), "serve", "--port", str(port)]
+    program = [sys.executable, "-m", "wrenchbook", "serve", "--port", str(port)]
     app.server = subprocess.Popen([*program, "--data", app.data.name], stdout=subprocess.DEVNULL)
     os.environ["WRENCHBOOK_SERVER"] = f"http://127.0.0.1:{port}"
-    os.environ["PYTHONPATH"] = str(ROOT)
 
 
 def end_server(app, error):

@@ -11,8 +11,7 @@ from rich.table import Table
 
 from wrenchbook.service.cli.connect import AsJson, print_json
 from wrenchbook.service.cli.screen import Screen
-from wrenchbook.service.keys import Keyring
-from wrenchbook.service.keys.record import MEGABYTES, RATE
+from wrenchbook.service.keys import MEGABYTES, RATE, Keyring
 
 DEFAULT_DATA = Path("wrenchbook-data")
 FIRST = "first"

@@ -28,18 +28,21 @@ def sync_tree(folder: Path) -> None:
     sync(folder)
 
 
-def write_whole_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
+def write_whole_bytes(
+    path: Path, content: bytes, *, durable: bool = True, mode: int = 0o666
+) -> None:
     """Write a file such that readers see all of it, or what was there before.
 
     Unless `durable` is false it is on disk for good when this returns.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
     try:
-        with partial.open("wb") as file:
+        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode)
+        with open(descriptor, "wb") as file:  # noqa: PTH123 (a descriptor)
             file.write(content)
             if durable:
                 file.flush()
-                os.fsync(file.fileno())
+                os.fsync(descriptor)
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)

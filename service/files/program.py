@@ -18,20 +18,8 @@ from typing import IO
 
 
 def child_command(module: str, *arguments: str) -> list[str]:
-    """Return the command line that runs a module of wrenchbook in a process of its own.
-
-    The child runs the wrenchbook that its parent runs, whatever the current folder or PYTHONPATH
-    hold: it is started by the path of the file.
-
-    Parameters
-    ----------
-    module : str
-        What ``python -m`` would be given, such as ``wrenchbook.fea.check``.
-    arguments : str
-        Its arguments.
-    """
-    start = sys.modules["wrenchbook"].__file__
-    return [sys.executable, "-P", str(start), "-m", module, *arguments]
+    """Return the command line that runs a module, such as ``wrenchbook.fea.check``, as a child."""
+    return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def run_child(module: str, *arguments: str, stdout: IO[str] | None = None) -> int:

@@ -1,19 +1,19 @@
 """Table files: CSV, XLSX, Parquet, JSON, HDF5 and MAT to rows in SI with named mistakes, and back.
 
 No HTTP, no ledger. The columns of a file are described in `header` (CSV, XLSX, Parquet),
-`json_table` and `binary_table`, its units in `units`, the limits of a row in `table_rows`.
+`json` and `arrow`, its units in `units`, the limits of a row in `rows`.
 """
 
-from wrenchbook.service.formats.binary_table import write_hdf5, write_parquet
+from wrenchbook.service.formats.arrow import write_hdf5, write_parquet
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.formats.column_names import Layout, layout
-from wrenchbook.service.formats.csv_table import csv_text
-from wrenchbook.service.formats.json_table import json_text
+from wrenchbook.service.formats.columns import Layout, layout
+from wrenchbook.service.formats.csv import csv_text
+from wrenchbook.service.formats.json import json_text
 from wrenchbook.service.formats.options import MOST_ZERO_ROWS, Options
-from wrenchbook.service.formats.table_file import MOST_PREVIEW, ReadResult, read_untrusted
-from wrenchbook.service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.read import MOST_PREVIEW, ReadResult, read_untrusted
+from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.service.formats.units import UnitError, chosen_units
-from wrenchbook.service.formats.xlsx_table import SheetFullError, write_xlsx
+from wrenchbook.service.formats.xlsx import SheetFullError, write_xlsx
 
 __all__ = [
     "MOST_PREVIEW",

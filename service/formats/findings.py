@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.formats.options import Options
-from wrenchbook.service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.surrogate.findings.find import MOST, find
 from wrenchbook.surrogate.findings.finding import RigFinding
 from wrenchbook.surrogate.table.rows import Rows

@@ -1,6 +1,6 @@
 """The header of a table of columns: which column is which, and in which unit.
 
-Columns, in the spellings of `column_names`: ``fx fy fz mx my mz`` (a missing one is a mistake
+Columns, in the spellings of `columns`: ``fx fy fz mx my mz`` (a missing one is a mistake
 unless the sender declares it zero), ``ux uy uz rx ry rz`` (at least one; a missing one, or an empty
 field, was not measured), ``ux_err`` ... ``rz_err`` (95 % half width; ``ux_std`` is half of it),
 ``dux/dfx [m/N]`` ... ``drz/dmz [rad/(N*m)]`` (the 36 tangents of a solve, all or none) and
@@ -19,7 +19,7 @@ from decimal import Decimal
 from itertools import chain
 
 from wrenchbook.service.formats.cells import is_number
-from wrenchbook.service.formats.column_names import ORIGIN, TEXTS, TIME_COLUMN, Columns, split
+from wrenchbook.service.formats.columns import ORIGIN, TEXTS, TIME_COLUMN, Columns, split
 from wrenchbook.service.formats.options import FileMistake, Options
 from wrenchbook.service.formats.preamble import Preamble, Record, split_titles
 from wrenchbook.service.formats.units import UnitError, product, quotient

@@ -10,8 +10,8 @@ from wrenchbook.service.formats.cells import Digits
 from wrenchbook.service.formats.json_reader import JsonError, JsonReader
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.preamble import Record
-from wrenchbook.service.formats.records import read_records
-from wrenchbook.service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.text import read_records
 
 _KEYS = (  # of a table in one object
     "units|contract|provenance|rows|component|table_version|inputs|outputs"

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from wrenchbook.service.formats.column_names import Columns, columns_of
+from wrenchbook.service.formats.columns import Columns, columns_of
 from wrenchbook.surrogate.findings.finding import RigFinding
 from wrenchbook.surrogate.table.rows import LoadRange
 from wrenchbook.surrogate.table.space import DEFAULT, Space

@@ -20,7 +20,7 @@ from decimal import Decimal, InvalidOperation
 from itertools import chain, islice
 
 from wrenchbook.service.formats.cells import is_number
-from wrenchbook.service.formats.column_names import MOST_LABEL, Columns
+from wrenchbook.service.formats.columns import MOST_LABEL, Columns
 from wrenchbook.service.formats.units import UnitError
 
 _MOST_TITLES = 30  # lines: a page of a report above its table

@@ -19,7 +19,7 @@ import numpy as np
 
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.table_rows import (
+from wrenchbook.service.formats.rows import (
     FEA,
     LOAD_LIMIT,
     MEASURED,

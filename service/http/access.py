@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import fcntl
 import os
 import time
@@ -19,12 +18,18 @@ from typing import Any, Final
 from starlette.types import Message, Receive, Send
 from starlette.types import Scope as HttpScope
 
-from wrenchbook.service.events.feed import Listener
+from wrenchbook.service.events import Listener
 from wrenchbook.service.http.body import counted
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.keys import Key, Keyring, Scope, digest_of
-from wrenchbook.service.keys.keyring import LOOK_S, MOST_KEYS
-from wrenchbook.service.keys.needed import OWN_KEY, is_loopback
+from wrenchbook.service.keys import (
+    MAX_KEYS,
+    OWN_KEY,
+    Key,
+    Keyring,
+    Scope,
+    digest_of,
+    is_loopback,
+)
 
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 PERMISSION: Final = "wrenchbook.permission"  # its key in a request's scope
@@ -150,7 +155,7 @@ class Rates:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     break
             with suppress(OSError):
-                content = os.pread(file, MOST_KEYS * _BUCKET.size, 0)
+                content = os.pread(file, MAX_KEYS * _BUCKET.size, 0)
         whole = len(content) - len(content) % _BUCKET.size
         buckets = {held: full for held, full in _BUCKET.iter_unpack(content[:whole]) if full > now}
         full = max(buckets.get(name, now), self._known.get(name, now))
@@ -245,12 +250,6 @@ class AccessControl:
         self._streams[listener] = permission
         if not self._holds(permission):  # since it was permitted
             listener.end()
-
-    async def watch(self) -> None:
-        """Look for changed keys: streams end with their key, and the fast path caches by head."""
-        while True:
-            await asyncio.sleep(LOOK_S)
-            self._look()
 
     async def pass_on(
         self, scope: HttpScope, receive: Receive, send: Send
@@ -356,7 +355,7 @@ class AccessControl:
         )
 
     def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
-        self._look()
+        self.refresh()
         if not self.keys_needed:
             return OPEN
         word, _, secret = head.get(b"authorization", b"").decode("latin-1").partition(" ")
@@ -373,8 +372,8 @@ class AccessControl:
             permission = self._permissions[secret] = Permission(key, self._rates)
         return permission
 
-    def _look(self) -> None:
-        """Drop cached permissions once a key has changed."""
+    def refresh(self) -> None:
+        """Once a key has changed, end its streams and drop cached permissions; for the loop."""
         if self.keyring.look() == self._version:
             return
         self._version = self.keyring.version

@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from wrenchbook.service.contract import CONTRACT_TEXT
-from wrenchbook.service.events.watch import Watch
+from wrenchbook.service.events import Events
 from wrenchbook.service.http import instrumentation, openapi, problems
 from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings
 from wrenchbook.service.http.fast_path import FastPath
@@ -107,17 +107,19 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         workspace = await run_in_threadpool(Workspace, settings)
         app.state.workspace = workspace
         app.state.recording_store = RecordingStore(workspace)
-        app.state.watch = watch = Watch(workspace)
-        app.state.metrics = metered = Metrics(workspace, counts, lambda: watch.feed.listeners)
+        app.state.events = events = Events(workspace)
+        app.state.metrics = metered = Metrics(workspace, counts, lambda: events.feed.listeners)
         loop = asyncio.get_running_loop()
-        key_watch = asyncio.create_task(app.state.access.watch())
+        access: AccessControl = app.state.access
         try:
-            watch.start(loop)
+            events.start(loop)
+            workspace.watcher.on_change(
+                lambda: loop.call_soon_threadsafe(access.refresh), access.keyring.look
+            )
             await run_in_threadpool(workspace.start, loop)
             yield
         finally:
-            key_watch.cancel()
-            await watch.stop()
+            await events.stop()
             await run_in_threadpool(metered.stop)
             await run_in_threadpool(workspace.close)
 

@@ -37,7 +37,6 @@ from wrenchbook.service.ledger import (
     UnknownRowError,
     UnknownVersionError,
 )
-from wrenchbook.service.library.catalogue import CatalogueError
 from wrenchbook.service.library.component import (
     ComponentExistsError,
     LibraryUnavailableError,
@@ -59,7 +58,6 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ComponentExistsError: (409, "component-exists", "The name is taken"),
     UnknownMethodError: (422, "method", "Not a method of this table"),
     OneWrenchError: (409, "one-wrench", "The call takes one wrench alone"),
-    CatalogueError: (507, "disk", "The library's notes cannot be written"),
     LibraryUnavailableError: (507, "disk", "The component cannot be written; nothing was added"),
     TableBehindError: (503, "table-behind", "The table is older than the ledger"),
     DamagedRowError: (500, "damaged-row", "A row is damaged on the disk"),

@@ -61,8 +61,8 @@ class Server(uvicorn.Server):
         limit = self.config.timeout_graceful_shutdown
         log.info("stopping: finishing requests, for %d s at most", limit)
         app = self.config.app
-        if isinstance(app, Application) and (watch := getattr(app.state, "watch", None)):
-            watch.feed.close()
+        if isinstance(app, Application) and (events := getattr(app.state, "events", None)):
+            events.feed.close()
             app.state.workspace.let_go()
         await super().shutdown(sockets)
         log.info("stopped; %d requests were answered", self.server_state.total_requests)

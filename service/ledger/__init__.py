@@ -3,7 +3,6 @@
 from wrenchbook.service.ledger.imports import About, ImportRecord
 from wrenchbook.service.ledger.ledger import Ledger
 from wrenchbook.service.ledger.packing import PackedRow, packed, packed_columns, unpacked
-from wrenchbook.service.ledger.recordings import Block, Kept, Kind, Tally, block_of
 from wrenchbook.service.ledger.records import (
     FINAL,
     STATUSES,
@@ -38,7 +37,6 @@ __all__ = [
     "STATUSES",
     "About",
     "Beat",
-    "Block",
     "BlockKeyError",
     "Change",
     "DamagedRowError",
@@ -46,8 +44,6 @@ __all__ = [
     "ImportRunningError",
     "InvalidTransitionError",
     "JobRecord",
-    "Kept",
-    "Kind",
     "Ledger",
     "LedgerDamagedError",
     "LedgerError",
@@ -63,12 +59,10 @@ __all__ = [
     "RowStatusError",
     "StaleAttemptError",
     "Status",
-    "Tally",
     "UnknownImportError",
     "UnknownJobError",
     "UnknownRowError",
     "UnknownVersionError",
-    "block_of",
     "packed",
     "packed_columns",
     "unpacked",

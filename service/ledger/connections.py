@@ -6,14 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from wrenchbook.service.ledger.records import (
-    Change,
-    LedgerError,
-    LedgerFileError,
-    LedgerUnavailableError,
-)
-from wrenchbook.service.ledger.repair import SEQUENCES, Acknowledged, Numbers
-from wrenchbook.service.ledger.schema import (
+from wrenchbook.service.ledger.connection import (
     USE_ERRORS,
     Connection,
     begin,
@@ -30,6 +23,13 @@ from wrenchbook.service.ledger.schema import (
     sync_log,
     unavailable,
 )
+from wrenchbook.service.ledger.records import (
+    Change,
+    LedgerError,
+    LedgerFileError,
+    LedgerUnavailableError,
+)
+from wrenchbook.service.ledger.repair import SEQUENCES, Acknowledged, Numbers
 
 _log = logging.getLogger(__name__)
 

@@ -15,10 +15,10 @@ from typing import Any
 
 from wrenchbook.service.files.lock import take
 from wrenchbook.service.ledger import rows
+from wrenchbook.service.ledger.connection import Connection, sequences
 from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import PackedRow
 from wrenchbook.service.ledger.records import Change, ImportRunningError, UnknownImportError
-from wrenchbook.service.ledger.schema import Connection, sequences
 
 HOLD_SECONDS = 0.03
 """Target of one transaction of an import, and so how long others wait for the ledger."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from wrenchbook.service.ledger import rows, states
+from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
 from wrenchbook.service.ledger.records import STATUSES, JobRecord, OpenJob, Status, UnknownJobError
-from wrenchbook.service.ledger.schema import Connection
 
 _log = logging.getLogger(__name__)
 

@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from wrenchbook.service.ledger import jobs, rows, states
+from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.imports import ImportTable
 from wrenchbook.service.ledger.packing import pack_vector
-from wrenchbook.service.ledger.recordings import Recordings
 from wrenchbook.service.ledger.records import (
     Beat,
     Change,
@@ -16,15 +16,14 @@ from wrenchbook.service.ledger.records import (
     OpenJob,
     Status,
 )
-from wrenchbook.service.ledger.schema import Connection
 from wrenchbook.service.ledger.tables import TableRows
 
 # Leases of owners that were killed without a job are deleted then.
 FORGOTTEN_SECONDS = 24 * 3600.0
 
 
-class Ledger(jobs.Jobs, TableRows, ImportTable, Recordings):
-    """Jobs, rows and recordings in one SQLite file, for many threads and several processes at once.
+class Ledger(jobs.Jobs, TableRows, ImportTable):
+    """Jobs and rows in one SQLite file, for many threads and several processes at once.
 
     A method that returned has committed to disk; one that raised changed nothing. Parameters and
     errors are those of `Database`.

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from wrenchbook.service.ledger import rows
-from wrenchbook.service.ledger.records import NewRow
-from wrenchbook.service.ledger.schema import (
+from wrenchbook.service.ledger.connection import (
     USE_ERRORS,
     Connection,
     connect,
@@ -26,12 +25,13 @@ from wrenchbook.service.ledger.schema import (
     raise_sequences,
     sequences,
 )
+from wrenchbook.service.ledger.records import NewRow
 
 SEQUENCES = ("jobs", "rows")  # of sqlite_sequence; rows and edits share one
 _DIGEST = 8  # bytes
 _TABLES = (
     *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
-    *("imports", "import_parts"),
+    *("imports", "import_parts", "catalogue", "demand", "solver_errors"),
 )
 _MOST_ROWID = 10_000_000  # where the highest number is unknown
 _MOST_NUMBER = 1 << 48  # larger numbers are damaged

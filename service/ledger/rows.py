@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import (
     PackedRow,
     row_key,
@@ -24,7 +25,6 @@ from wrenchbook.service.ledger.records import (
     RowStatusError,
     UnknownRowError,
 )
-from wrenchbook.service.ledger.schema import Connection
 
 COLUMNS = (
     "seq, component, fingerprint, source, wrench, displacement, compliance, curvature, "

@@ -1,318 +1,199 @@
-"""The ledger's SQLite file: opening, checking, upgrading and copying it, and its errors.
+"""The SQL of the ledger's tables, and the steps from the schemas of released versions."""
 
-The one file that imports sqlite3. WAL with ``synchronous=FULL``: when a transaction has
-returned, it survives a power cut.
+APPLICATION_ID = 0x77726E63  # "wrnc": tells a ledger from other programs' SQLite files
+VERSION = 13  # of TABLES; raise it, and add a step from the previous one, with each change
+
+# `wrench`, `displacement` and their kin are float64, little-endian, of any number of loads and
+# outputs; see packing.py.
+_WRENCH = "wrench BLOB NOT NULL CHECK (length(wrench) >= 48 AND length(wrench) % 8 = 0)"
+_CURVATURE = """curvature BLOB CHECK (length(curvature) * 6
+        = length(wrench) * (length(wrench) / 8 + 1) * (length(wrench) / 8 + 2))"""
+_RIG = "rig TEXT NOT NULL DEFAULT ''"
+_FINDINGS = "findings TEXT NOT NULL DEFAULT '[]'"
+
+# Notes on components and which are archived; JSON of the queries that no table covered, and of the
+# error of the solver of a setup.
+_STATE = """
+    CREATE TABLE catalogue (
+        component TEXT PRIMARY KEY,
+        notes TEXT NOT NULL,
+        archived INTEGER NOT NULL CHECK (archived IN (0, 1)),
+        renamed_to TEXT,
+        copied_from TEXT
+    );
+    CREATE TABLE demand (
+        component TEXT PRIMARY KEY,
+        counts TEXT NOT NULL
+    );
+    CREATE TABLE solver_errors (
+        component TEXT NOT NULL,
+        fingerprint TEXT NOT NULL,
+        estimate TEXT NOT NULL,
+        PRIMARY KEY (component, fingerprint)
+    );
 """
 
-import errno
-import os
-import sqlite3
-import time
-from contextlib import suppress
-from pathlib import Path
+TABLES = f"""
+    CREATE TABLE jobs (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        component TEXT NOT NULL,
+        fingerprint TEXT NOT NULL,
+        {_WRENCH},
+        status TEXT NOT NULL
+            CHECK (status IN ('waiting', 'running', 'done', 'failed', 'cancelled')),
+        priority INTEGER NOT NULL,
+        attempt INTEGER NOT NULL,
+        lost INTEGER NOT NULL,
+        owner TEXT CHECK ((owner IS NOT NULL) = (status = 'running')),
+        created REAL NOT NULL,
+        started REAL,
+        finished REAL,
+        error TEXT CHECK ((error IS NOT NULL) = (status = 'failed')),
+        row INTEGER UNIQUE REFERENCES rows (seq)
+            CHECK ((row IS NOT NULL) = (status = 'done')),
+        not_before REAL,
+        asked_by TEXT NOT NULL DEFAULT '',
+        engine TEXT,
+        task TEXT,
+        began REAL,
+        UNIQUE (component, fingerprint, wrench)
+    );
+    CREATE INDEX jobs_in_order ON jobs (status, priority DESC, id);
+    CREATE INDEX jobs_of_component ON jobs (component, status);
+    CREATE INDEX jobs_of_owner ON jobs (owner) WHERE owner IS NOT NULL;
+    -- Jobs are listed by component, or by status, newest first, a page at a time.
+    CREATE INDEX jobs_listed_by_component ON jobs (component);
+    CREATE INDEX jobs_listed_by_status ON jobs (status);
 
-from wrenchbook.service.files.durable import sync_folder
-from wrenchbook.service.ledger.packing import seal
-from wrenchbook.service.ledger.records import (
-    LedgerDamagedError,
-    LedgerFileError,
-    LedgerFullError,
-    LedgerUnavailableError,
-)
-from wrenchbook.service.ledger.versions import APPLICATION_ID, SCRIPTS
+    -- The heartbeat of each owner of running jobs: one small write, however many attempts run.
+    CREATE TABLE leases (
+        owner TEXT PRIMARY KEY,
+        engine TEXT NOT NULL,
+        beat INTEGER NOT NULL,
+        at REAL NOT NULL
+    );
 
-Connection = sqlite3.Connection
-# Errors of a file in use; damaged text need not be UTF-8.
-USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+    -- The key leaves out what a table file may lack, the seal covers the complete row.
+    CREATE TABLE rows (
+        seq INTEGER PRIMARY KEY AUTOINCREMENT,
+        component TEXT NOT NULL,
+        fingerprint TEXT NOT NULL,
+        source TEXT NOT NULL,
+        {_WRENCH},
+        displacement BLOB NOT NULL CHECK (length(displacement) >= 48),
+        compliance BLOB
+            CHECK (length(compliance) * 8 = length(displacement) * length(wrench)),
+        uncertainty BLOB CHECK (length(uncertainty) = length(displacement)),
+        job INTEGER REFERENCES jobs (id),
+        created REAL NOT NULL,
+        origin TEXT NOT NULL,
+        key BLOB NOT NULL UNIQUE,
+        seal BLOB NOT NULL,
+        {_CURVATURE}
+    );
+    CREATE INDEX rows_of_component ON rows (component, seq);
+    -- Rows of another setup than a component's are counted with each version of its table.
+    CREATE INDEX rows_of_setup ON rows (component, fingerprint) WHERE fingerprint <> '';
+    CREATE TABLE edits (
+        seq INTEGER PRIMARY KEY,
+        component TEXT NOT NULL,
+        row INTEGER NOT NULL REFERENCES rows (seq),
+        withdrawn INTEGER NOT NULL CHECK (withdrawn IN (0, 1)),
+        created REAL NOT NULL
+    );
+    CREATE INDEX edits_of_component ON edits (component, seq);
+    CREATE INDEX edits_of_row ON edits (row, seq);
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
-_READ_ONLY = "its disk is read-only: remount it writable (dmesg tells why the kernel changed it)"
-_REMEDIES = {
-    **dict.fromkeys(_FULL, "make room on its disk"),
-    errno.EROFS: _READ_ONLY,
-    errno.EACCES: "make its folder and files writable for the user of the server",
-    errno.EPERM: "make its folder and files writable for the user of the server",
-    errno.EIO: "its disk fails: read dmesg, and make a backup on another disk",
-    errno.ENOLCK: "its file system has no locks left: start the lock service of the file server "
-    "(NFS), or move the data directory to a local disk",
+    -- Imports: ranges of numbers of rows. Rows of a hidden range are there for nobody: an import is
+    -- taken in piece by piece and shown at once. `rig` is TOML, `findings` JSON with the keys of
+    -- the rows of each probable systematic error.
+    CREATE TABLE imports (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        component TEXT NOT NULL,
+        created REAL NOT NULL,
+        who TEXT NOT NULL,
+        filename TEXT NOT NULL,
+        format TEXT NOT NULL,
+        digest TEXT NOT NULL,
+        note TEXT NOT NULL,
+        rows INTEGER NOT NULL,
+        {_RIG},
+        {_FINDINGS}
+    );
+    CREATE INDEX imports_of_component ON imports (component, id);
+    CREATE TABLE import_parts (
+        first INTEGER PRIMARY KEY,
+        last INTEGER NOT NULL,
+        import INTEGER NOT NULL REFERENCES imports (id),
+        component TEXT NOT NULL,
+        hidden INTEGER NOT NULL CHECK (hidden IN (0, 1))
+    );
+    CREATE INDEX hidden_parts ON import_parts (first) WHERE hidden = 1;
+
+    -- Recordings and envelopes: the wrenches that a simulator's loop has met. Of each block only
+    -- its key and a digest are kept, so that one sent twice counts once.
+    CREATE TABLE gatherings (
+        component TEXT NOT NULL,
+        kind TEXT NOT NULL CHECK (kind IN ('recording', 'envelope')),
+        revision INTEGER NOT NULL,
+        offered INTEGER NOT NULL,
+        merged INTEGER NOT NULL,
+        thinned INTEGER NOT NULL,
+        outside INTEGER NOT NULL,
+        reach REAL NOT NULL,
+        within REAL NOT NULL,
+        reach_outside REAL NOT NULL,
+        within_outside REAL NOT NULL,
+        scale BLOB CHECK (length(scale) >= 48),
+        PRIMARY KEY (component, kind)
+    );
+    CREATE TABLE recorded (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        component TEXT NOT NULL,
+        {_WRENCH},
+        UNIQUE (component, wrench)
+    );
+    CREATE TABLE extremes (
+        component TEXT NOT NULL,
+        place INTEGER NOT NULL CHECK (place >= 0),
+        {_WRENCH},
+        PRIMARY KEY (component, place)
+    );
+    CREATE TABLE blocks (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        component TEXT NOT NULL,
+        kind TEXT NOT NULL,
+        client TEXT NOT NULL,
+        sequence INTEGER NOT NULL,
+        digest BLOB NOT NULL,
+        UNIQUE (component, kind, client, sequence)
+    );
+    {_STATE}
+"""
+
+# By the schema version of a file: the version that the script leads to, and the script. 8 is that
+# of release 0.2, 12 that of 0.3. A CHECK is text of the schema alone, changed as
+# sqlite.org/lang_altertable.html, section 7, has it: wrenches and displacements had six numbers.
+STEPS = {
+    8: (
+        12,
+        f"""
+        ALTER TABLE imports ADD COLUMN {_RIG};
+        ALTER TABLE imports ADD COLUMN {_FINDINGS};
+        PRAGMA writable_schema = ON;
+        UPDATE sqlite_schema SET sql = replace(replace(replace(replace(replace(sql,
+            'length(wrench) = 48', 'length(wrench) >= 48 AND length(wrench) % 8 = 0'),
+            'length(displacement) = 48', 'length(displacement) >= 48'),
+            'length(uncertainty) = 48', 'length(uncertainty) = length(displacement)'),
+            'length(compliance) = 288',
+            'length(compliance) * 8 = length(displacement) * length(wrench)'),
+            'length(scale) = 48', 'length(scale) >= 48')
+            WHERE type = 'table' AND name IN ('jobs', 'rows', 'gatherings', 'recorded', 'extremes');
+        UPDATE sqlite_schema SET sql = replace(sql, 'place BETWEEN 0 AND 11', 'place >= 0')
+            WHERE name = 'extremes';
+        PRAGMA writable_schema = RESET;
+        ALTER TABLE rows ADD COLUMN {_CURVATURE}
+        """,
+    ),
+    12: (13, _STATE),
 }
-BUSY_SECONDS = 30.0  # a writer waits so long for another process: a bulk import takes seconds
-LOOK_AGAIN_SECONDS = 0.001  # between attempts: a tenth of a short transaction
-# The log is moved into the file each 1000 pages (4 MB) unless a reader prevents it; a longer one,
-# after a large import, is then truncated to this.
-LOG_BYTES = 16 * 1024 * 1024
-CHECKPOINT_SECONDS = 0.2  # how long a checkpoint waits for readers, and writers for it
-
-
-def can_be_read_frozen(path: Path) -> bool:
-    """Return whether a ledger that cannot be opened for writing can be read as it is.
-
-    SQLite then makes no files next to it, as a full disk requires, and ignores a WAL file.
-    """
-    wal = path.with_name(f"{path.name}-wal")
-    try:
-        if not path.is_file() or (wal.exists() and wal.stat().st_size):
-            return False
-        connection = connect(path, frozen=True)
-        try:
-            _check_file(connection, path)
-            return _schema_version(connection) == len(SCRIPTS)
-        finally:
-            connection.close()
-    except (OSError, sqlite3.Error, UnicodeDecodeError, LedgerFileError):
-        return False
-
-
-def inode(path: Path) -> tuple[int, int]:
-    """Return device and inode of a file; zeros if there is none."""
-    try:
-        found = path.stat()
-    except OSError:
-        return (0, 0)
-    return found.st_dev, found.st_ino
-
-
-def connect(path: Path, *, frozen: bool = False) -> Connection:
-    """Open the file as it is; `frozen` only to read, without files next to it."""
-    connection = sqlite3.connect(
-        f"{path.as_uri()}?immutable=1" if frozen else path,
-        timeout=BUSY_SECONDS,
-        isolation_level=None,
-        check_same_thread=False,
-        uri=frozen,
-    )
-    try:
-        # A damaged text must not keep other rows from being read.
-        connection.text_factory = lambda word: word.decode("utf-8", "replace")
-        connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("PRAGMA foreign_keys = ON")
-        connection.execute(f"PRAGMA journal_size_limit = {LOG_BYTES}")
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def begin(connection: Connection) -> None:
-    """Begin a writing transaction as soon as no other process writes.
-
-    SQLite itself retries after up to 100 ms; the next transaction of an import begins earlier.
-    """
-    deadline = time.monotonic() + BUSY_SECONDS
-    connection.execute("PRAGMA busy_timeout = 0")
-    try:
-        while True:
-            try:
-                connection.execute("BEGIN IMMEDIATE")
-                return
-            except sqlite3.OperationalError as error:
-                busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY
-                if not busy or time.monotonic() > deadline:
-                    raise
-            time.sleep(LOOK_AGAIN_SECONDS)
-    finally:
-        connection.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
-
-
-def sync_log(path: Path) -> None:
-    """Sync the log without a lock on the ledger."""
-    with suppress(OSError):  # no log, or a disk that fails: the next durable commit fails
-        descriptor = os.open(path.with_name(f"{path.name}-wal"), os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
-def open_file(path: Path) -> Connection:
-    """Open a ledger that is whole, or a new one, and upgrade its schema.
-
-    Raises
-    ------
-    LedgerFileError
-        If it is foreign, damaged or of a newer schema, or cannot be written.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _check_log(path)
-        with suppress(FileExistsError):
-            os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
-        # Earlier versions let everybody read it. A group that was let in stays.
-        for file in (path.with_name(f"{path.name}{end}") for end in ("", "-wal", "-shm")):
-            with suppress(OSError):
-                if file.stat().st_mode & 0o007:
-                    file.chmod(0o600)
-        connection = connect(path)
-        try:
-            _check_file(connection, path)
-            _check_whole(connection, path)
-            _use_wal(connection)
-            _upgrade(connection)
-        except BaseException:
-            connection.close()
-            raise
-    except (sqlite3.OperationalError, OSError) as error:
-        raise LedgerFileError(
-            f"cannot open the ledger {path}: {error}. See that its folder is writable, "
-            "its disk has space and no program keeps it locked"
-        ) from error
-    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-        raise damaged_file(path, str(error)) from error
-    sync_folder(path.parent)
-    return connection
-
-
-def _check_log(path: Path) -> None:
-    """Refuse a log without its file: SQLite would delete it, and with it what it holds."""
-    log = path.with_name(f"{path.name}-wal")
-    lost = not path.exists() or path.stat().st_size == 0
-    if lost and log.exists() and log.stat().st_size:
-        raise LedgerFileError(
-            f"there is {log.name} without {path}: the ledger's file was moved or deleted and its "
-            "log was not. Nothing is written beside it; put the file back. If it is gone for good, "
-            "wrenchbook doctor --mend moves the log aside and makes a new file from the tables"
-        )
-
-
-def _check_file(connection: Connection, path: Path) -> None:
-    owner = connection.execute("PRAGMA application_id").fetchone()[0]
-    tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
-    version = _schema_version(connection)
-    if tables and owner != APPLICATION_ID:
-        raise LedgerFileError(
-            f"{path} is a SQLite file of another program, not a ledger; "
-            "name another data directory, or move the file away"
-        )
-    if version > len(SCRIPTS):
-        raise LedgerFileError(
-            f"{path} was written by a newer wrenchbook (schema {version}, this program knows "
-            f"up to {len(SCRIPTS)}); install that version or name another data directory"
-        )
-
-
-def _check_whole(connection: Connection, path: Path) -> None:
-    """Refuse a damaged file: what is written into one may be gone at the next start.
-
-    Of 300 ledgers with one to six random bytes changed, ``quick_check`` let 11 pass that lost what
-    they had accepted, this one none: it compares indices with their tables too. 5 µs a row.
-    """
-    found = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
-    if found != "ok":
-        raise damaged_file(path, found)
-
-
-def damaged_file(path: Path, why: str) -> LedgerDamagedError:
-    """Return the error of a damaged file."""
-    return LedgerDamagedError(
-        f"cannot read {path} as a ledger: it is damaged ({why}). Nothing is written into it; "
-        "tables answer from their files. Move it away with the server stopped, and put back a copy "
-        "or make a new one of what can be read: wrenchbook doctor --mend"
-    )
-
-
-def is_damage(error: Exception) -> bool:
-    """Return whether an error is that of a damaged file; damaged text need not be UTF-8."""
-    code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the other bits: where it was noticed
-    return isinstance(error, UnicodeDecodeError) or code in (
-        sqlite3.SQLITE_CORRUPT,
-        sqlite3.SQLITE_NOTADB,
-    )
-
-
-def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
-    """Return the error of the ledger for one of SQLite or the disk: its cause and remedy.
-
-    The one place that maps ENOSPC, EROFS, EIO, ENOLCK and their kin.
-    """
-    code = getattr(error, "sqlite_errorcode", 0)
-    number = getattr(error, "errno", None) or 0
-    if code & 0xFF == sqlite3.SQLITE_FULL or code == sqlite3.SQLITE_IOERR_WRITE:
-        number = errno.ENOSPC
-    elif code & 0xFF == sqlite3.SQLITE_READONLY:
-        number = errno.EROFS
-    elif code & 0xFF == sqlite3.SQLITE_IOERR:
-        number = errno.EIO
-    remedy = _REMEDIES.get(number, "see that its disk has space and is writable")
-    kind = LedgerFullError if number in _FULL else LedgerUnavailableError
-    return kind(
-        f"the ledger {path} could not be used: {error}. Nothing was changed; {remedy}, "
-        "then ask again"
-    )
-
-
-def _use_wal(connection: Connection) -> None:
-    # SQLite does not wait by itself when two processes switch the journal at the same time.
-    deadline = time.monotonic() + BUSY_SECONDS
-    while True:
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.01)
-
-
-def _upgrade(connection: Connection) -> None:
-    if _schema_version(connection) == len(SCRIPTS):
-        return  # without a write, so that a full disk can be read
-    # A table that others refer to is replaced (sqlite.org/lang_altertable.html, section 7).
-    connection.execute("PRAGMA foreign_keys = OFF")
-    connection.create_function("seal", 3, seal, deterministic=True)
-    connection.execute("BEGIN IMMEDIATE")
-    for script in SCRIPTS[_schema_version(connection) :]:
-        for statement in filter(str.strip, script.split(";")):
-            connection.execute(statement)
-    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-    connection.execute(f"PRAGMA user_version = {len(SCRIPTS)}")
-    connection.execute("COMMIT")
-    connection.execute("PRAGMA foreign_keys = ON")
-
-
-def checkpoint(connection: Connection) -> bool:
-    """Move the log into the file and empty it; False if another connection uses it just now."""
-    connection.execute(f"PRAGMA busy_timeout = {round(1000 * CHECKPOINT_SECONDS)}")
-    try:
-        busy, _, _ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-    finally:
-        connection.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
-    return not busy
-
-
-def copy_file(source: Connection, target: Path) -> None:
-    """Write all that is committed into a new file, checked: one read of SQLite's online backup.
-
-    In one step: taken in parts it would begin anew with each commit of another process.
-
-    Raises
-    ------
-    LedgerFileError
-        If the copy is not whole.
-    """
-    copy = sqlite3.connect(target, isolation_level=None)
-    try:
-        source.backup(copy)
-        _check_whole(copy, target)
-        copy.execute("PRAGMA journal_mode = DELETE")  # one file; it is WAL again once opened
-    finally:
-        copy.close()
-
-
-def sequences(connection: Connection) -> dict[str, int]:
-    """Return the highest numbers used, by table."""
-    return dict(connection.execute("SELECT name, seq FROM sqlite_sequence").fetchall())
-
-
-def raise_sequences(connection: Connection, numbers: dict[str, int]) -> None:
-    """Raise the sequences so that no number is used again."""
-    with_all = {**dict.fromkeys(numbers, 0), **sequences(connection)}
-    connection.execute("BEGIN IMMEDIATE")
-    for name, number in numbers.items():
-        connection.execute("DELETE FROM sqlite_sequence WHERE name = ?", (name,))
-        highest = max(number, with_all[name])
-        connection.execute("INSERT INTO sqlite_sequence VALUES (?, ?)", (name, highest))
-    connection.execute("COMMIT")
-
-
-def _schema_version(connection: Connection) -> int:
-    return connection.execute("PRAGMA user_version").fetchone()[0]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from hashlib import blake2b
 
 from wrenchbook.service.ledger import rows
+from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import row_values
 from wrenchbook.service.ledger.records import (
@@ -19,7 +20,6 @@ from wrenchbook.service.ledger.records import (
     UnknownVersionError,
 )
 from wrenchbook.service.ledger.rows import COLUMNS, LIVE, SHOWN, sound
-from wrenchbook.service.ledger.schema import Connection
 
 _log = logging.getLogger(__name__)
 

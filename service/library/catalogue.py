@@ -1,27 +1,20 @@
-"""Notes on components, and which components are archived. One small file."""
+"""Notes on components, and which components are archived, in the ledger's database."""
 
 from __future__ import annotations
 
-import json
 import threading
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from contextlib import suppress
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.ledger import Ledger, LedgerError
 
 
 @dataclass(frozen=True)
 class CatalogueCard:
-    """The entry of one component.
+    """The entry of a component; an archived one is left out of the list and answers all the same.
 
-    Attributes
-    ----------
-    notes : str
-    archived : bool
-        Left out of the library's list; it answers all the same.
-    renamed_to : str or None
-    copied_from : str or None
+    Its fields are in the order of the table's columns.
     """
 
     notes: str = ""
@@ -30,66 +23,35 @@ class CatalogueCard:
     copied_from: str | None = None
 
 
-class CatalogueError(OSError):
-    """The file could not be written; nothing was changed."""
-
-
 class Catalogue:
-    """The cards of a data directory, by component.
+    """The cards of a data directory, by component."""
 
-    Parameters
-    ----------
-    path : path
-        The file; another process' changes are seen.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger = ledger
         self._lock = threading.Lock()
-        self._stamp: tuple[int, int] | None = None
+        self._version: int | None = None  # the ledger's when the cards were read
         self._cards: dict[str, CatalogueCard] = {}
 
     def __getitem__(self, name: str) -> CatalogueCard:
-        with self._lock:
-            self._look()
-            return self._cards.get(name, CatalogueCard())
+        with self._lock, suppress(LedgerError):  # without the ledger, as they were read last
+            version = self._ledger.version()
+            if version != self._version:
+                with self._ledger.reading() as db:
+                    rows = db.execute("SELECT * FROM catalogue").fetchall()
+                self._cards = {row[0]: _card(row) for row in rows}
+                self._version = version
+        return self._cards.get(name, CatalogueCard())
 
     def change(self, name: str, **fields: Any) -> CatalogueCard:
-        """Change a component's entry, on disk for good.
+        """Change a component's entry, on disk for good; raises LedgerUnavailableError."""
+        with self._ledger.writing() as db:
+            row = db.execute("SELECT * FROM catalogue WHERE component = ?", (name,)).fetchone()
+            card = replace(_card(row) if row else CatalogueCard(), **fields)
+            values = name, *astuple(card)
+            db.execute("INSERT OR REPLACE INTO catalogue VALUES (?, ?, ?, ?, ?)", values)
+        return card
 
-        Raises
-        ------
-        CatalogueError
-            If it cannot be written.
-        """
-        with self._lock:
-            self._look()
-            card = replace(self._cards.get(name, CatalogueCard()), **fields)
-            cards = {**self._cards, name: card}
-            content = json.dumps({name: asdict(one) for name, one in cards.items()})
-            try:
-                self._path.parent.mkdir(parents=True, exist_ok=True)
-                write_whole_bytes(self._path, content.encode())
-            except OSError as error:
-                raise CatalogueError(
-                    f"The library's notes cannot be written: {error.strerror or error}. Nothing "
-                    "was changed; make room on the disk, then ask again."
-                ) from error
-            self._cards = cards
-            return card
 
-    def _look(self) -> None:
-        """Read the file if it has changed; a damaged one is ignored."""
-        try:
-            found = self._path.stat()
-        except OSError:
-            return
-        stamp = found.st_mtime_ns, found.st_size
-        if stamp == self._stamp:
-            return
-        self._stamp = stamp
-        try:
-            read = json.loads(self._path.read_bytes())
-            self._cards = {str(name): CatalogueCard(**fields) for name, fields in read.items()}
-        except (OSError, ValueError, TypeError, AttributeError):
-            return
+def _card(row: tuple) -> CatalogueCard:
+    _, notes, archived, renamed_to, copied_from = row
+    return CatalogueCard(notes, bool(archived), renamed_to, copied_from)

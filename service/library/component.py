@@ -33,16 +33,9 @@ FileStamp = tuple[tuple[int, int] | None, ...]
 class Component:
     """One component as the service sees it; the mesh stays with the solver.
 
-    Attributes
-    ----------
-    files : tuple of Path
-        What its fingerprint was read from.
-    stamp : tuple
-        How these files were when they were read: see `file_stamp`.
-    idle : tuple of int
-        Which of the loads act on a freedom of an interface that is locked.
-    yield_strengths : mapping
-        By a material's region, Pa; of those whose bundle has one.
+    Its fingerprint was read from `files` when they had the `stamp` (see `file_stamp`). `idle` are
+    the loads that act on a locked freedom of an interface. `yield_strengths`, Pa, are by a
+    material's region, of those whose bundle has one.
     """
 
     name: str
@@ -62,10 +55,9 @@ class Component:
     def acting(self, wrenches: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return wrenches, shape (..., 6), N and N·m, without the loads on locked freedoms.
 
-        The guide takes these: no answer depends on them, the compliance's columns for them are
-        zero. Two wrenches whose answers cannot differ are one wrench; that is why a loop's are
-        rounded to 1e-6 of the load range, and here it is exact. So such loads are in no job's key,
-        no reach and no row, and lie beyond no range. Tables leave them out by themselves.
+        No answer depends on these: the guide takes them, and the compliance's columns for them are
+        zero. So they are in no job's key and no row, and lie beyond no range. Tables leave them out
+        by themselves.
         """
         return acting(wrenches, self.idle)
 
@@ -73,8 +65,7 @@ class Component:
     def acting_range(self) -> LoadRange:
         """The load range, N and N·m, with loads on locked freedoms at 0.
 
-        What is designed varies no other load: one wrench would count as several, and a first
-        design, of which the queue drops the copies, would always have some to go.
+        A design varies no other load: it would have several wrenches of which the queue keeps one.
         """
         if not self.idle:
             return self.load_range
@@ -93,18 +84,17 @@ class Component:
 
 def file_stamp(files: Iterable[Path]) -> FileStamp:
     """Return time of change (ns) and size (bytes) of each file, None for one that is missing."""
-    return tuple(map(_stamp, files))
+    stamps: list[tuple[int, int] | None] = []
+    for path in files:
+        try:
+            status = os.stat(path)  # noqa: PTH116 (half the time of Path.stat; for each query)
+            stamps.append((status.st_mtime_ns, status.st_size))
+        except OSError:
+            stamps.append(None)
+    return tuple(stamps)
 
 
-def _stamp(path: Path) -> tuple[int, int] | None:
-    try:
-        found = os.stat(path)  # noqa: PTH116 (half the time of Path.stat; for each query)
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_size
-
-
-MOST_NAMES = 20  # in a refusal; those most like the requested one, if there are more
+MAX_NAMES = 20  # in a refusal; those most like the requested one, if there are more
 
 
 class UnknownComponentError(KeyError):
@@ -117,8 +107,8 @@ class UnknownComponentError(KeyError):
 
     def __str__(self) -> str:
         some = self.known
-        if len(some) > MOST_NAMES:
-            some = get_close_matches(self.name, some, MOST_NAMES, 0.0)
+        if len(some) > MAX_NAMES:
+            some = get_close_matches(self.name, some, MAX_NAMES, 0.0)
         known = ", ".join(some) or "none yet"
         more = len(self.known) - len(some)
         return (
@@ -167,11 +157,15 @@ class LibraryUnavailableError(OSError):
 
 def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     """Return the component that a checked bundle describes."""
-    limit = bundle.tolerance
+    limit, further = bundle.tolerance, bundle.further
     named = [bundle.mesh.file] if bundle.mesh else []
-    named += [one.field for one in bundle.further]
+    named += [entry.field for entry in further]
     named += [bundle.deck.file, *bundle.deck.files] if bundle.deck else []
     files = (bundle.folder / FILE_NAME, *(path for path in named if path))
+    scalars = [Input(entry.name, entry.unit, "scalar", zero=entry.reference) for entry in further]
+    space = space_of([interface.name for interface in bundle.interfaces] or [""], scalars)
+    low = np.append(bundle.range.low, [entry.low for entry in further])
+    high = np.append(bundle.range.high, [entry.high for entry in further])
     return Component(
         name=bundle.name,
         title=bundle.title,
@@ -179,16 +173,16 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
         fingerprint=bundle.fingerprint,
         has_fea=bundle.has_fea,
         linear=bundle.analysis is not None and not bundle.analysis.nonlinear,
-        load_range=_load_range(bundle),
+        load_range=LoadRange(low, high, space),
         tolerance=Tolerance(limit.translation, limit.rotation) if limit else None,
         shipped=shipped,
         files=files,
         stamp=file_stamp(files),
         idle=tuple(
             PER_INTERFACE * number + load
-            for number, one in enumerate(bundle.interfaces)
+            for number, interface in enumerate(bundle.interfaces)
             for load, freedom in enumerate(FREEDOMS)
-            if freedom in one.locked
+            if freedom in interface.locked
         ),
         yield_strengths={
             material.region: material.yield_strength
@@ -198,33 +192,19 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     )
 
 
-def _load_range(bundle: Bundle) -> LoadRange:
-    """Return the range of all inputs of a bundle: its loads, then its further inputs."""
-    further = [Input(one.name, one.unit, "scalar", zero=one.reference) for one in bundle.further]
-    return LoadRange(
-        np.append(bundle.range.low, [one.low for one in bundle.further]),
-        np.append(bundle.range.high, [one.high for one in bundle.further]),
-        space_of([one.name for one in bundle.interfaces] or [""], further),
-    )
-
-
 CHECK_FILE = "check.json"  # in a bundle: what its check found at the upload
 
 
 def interface_of(component: Component) -> dict[str, Any] | None:
     """Return the interface of a component in SI; None of several, or without finite elements.
 
-    Returns
-    -------
-    dict
-        ``section``, ``point`` (shape (3,), m; None for the section's area centre, until a check has
-        found it), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and
-        ``moment``, in words. With own weight or further inputs ``displacement`` says what a
-        displacement is relative to; with own weight there is ``gravity`` (shape (3,), m/s^2, in the
-        mesh's axes).
+    It has ``section``, ``point`` (shape (3,), m; None for the section's area centre, until a check
+    has found it), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and ``moment``,
+    a text. With own weight or further inputs ``displacement`` says what a displacement is relative
+    to; with own weight there is ``gravity`` (shape (3,), m/s^2, in the mesh's axes).
     """
-    found = interfaces_of(component)
-    return next(iter(found.values())) if len(found) == 1 else None
+    interfaces = interfaces_of(component)
+    return next(iter(interfaces.values())) if len(interfaces) == 1 else None
 
 
 def interfaces_of(component: Component) -> Mapping[str, dict[str, Any]]:
@@ -236,21 +216,21 @@ def interfaces_of(component: Component) -> Mapping[str, dict[str, Any]]:
 
 
 def warnings_of(folder: Path) -> list[dict[str, str]]:
-    """Return what the check of a bundle warned of, each ``{"where", "message"}``."""
+    """Return the warnings of the check of a bundle, each ``{"where", "message"}``."""
     return _report(folder).get("warnings", [])
 
 
 def estimate_of(folder: Path) -> dict[str, Any]:
-    """Return what a solve takes by the check of a bundle (`fea.check.cost`); empty if unknown."""
-    found = _report(folder).get("estimate")
-    return found if isinstance(found, dict) else {}
+    """Return the cost of a solve by the check of a bundle (`fea.check.cost`); empty if unknown."""
+    estimate = _report(folder).get("estimate")
+    return estimate if isinstance(estimate, dict) else {}
 
 
 def solver_error_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
-    """Return what the check of a bundle estimated its solver to be wrong by, if of that set-up."""
+    """Return the solver's error that the check of a bundle estimated, if it is of that setup."""
     report = _report(folder)
-    found = report.get("solver_error") if report.get("fingerprint") == fingerprint else None
-    return found if isinstance(found, dict) and found.get("mesh") is not None else None
+    error = report.get("solver_error") if report.get("fingerprint") == fingerprint else None
+    return error if isinstance(error, dict) and error.get("mesh") is not None else None
 
 
 def vibration_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
@@ -261,8 +241,7 @@ def vibration_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
     density or no check of this setup has been stored.
     """
     report = _report(folder)
-    found = report.get("vibration") if report.get("fingerprint") == fingerprint else None
-    return found or None
+    return (report.get("vibration") if report.get("fingerprint") == fingerprint else None) or None
 
 
 @lru_cache(maxsize=256)
@@ -270,32 +249,34 @@ def _interfaces(folder: Path, _fingerprint: str) -> dict[str, dict[str, Any]]:
     """Read once for each fingerprint: reading a bundle hashes its mesh."""
     bundle, report = read_bundle(folder), _report(folder)
     gravity = bundle.analysis.gravity
-    own: dict[str, Any] = {"gravity": list(gravity), "displacement": HANGING} if gravity else {}
-    zeros = [f"{one.name} {one.reference:g} {one.unit}" for one in bundle.further]
+    common: dict[str, Any] = {}
+    if gravity:
+        common = {"gravity": list(gravity), "displacement": HANGING}
+    zeros = [f"{entry.name} {entry.reference:g} {entry.unit}" for entry in bundle.further]
     if zeros:
-        own["displacement"] = f"{own.get('displacement', UNLOADED)}, at {', '.join(zeros)}"
+        common["displacement"] = f"{common.get('displacement', UNLOADED)}, at {', '.join(zeros)}"
     checked = report.get("sections") or [report.get("section", {})]
-    points = [one.get("point") for one in checked] + [None] * len(bundle.interfaces)
+    points = [section.get("point") for section in checked] + [None] * len(bundle.interfaces)
     return {
-        one.name: {
-            "section": one.section,
-            "point": point if one.point is None else one.point.tolist(),
-            "axes": one.axes.tolist(),
-            "coupling": one.coupling,
-            "locked": list(one.locked),
+        interface.name: {
+            "section": interface.section,
+            "point": point if interface.point is None else interface.point.tolist(),
+            "axes": interface.axes.tolist(),
+            "coupling": interface.coupling,
+            "locked": list(interface.locked),
             "moment": f"about {MOMENT_POINT}",
-            **own,
-            **({"held": one.held} if bundle.others else {}),
+            **common,
+            **({"held": interface.held} if bundle.others else {}),
         }
-        for one, point in zip(bundle.interfaces, points, strict=False)
-        if one.section  # a measured part has none
+        for interface, point in zip(bundle.interfaces, points, strict=False)
+        if interface.section  # a measured part has none
     }
 
 
 def _report(folder: Path) -> dict[str, Any]:
     """Return the stored report; an empty one where no check has been stored."""
     try:
-        found = json.loads((folder / CHECK_FILE).read_text("utf-8"))
+        report = json.loads((folder / CHECK_FILE).read_text("utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return report if isinstance(report, dict) else {}

@@ -19,8 +19,13 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.bundle.tables import is_slug
 from wrenchbook.service.files.durable import sync_folder, sync_tree
-from wrenchbook.service.library.arrival import check_mesh, copy_bundle, toml_value, unpack
-from wrenchbook.service.library.bundle_zip import one_problem
+from wrenchbook.service.library.bundles import (
+    check_mesh,
+    copy_bundle,
+    one_problem,
+    toml_value,
+    unpack,
+)
 from wrenchbook.service.library.component import (
     CHECK_FILE,
     BrokenComponentError,
@@ -49,27 +54,13 @@ _TAKEN = (
 
 
 class Library:
-    """Components by name.
+    """Components by name: those in the folder `own`, which users add, and the shipped ones.
 
-    Parameters
-    ----------
-    own:
-        Folder of the components users add; created when missing. A component there may not take
-        a shipped component's name.
-    shipped:
-        Folder of the components that come with the program.
-    allow_decks:
-        Whether bundles with a deck, and so with a command to run, may be added.
-
-    on_added:
-        Called with each component that has been added.
-    on_checked:
-        Called with an uploaded component before anything can see it.
-    on_copy:
-        Called with a component and the name of its copy before anything can see the copy; an
-        OSError adds nothing.
-
-    A bundle that cannot be read is left out and named by `broken`; the others go on.
+    A component in `own` may not take a shipped component's name. A bundle that cannot be read is
+    left out and named by `broken`; the others go on. `allow_decks` is whether bundles with a deck,
+    and so with a command to run, may be added. `on_added` is called with each component that has
+    been added, `on_checked` with an uploaded component before anything can see it, `on_copy` with a
+    component and the name of its copy before anything can see the copy; its OSError adds nothing.
     """
 
     def __init__(
@@ -122,33 +113,35 @@ class Library:
         return self._find(name) is not None
 
     def __getitem__(self, name: str) -> Component:
-        found = self._find(name)
-        if found is None:
+        component = self._find(name)
+        if component is None:
             if name in self._broken:
                 raise BrokenComponentError(name, self.names(), self._broken[name])
             raise UnknownComponentError(name, self.names())
-        return found
+        return component
 
     def as_read(self, name: str) -> Component:
-        """Return a component as it was when its files were last looked at: no file is now.
+        """Return a component as its files were when they were last read: no file is read now.
 
-        Raises
-        ------
-        UnknownComponentError
-            If the library has no such component.
+        Raises UnknownComponentError.
         """
-        found = self._components.get(name)
-        return self[name] if found is None else found
+        component = self._components.get(name)
+        return self[name] if component is None else component
 
     def _find(self, name: str) -> Component | None:
         """Return a component as its files are now."""
-        found = self._components.get(name)
-        return found if found is not None and found.is_as_read() else self._look_for(name)
+        component = self._components.get(name)
+        if component is not None and component.is_as_read():
+            return component
+        return self._look_for(name)
 
     def _look_for(self, name: str) -> Component | None:
         """Take up a component that was edited, or added by another process, on the disk."""
         before = self._components.get(name)
-        folder = before.folder if before else self._folder_of(name)
+        folder = before.folder if before else None
+        if folder is None and is_slug(name):
+            folders = (parent / name for parent in (self._shipped, self._own))
+            folder = next((path for path in folders if (path / "component.toml").is_file()), None)
         if folder is not None:
             with self._lock:
                 if self._components.get(name) is before:
@@ -169,27 +162,12 @@ class Library:
             if folder.name not in self._components and folder.name not in self._broken:
                 self._look_for(folder.name)
 
-    def _folder_of(self, name: str) -> Path | None:
-        folders = (parent / name for parent in (self._shipped, self._own) if is_slug(name))
-        return next((one for one in folders if (one / "component.toml").is_file()), None)
-
     def add_zip(self, archive: BinaryIO, *, decks: bool = True) -> Component:
         """Add a component from a zip of its bundle folder.
 
-        Parameters
-        ----------
-        archive : file
-        decks : bool
-            Whether the sender may add a deck, if the server takes any.
-
-        Raises
-        ------
-        BundleError
-            If the archive, its component.toml or its mesh has mistakes; nothing is changed then.
-        ComponentExistsError
-            If the name is taken.
-        LibraryUnavailableError
-            If the disk is full or cannot be written.
+        `decks` is whether the sender may add a deck, if the server takes any. Nothing is changed by
+        a BundleError (the archive, its component.toml or its mesh has mistakes), a
+        ComponentExistsError (the name is taken) or a LibraryUnavailableError (the disk is full).
         """
         with self._incoming() as incoming:
             folder, has_deck = unpack(archive, incoming)
@@ -205,16 +183,8 @@ class Library:
     def add_table_only(self, **entries: Any) -> Component:
         """Add a component that has no finite-element setup, only rows loaded from outside.
 
-        Parameters
-        ----------
-        **entries:
-            Those of its component.toml: ``name``, ``title``, ``range`` or ``interface`` (a list of
-            ``{"name", "range"}``), ``inputs`` and ``tolerance``, SI.
-
-        Raises
-        ------
-        BundleError, ComponentExistsError, LibraryUnavailableError
-            As `add_zip` does.
+        The entries are those of its component.toml: ``name``, ``title``, ``range`` or ``interface``
+        (a list of ``{"name", "range"}``), ``inputs`` and ``tolerance``, SI. Raises as `add_zip`.
         """
         lines = [f"{key} = {toml_value(value)}" for key, value in entries.items()]
         with self._incoming() as incoming:
@@ -226,14 +196,9 @@ class Library:
         return component
 
     def add_copy(self, name: str, new: str, title: str | None) -> Component:
-        """Add a component that is another one under a new name: the same setup, no rows.
+        """Add a component with the setup of another and a new name, without rows.
 
-        Raises
-        ------
-        UnknownComponentError
-            If there is no component `name`.
-        BundleError, ComponentExistsError, LibraryUnavailableError
-            As `add_zip` does.
+        Raises UnknownComponentError if there is no component `name`, and as `add_zip` does.
         """
         source = self[name]
         with self._incoming() as incoming:
@@ -288,43 +253,30 @@ class Library:
                 log.error("the component in %s cannot be used: %s", folder, reason)
             self._broken[folder.name] = reason
             if folder.name in self._components and not self._components[folder.name].is_as_read():
-                self._put({k: v for k, v in self._components.items() if k != folder.name})
+                self._components = {k: v for k, v in self._components.items() if k != folder.name}
+                self._version += 1
         else:
             self._broken.pop(folder.name, None)
 
     def _register(self, folder: Path, *, shipped: bool) -> Component:
         started = time.time_ns()
         component = component_of(read_bundle(folder), shipped=shipped)
-        if any(one and one[0] > started for one in component.stamp):
+        if any(stamp and stamp[0] > started for stamp in component.stamp):
             component = replace(component, stamp=())  # edited while it was read: to be read again
-        if not shipped:
-            self._refuse_other_name(folder, component.name)
-        self._put({**self._components, component.name: component})
-        return component
-
-    def _put(self, components: dict[str, Component]) -> None:
-        self._components = components
-        self._version += 1
-
-    def _refuse_other_name(self, folder: Path, name: str) -> None:
-        """Refuse a folder whose component.toml has another name: it would answer in its place.
-
-        Raises
-        ------
-        BundleError
-            If the bundle's name is not its folder's, or is a shipped component's.
-        """
-        if name != folder.name:
-            raise one_problem(
-                "name", f'is "{name}" but the folder is "{folder.name}"; give both one name'
-            )
-        if name in self._components and self._components[name].shipped:
+        name = component.name
+        if not shipped and name != folder.name:  # it would answer in another component's place
+            message = f'is "{name}" but the folder is "{folder.name}"; give both one name'
+            raise one_problem("name", message)
+        if not shipped and name in self._components and self._components[name].shipped:
             raise one_problem("name", f'"{name}" is a shipped component; take another name')
+        self._components = {**self._components, name: component}
+        self._version += 1
+        return component
 
 
 def _bundle_folders(parent: Path) -> list[Path]:
     """List the folders that hold a component.toml, leaving half-arrived ones out."""
     if not parent.is_dir():
         return []
-    found = (path.parent for path in parent.glob("*/component.toml"))
-    return sorted(folder for folder in found if not folder.name.startswith("."))
+    folders = (path.parent for path in parent.glob("*/component.toml"))
+    return sorted(folder for folder in folders if not folder.name.startswith("."))

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from wrenchbook.service.files.durable import sync, sync_folder
-from wrenchbook.service.ledger import Ledger, LedgerError
-from wrenchbook.service.ledger.versions import SCRIPTS
+from wrenchbook.service.ledger import Ledger, LedgerError, earlier
+from wrenchbook.service.ledger.schema import VERSION
 
 FORMAT = "wrenchbook backup"
 SCHEMA = 2  # 1 held all files of the directory but attempts: keys and settings too
@@ -30,13 +30,14 @@ MANIFEST = "backup.json"
 LEDGER = "ledger.sqlite"
 PIECE = 1 << 20  # bytes in memory at once
 TABLES = "tables"
-_FILES = (LEDGER, "library.json", "demand.json")
-_FOLDERS = ("components", "fields", "solver_errors")
+_FOLDERS = ("components", "fields")
+# Of backups that release 0.3 made: the first start of the restored directory reads them.
+_EARLIER = (earlier.CATALOGUE, earlier.DEMAND), (earlier.SOLVER_ERRORS,)
 # All that a backup holds. Packed tables and reports are made again; keys and settings belong to
 # the directory, attempts' folders to the server. Names of drafts begin with a dot.
 _HELD = re.compile(
-    rf"{'|'.join(map(re.escape, _FILES))}|{TABLES}/(?!\.)[^/]+\.h5|"
-    rf"(?:{'|'.join(_FOLDERS)})(?:/(?!\.)[^/]+)+"
+    rf"{'|'.join(map(re.escape, (LEDGER, *_EARLIER[0])))}|{TABLES}/(?!\.)[^/]+\.h5|"
+    rf"(?:{'|'.join((*_FOLDERS, *_EARLIER[1]))})(?:/(?!\.)[^/]+)+"
 )
 # What reading an entry or the manifest of a file that was damaged or changed raises.
 _UNREADABLE = (
@@ -203,7 +204,7 @@ def _write(target: Path, files: Iterable[tuple[str, Path]]) -> None:
         open(descriptor, "w+b") as whole,  # noqa: PTH123 (a descriptor)
         zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED, allowZip64=True) as archive,
     ):
-        manifest, written = Manifest(time.time(), len(SCRIPTS)), {}
+        manifest, written = Manifest(time.time(), VERSION), {}
         for name, path in files:
             # From one open file: a table that is replaced meanwhile is the whole previous one.
             with (
@@ -234,7 +235,7 @@ def _files(folder: Path, copy: Path, own: set[Path]) -> Iterator[tuple[str, Path
     finally:
         ledger.close()
     yield LEDGER, copy
-    for name in (*_FILES[1:], *_FOLDERS):
+    for name in _FOLDERS:
         yield from _in(folder / name, folder, own)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import time
@@ -10,21 +9,20 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from wrenchbook.service.fields.codec import DamagedFieldsError
 from wrenchbook.service.fields.record import read_geometry, read_row
-from wrenchbook.service.keys.keyring import Keyring, KeysError
+from wrenchbook.service.keys import Keyring, KeysError
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.backup import LEDGER
-from wrenchbook.surrogate.solver_error import SolverError
 
 REPAIR = "mend it with: wrenchbook doctor --mend"
 LITTLE_BYTES = 512 * 1024 * 1024  # a log of the ledger, a large table twice, some hundred attempts
 FULL_BYTES = 1024 * 1024  # a commit's pages and an attempt's folder no longer fit
 _ASIDE = (
     *("*.damaged-*", "*.orphan-*", "*.settled-*", "tables/*.damaged-*", ".before-restore-*"),
-    *("fields/**/*.damaged-*", "solver_errors/**/*.damaged-*"),
+    "fields/**/*.damaged-*",
 )
 _MOST_NAMED = 5  # paths of one kind in a finding; the number of further ones follows
 
@@ -114,12 +112,8 @@ def _keys_and_settings(folder: Path) -> Iterator[DataFinding]:
 
 def _damaged(folder: Path) -> Iterator[tuple[Path, str, Exception]]:
     """Yield each damaged file with what follows from that, and the error."""
-    begins = "the demand map begins anew"
-    estimate = "bars lack the solver's share until the component's next solve estimates it again"
     surface = "its row answers as before; its surface comes from the others until it is solved anew"
     kinds = [
-        ("demand.json", json.loads, begins),
-        ("solver_errors/*/*.json", _solver_error, estimate),
         ("fields/*/*/*.fields", read_row, surface),
         ("fields/*/*/*.geometry", read_geometry, "surfaces come back with further solves"),
     ]
@@ -131,10 +125,6 @@ def _damaged(folder: Path) -> Iterator[tuple[Path, str, Exception]]:
                 continue  # a running server has removed it
             except (DamagedFieldsError, OSError, ValueError, TypeError, AttributeError) as error:
                 yield path, remedy, error
-
-
-def _solver_error(content: bytes) -> Any:
-    return SolverError(json.loads(content))
 
 
 def find_leftovers(folder: Path, ledger: Ledger) -> list[DataFinding]:

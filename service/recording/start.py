@@ -18,22 +18,14 @@ from wrenchbook.surrogate.answer import COVERED
 
 Floats = NDArray[np.float64]
 
-OPEN = ("waiting", "running")
-
 
 @dataclass(frozen=True)
 class StartedSolves:
-    """What was queued, and what of the rest.
+    """The jobs that wait or run for these wrenches, and counts of the others.
 
-    Attributes
-    ----------
-    jobs : list of Job
-        Those that wait or run for these wrenches, new ones and those there were.
-    solved, covered, failed, beyond_range, left : int
-        Wrenches that a row of the table has, that the table covers, whose solve has failed before,
-        that lie outside the load range, and that the budget leaves.
-    reason : str
-        Why not all, or why none; empty if all are queued.
+    `solved` are rows of the table already, `covered` are covered by it, `failed` have failed
+    before, `beyond_range` lie outside the load range, `left` exceed the budget. `reason` says why
+    not all are queued, or why none is; it is empty if all are.
     """
 
     jobs: list[JobRecord]
@@ -46,48 +38,21 @@ class StartedSolves:
 
 
 def start_recording(
-    workspace: Workspace, store: RecordingStore, name: str, budget: int, *, beyond_range: bool
+    workspace: Workspace, name: str, store: RecordingStore, *, budget: int, beyond_range: bool
 ) -> StartedSolves:
     """Queue the solves of recorded wrenches that the table does not cover.
 
-    The one farthest from all that is solved or queued comes first, so that a budget is spent where
-    it gains most. The recording stays as it is.
-
-    Raises
-    ------
-    UnknownComponentError
-        If there is no such component.
-    NoSetupError
-        If nothing can be solved for it.
-    TableBehindError
-        If the table does not hold all rows yet.
+    The wrench farthest from all that is solved or queued comes first, so that a budget is spent
+    where it gains most. The recording stays as it is. Raises UnknownComponentError, NoSetupError if
+    nothing can be solved for it, TableBehindError if the table does not hold all rows yet.
     """
     component = _solvable(workspace, name)
     wrenches = store.recording(name).wrenches
-    if component.linear:
-        return _start_linear(workspace, component, wrenches, beyond_range)
-    # First what is queued, then what is known: see `Workspace.fill`.
-    pending = workspace.submission.pending_wrenches(name)
-    table = workspace.tables.caught_up(name, CATCH_UP_S)
-    known = table.rows.wrench
-    inside, beyond = _within(component, wrenches, beyond_range)
-    solved = _are_rows(inside, known)
-    covered = np.zeros(len(inside), dtype=bool)
-    if len(inside):
-        covered = (table.packed.batch(inside).coverage == COVERED) & ~solved
-    return _submitted(
-        workspace,
-        component,
-        inside[~solved & ~covered],
-        np.concatenate([known, pending]),
-        budget,
-        StartedSolves([], int(solved.sum()), int(covered.sum()), beyond_range=beyond),
-        "recording",
-    )
+    return _start(workspace, component, wrenches, budget, beyond_range, "recording")
 
 
 def start_envelope(
-    workspace: Workspace, store: RecordingStore, name: str, *, beyond_range: bool
+    workspace: Workspace, name: str, store: RecordingStore, *, beyond_range: bool
 ) -> StartedSolves:
     """Queue the solves of the wrenches that reached an envelope's extremes, covered or not.
 
@@ -95,46 +60,24 @@ def start_envelope(
     """
     component = _solvable(workspace, name)
     envelope = store.envelope(name)
-    both = np.concatenate([envelope.lowest, envelope.highest])
-    wrenches = np.unique(both, axis=0) if len(both) else both
-    if component.linear:
-        return _start_linear(workspace, component, wrenches, beyond_range)
-    table = workspace.tables.caught_up(name, CATCH_UP_S)
-    known = table.rows.wrench
-    inside, beyond = _within(component, wrenches, beyond_range)
-    solved = _are_rows(inside, known)
-    counted = StartedSolves([], int(solved.sum()), beyond_range=beyond)
-    return _submitted(
-        workspace, component, inside[~solved], known, len(inside), counted, "envelope"
-    )
+    wrenches = np.concatenate([envelope.lowest, envelope.highest])
+    wrenches = np.unique(wrenches, axis=0) if len(wrenches) else wrenches
+    return _start(workspace, component, wrenches, len(wrenches), beyond_range, "envelope")
 
 
 def start_resolving(
-    workspace: Workspace, name: str, budget: int, *, beyond_range: bool
+    workspace: Workspace, name: str, *, budget: int, beyond_range: bool
 ) -> StartedSolves:
     """Queue a solve for each wrench of rows of another setup that no row of the table has.
 
-    Raises
-    ------
-    UnknownComponentError
-        If there is no such component.
-    NoSetupError
-        If nothing can be solved for it.
-    TableBehindError
-        If the table does not hold all rows yet.
+    Raises as `start_recording` does.
     """
     component = workspace.submission.solvable(name)
     others = workspace.ledger.of_other_setups(name, component.fingerprint)
     wrenches = unsolved(component, others, np.empty((0, len(component.space.inputs))))
     if not len(wrenches):
         return StartedSolves([], reason=f"no row of {name!r} belongs to another setup")
-    if component.linear:
-        return _start_linear(workspace, component, wrenches, beyond_range)
-    known = workspace.tables.caught_up(name, CATCH_UP_S).rows.wrench
-    left = unsolved(component, others, known)
-    inside, beyond = _within(component, left, beyond_range)
-    counted = StartedSolves([], len(wrenches) - len(left), beyond_range=beyond)
-    return _submitted(workspace, component, inside, known, budget, counted, "resolve")
+    return _start(workspace, component, wrenches, budget, beyond_range, "resolve")
 
 
 def _solvable(workspace: Workspace, name: str) -> Component:
@@ -148,52 +91,42 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     return component
 
 
-def _within(component: Component, wrenches: Floats, beyond_range: bool) -> tuple[Floats, int]:
-    """Return the wrenches, (n, inputs), that may be solved, and how many may not."""
-    if beyond_range or not len(wrenches):
-        return wrenches, 0
-    holds = component.load_range.holds(wrenches)
-    return wrenches[holds], int((~holds).sum())
-
-
-def _are_rows(wrenches: Floats, known: Floats) -> NDArray[np.bool_]:
-    """Return which wrenches, (n, inputs), are rows of the table, (k, inputs): shape (n,)."""
-    rows = set(packed(known))
-    return np.array([key in rows for key in packed(wrenches)], dtype=bool)
-
-
-def _submitted(
+def _start(
     workspace: Workspace,
     component: Component,
     wrenches: Floats,
-    known: Floats,
     budget: int,
-    counted: StartedSolves,
+    beyond_range: bool,
     purpose: str,
 ) -> StartedSolves:
-    """Accept the jobs of wrenches, shapes (n, inputs); what is queued costs no budget."""
-    keys, ledger = packed(wrenches), workspace.ledger
-    jobs = ledger.jobs_for(component.name, component.fingerprint, keys)
+    """Accept the jobs of wrenches, (n, inputs); a wrench that is queued costs no budget."""
+    name, load_range, ledger = component.name, component.load_range, workspace.ledger
+    holds = np.ones(len(wrenches), dtype=bool)
+    if len(wrenches) and not beyond_range:
+        holds = load_range.holds(wrenches)
+    if component.linear:
+        return _start_linear(workspace, component, holds)
+    # First what is queued, then what is known: see `Workspace.fill`.
+    pending = workspace.submission.pending_wrenches(name)
+    table = workspace.tables.caught_up(name, CATCH_UP_S)
+    rows = set(packed(component.acting(table.rows.wrench)))
+    solved = np.array([key in rows for key in packed(wrenches)], dtype=bool)
+    beyond, inside = int((~holds & ~solved).sum()), wrenches[holds & ~solved]
+    covered = np.zeros(len(inside), dtype=bool)
+    if len(inside) and purpose == "recording":
+        covered = table.packed.batch(inside).coverage == COVERED
+    unknown = inside[~covered]
+    keys = packed(unknown)
+    jobs = ledger.jobs_for(name, component.fingerprint, keys)
     status = [jobs[key].status if key in jobs else "" for key in keys]
-    fresh = np.flatnonzero([one in ("", "cancelled", "done") for one in status])
-    scale = component.load_range.scale
-    order = farthest_first(scaled_loads(wrenches[fresh], scale), scaled_loads(known, scale), budget)
-    accepted = workspace.submission.fill(component.name, wrenches[fresh[order]], asked_by=purpose)
-    queued = [jobs[key] for key, one in zip(keys, status, strict=True) if one in OPEN]
+    fresh = unknown[[state in ("", "cancelled", "done") for state in status]]
+    known = np.concatenate([table.rows.wrench, pending])
+    scale = load_range.scale
+    order = farthest_first(scaled_loads(fresh, scale), scaled_loads(known, scale), budget)
+    accepted = workspace.submission.fill(name, fresh[order], asked_by=purpose)
+    present = [jobs[key] for key in keys if key in jobs]
+    queued = [job for job in present if job.status in ("waiting", "running")]
     failed, left = status.count("failed"), len(fresh) - len(order)
-    return StartedSolves(
-        queued + [job for job in accepted if not job.is_final],
-        counted.solved,
-        counted.covered,
-        failed,
-        counted.beyond_range,
-        left,
-        _reason(len(wrenches), counted, failed, left),
-    )
-
-
-def _reason(count: int, counted: StartedSolves, failed: int, left: int) -> str:
-    """Return what is not queued and what to do about it."""
     reasons = []
     if left:
         reasons.append(f"{left} are left by the budget: start again once these are solved")
@@ -201,25 +134,36 @@ def _reason(count: int, counted: StartedSolves, failed: int, left: int) -> str:
         reasons.append(
             f"{failed} have failed before: see GET /v1/jobs?status=failed and retry them"
         )
-    if counted.beyond_range:
-        beyond = f"{counted.beyond_range} are outside the load range"
-        reasons.append(f"{beyond}: start with beyond_range true to solve them all the same")
-    if not count and not reasons:
-        any_kept = counted.solved + counted.covered
-        reasons.append("the table covers all of them" if any_kept else "nothing was gathered yet")
-    return "; ".join(reasons)
+    if beyond:
+        reasons.append(
+            f"{beyond} are outside the load range: start with beyond_range true to solve them all "
+            "the same"
+        )
+    if not len(unknown) and not reasons:
+        any_known = solved.any() or covered.any()
+        reasons.append("the table covers all of them" if any_known else "nothing was gathered yet")
+    return StartedSolves(
+        queued + [job for job in accepted if not job.is_final],
+        int(solved.sum()),
+        int(covered.sum()),
+        failed,
+        beyond,
+        left,
+        "; ".join(reasons),
+    )
 
 
 def _start_linear(
-    workspace: Workspace, component: Component, wrenches: Floats, beyond_range: bool
+    workspace: Workspace, component: Component, holds: NDArray[np.bool_]
 ) -> StartedSolves:
     """Queue the solves of a linear component's compliance: it answers every wrench."""
-    if not len(wrenches):
+    if not len(holds):
         return StartedSolves([], reason="nothing was gathered yet")
-    inside, beyond = _within(component, wrenches, beyond_range)
+    inside = int(holds.sum())
+    beyond = len(holds) - inside
     if not workspace.tables.caught_up(component.name, CATCH_UP_S).needs_compliance:
         reason = "the component is linear and its compliance known: it answers every wrench"
-        return StartedSolves([], covered=len(inside), beyond_range=beyond, reason=reason)
+        return StartedSolves([], covered=inside, beyond_range=beyond, reason=reason)
     workspace.fill(component.name, len(component.space.inputs), None)
     queued = workspace.ledger.open_jobs(component.name, component.fingerprint)
     reason = "the component is linear: its compliance, once solved, answers every wrench"
@@ -228,5 +172,5 @@ def _start_linear(
             "the component is linear and the solves of its compliance have failed: see "
             "GET /v1/jobs?status=failed and retry them"
         )
-    jobs = [workspace.ledger.job(one.id) for one in queued]
+    jobs = [workspace.ledger.job(job.id) for job in queued]
     return StartedSolves(jobs, beyond_range=beyond, reason=reason)

@@ -1,36 +1,87 @@
-"""Recorded wrenches: the subset that a recording keeps, and the extremes of an envelope."""
+"""Recordings and envelopes: the wrenches that a simulator's loop has met, in the ledger's database.
+
+A recording keeps a thinned subset of its wrenches, an envelope the wrench at each extreme. A block
+is written in one transaction with its key, so that a block sent twice counts once.
+"""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import astuple, dataclass, replace
+from itertools import product
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.ledger import Block, Kept, Kind, Tally, packed, unpacked
+from wrenchbook.service.contract import COVERAGE
+from wrenchbook.service.ledger import BlockKeyError, packed, unpacked
+from wrenchbook.service.ledger.connection import Connection
+from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.recording.thinning import MOST_OUTSIDE, Subset, Taken, scaled_loads, take
+from wrenchbook.service.recording.thinning import (
+    MAX_OUTSIDE,
+    MERGE,
+    Subset,
+    scaled_loads,
+    take,
+)
+from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.answer import COVERED, OUTSIDE
+from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.space import Space
 
 Floats = NDArray[np.float64]
+Kind = Literal["recording", "envelope"]
+BlockKey = tuple[str, int]  # the client's name, and its number of the block
 
-MOST_SUBSETS = 32  # recordings whose subsets are in memory, some 2 MB each: those written to last
+BLOCKS_OF_A_CLIENT = 256  # keys kept: a client sends its blocks in order, one or a few at a time
+BLOCKS = 100_000  # keys kept in all, 10 MB: the newest
+MAX_SUBSETS = 32  # recordings whose subsets are in memory, some 2 MB each: those written to last
+
+EXACT: Final = (
+    "bound: of a linear table, max over the box of |u(0) + C w|, at the corner that the signs of "
+    "C choose for each output, plus the error bar"
+)
+ESTIMATE: Final = (
+    "estimate: the largest |answer| + error bar of the table at {} corners of the box, its "
+    "centre, zero load and the wrenches that reached the extremes"
+)
+MAX_CORNERS = 4096  # of a box: all of 12 inputs; of more inputs some, chosen at random
 
 
 @dataclass(frozen=True)
-class Took:
-    """The result of adding a block.
+class Tally:
+    """The counts and distances of a recording or an envelope, in the order of its columns.
 
-    Attributes
-    ----------
-    tally : Tally
-        The counts of the recording or envelope now.
-    known : bool
-        Whether the block was in it already; then nothing has changed.
-    outside : int
-        Wrenches of the block that are outside the load range.
+    `revision` grows with every change. Of the wrenches `offered` since it was cleared, `merged` are
+    within 1e-6 of the range of a kept one, `thinned` are represented by one, `outside` lie outside
+    the load range. `reach` is the largest difference of a load, of its scale (beyond the range: of
+    itself), at which a wrench counts as a kept one; every wrench offered is `within` of one. Those
+    outside the load range are thinned apart. `scale` has the scales of the loads, packed, N and
+    N·m, that the distances are measured in.
+    """
+
+    revision: int = 0
+    offered: int = 0
+    merged: int = 0
+    thinned: int = 0
+    outside: int = 0
+    reach: float = MERGE
+    within: float = 0.0
+    reach_outside: float = MERGE
+    within_outside: float = 0.0
+    scale: bytes | None = None
+
+
+@dataclass(frozen=True)
+class BlockResult:
+    """The counts after a block.
+
+    `known` is whether it was there before (then nothing has changed), `outside` how many of its
+    wrenches are outside the load range.
     """
 
     tally: Tally
@@ -50,10 +101,8 @@ class RecordingState:
 class EnvelopeState:
     """An envelope: its counts, and the wrenches that reached each extreme.
 
-    Attributes
-    ----------
-    lowest, highest : ndarray, shape (n, n), N and N·m
-        Line i is the whole wrench in which input i was least, largest; no lines if none came.
+    Line i of `lowest` (n, n) and `highest` (n, n), N and N·m, is the complete wrench in which input
+    i was least or largest; there are no lines if no wrench came.
     """
 
     tally: Tally
@@ -69,167 +118,305 @@ class EnvelopeState:
         return self.lowest.diagonal().copy(), self.highest.diagonal().copy()
 
 
-@dataclass(frozen=True)
-class Subsets:
-    """The wrenches of a recording within the load range, and those outside."""
-
-    inside: Subset
-    outside: Subset
-
-
 class RecordingStore:
     """Recordings and envelopes of one workspace.
 
-    The subset of a recording is in memory as it was after its last block, with the ledger's
-    revision number. A block of another process changes that number; the subset is then read again.
+    The subset of a recording is in memory as it was after its last block, with the revision of its
+    tally. A block of another process changes that number; the subset is then read again.
     """
 
     def __init__(self, workspace: Workspace) -> None:
         self._library, self._ledger = workspace.library, workspace.ledger
-        self._subsets: dict[str, tuple[int, Subsets]] = {}
+        self._subsets: dict[str, tuple[int, tuple[Subset, Subset]]] = {}
         self._lock = threading.Lock()
 
-    def record(self, name: str, wrenches: Floats, block: Block | None) -> Took:
+    def record(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
         """Add wrenches, shape (n, inputs), N and N·m, to a component's recording.
 
-        Loads on locked freedoms are left out.
-
-        Raises
-        ------
-        UnknownComponentError
-            If there is no such component.
-        BlockKeyError
-            If the block's key is empty.
+        Loads on locked freedoms are left out. Without a key a block sent twice counts twice. Raises
+        UnknownComponentError, or BlockKeyError if the key was used for other wrenches or is too old
+        to be known.
         """
         component = self._library[name]
         acting, scale = component.acting(wrenches), component.load_range.scale
         points, keys = scaled_loads(acting, scale), packed(acting)
         inside = component.load_range.holds(acting) if len(keys) else np.ones(0, dtype=bool)
         outside = int((~inside).sum())
-        subsets: list[Subsets] = []
-
-        def choose(now: Tally, read: Callable[[], list[bytes]]) -> Kept:
-            there = self._subsets_of(component, now, read)
-            within = _take(there.inside, points, keys, inside)
-            beyond = _take(there.outside, points, keys, ~inside)
-            subsets.append(Subsets(within.subset, beyond.subset))
-            after = replace(
-                now,
-                offered=now.offered + len(keys),
-                merged=now.merged + within.merged + beyond.merged,
-                thinned=now.thinned + within.thinned + beyond.thinned,
-                outside=now.outside + outside,
-                reach=within.subset.reach,
-                within=within.subset.within,
-                reach_outside=beyond.subset.reach,
-                within_outside=beyond.subset.within,
-                scale=_packed_scale(scale),
+        with self._ledger.writing() as db:
+            before = _tally(db, name, "recording")
+            if block is not None and _was_recorded(db, name, "recording", block, wrenches):
+                return BlockResult(before, True, outside)
+            within, beyond = (
+                take(subset, points[places], [keys[place] for place in places.tolist()])
+                for subset, places in zip(
+                    self._subsets_of(component, before, db),
+                    (np.flatnonzero(inside), np.flatnonzero(~inside)),
+                    strict=True,
+                )
             )
-            came = {key: place for place, key in reversed(list(enumerate(keys)))}
-            added = sorted(within.added + beyond.added, key=came.__getitem__)
-            return Kept(after, added, within.dropped + beyond.dropped)
+            after = Tally(
+                before.revision + 1,
+                before.offered + len(keys),
+                before.merged + within.merged + beyond.merged,
+                before.thinned + within.thinned + beyond.thinned,
+                before.outside + outside,
+                within.subset.reach,
+                within.subset.within,
+                beyond.subset.reach,
+                beyond.subset.within,
+                _packed_scale(scale),
+            )
+            first_place = {key: place for place, key in reversed(list(enumerate(keys)))}
+            added = sorted(within.added + beyond.added, key=first_place.__getitem__)
+            db.executemany(
+                "DELETE FROM recorded WHERE component = ? AND wrench = ?",
+                [(name, key) for key in within.dropped + beyond.dropped],
+            )
+            db.executemany(
+                "INSERT INTO recorded (component, wrench) VALUES (?, ?)",
+                [(name, key) for key in added],
+            )
+            _save(db, name, "recording", after)
+        with self._lock:  # only now is the block on the disk
+            self._subsets.pop(name, None)
+            self._subsets[name] = after.revision, (within.subset, beyond.subset)
+            while len(self._subsets) > MAX_SUBSETS:
+                del self._subsets[next(iter(self._subsets))]
+        return BlockResult(after, False, outside)
 
-        tally, known = self._ledger.record(name, block, choose)
-        if subsets:  # only now is it on the disk
-            self._keep(name, tally.revision, subsets[-1])
-        return Took(tally, known, outside)
-
-    def widen(self, name: str, wrenches: Floats, block: Block | None) -> Took:
+    def widen(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
         """Add wrenches, shape (n, inputs), to a component's envelope; as `record`."""
         component = self._library[name]
         acting = component.acting(wrenches)
-        outside, keys = _outside(component, acting), packed(acting)
-
-        def choose(now: Tally, there: dict[int, bytes]) -> Kept:
-            after = replace(now, offered=now.offered + len(keys), outside=now.outside + outside)
-            return Kept(after, _wider(acting, keys, there), [])
-
-        return Took(*self._ledger.widen(name, block, choose), outside)
+        keys = packed(acting)
+        outside = int((~component.load_range.holds(acting)).sum()) if keys else 0
+        with self._ledger.writing() as db:
+            before = _tally(db, name, "envelope")
+            if block is not None and _was_recorded(db, name, "envelope", block, wrenches):
+                return BlockResult(before, True, outside)
+            after = replace(
+                before,
+                revision=before.revision + 1,
+                offered=before.offered + len(keys),
+                outside=before.outside + outside,
+            )
+            db.executemany(
+                "INSERT OR REPLACE INTO extremes VALUES (?, ?, ?)",
+                [(name, *extreme) for extreme in _wider(acting, keys, _extremes(db, name))],
+            )
+            _save(db, name, "envelope", after)
+        return BlockResult(after, False, outside)
 
     def recording(self, name: str) -> RecordingState:
         """Return a component's recording; raises UnknownComponentError."""
         component = self._library[name]
-        tally, keys = self._ledger.recording(component.name)
         count = len(component.load_range.low)
-        return RecordingState(tally, unpacked(_of_width(keys, count), count))
+        with self._ledger.reading() as db:
+            tally, keys = _tally(db, name, "recording"), _recorded(db, name, count)
+        return RecordingState(tally, unpacked(keys, count))
 
     def envelope(self, name: str) -> EnvelopeState:
         """Return a component's envelope; raises UnknownComponentError."""
         component = self._library[name]
-        tally, there = self._ledger.envelope(component.name)
         count = len(component.load_range.low)
-        current = _of_width(there.values(), count)
+        with self._ledger.reading() as db:
+            tally, extremes = _tally(db, name, "envelope"), _extremes(db, name)
+        current = _of_width(extremes.values(), count)
         inputs = range(count) if len(current) == 2 * count else ()
-        lowest, highest = ([there[at + one] for one in inputs] for at in (0, count))
+        lowest, highest = ([extremes[start + load] for load in inputs] for start in (0, count))
         return EnvelopeState(tally, unpacked(lowest, count), unpacked(highest, count))
 
     def clear(self, name: str, kind: Kind) -> Tally:
-        """Empty a component's recording or envelope, and return its counts before."""
-        return self._ledger.clear_recording(self._library[name].name, kind)
+        """Empty a component's recording or envelope; its counts before.
+
+        A block that was in it is not taken in again when it is sent once more.
+        """
+        component = self._library[name].name
+        with self._ledger.writing() as db:
+            before = _tally(db, component, kind)
+            table = "recorded" if kind == "recording" else "extremes"
+            db.execute(f"DELETE FROM {table} WHERE component = ?", (component,))
+            if before.revision:
+                _save(db, component, kind, Tally(revision=before.revision + 1))
+        return before
 
     def _subsets_of(
-        self, component: Component, now: Tally, read: Callable[[], list[bytes]]
-    ) -> Subsets:
-        """Return the subsets of a recording as the ledger has it."""
-        scale, kept = component.load_range.scale, self._subsets.get(component.name)
-        same = now.scale is None or now.scale == _packed_scale(scale)
-        if kept is not None and kept[0] == now.revision and same:
-            return kept[1]
-        keys, stretched = _of_width(read(), len(scale)), 1.0
-        if now.scale is not None and len(now.scale) == scale.nbytes and not same:
+        self, component: Component, tally: Tally, db: Connection
+    ) -> tuple[Subset, Subset]:
+        """Return the subsets within the load range and outside, as the ledger has them."""
+        scale, cached = component.load_range.scale, self._subsets.get(component.name)
+        same = tally.scale is None or tally.scale == _packed_scale(scale)
+        if cached is not None and cached[0] == tally.revision and same:
+            return cached[1]
+        stretched = 1.0
+        if tally.scale is not None and len(tally.scale) == scale.nbytes and not same:
             # The load range was edited since: distances have another scale.
-            stretched = max(1.0, float((unpacked([now.scale], len(scale))[0] / scale).max()))
+            stretched = max(1.0, float((unpacked([tally.scale], len(scale))[0] / scale).max()))
+        keys = _recorded(db, component.name, len(scale))
         wrenches = unpacked(keys, len(scale))
         points, holds = scaled_loads(wrenches, scale), component.load_range.holds(wrenches)
-        inside, outside = np.flatnonzero(holds), np.flatnonzero(~holds)
-        own, others = ([keys[one] for one in places.tolist()] for places in (inside, outside))
-        return Subsets(
-            Subset(points[inside], own, now.reach, now.within * stretched),
-            Subset(
-                points[outside],
-                others,
-                now.reach_outside,
-                now.within_outside * stretched,
-                MOST_OUTSIDE,
-            ),
+        inside, outside = (
+            (points[places], [keys[place] for place in places.tolist()])
+            for places in (np.flatnonzero(holds), np.flatnonzero(~holds))
         )
-
-    def _keep(self, name: str, revision: int, subsets: Subsets) -> None:
-        with self._lock:
-            self._subsets.pop(name, None)
-            self._subsets[name] = revision, subsets
-            while len(self._subsets) > MOST_SUBSETS:
-                del self._subsets[next(iter(self._subsets))]
+        beyond = tally.reach_outside, tally.within_outside * stretched, MAX_OUTSIDE
+        return Subset(*inside, tally.reach, tally.within * stretched), Subset(*outside, *beyond)
 
 
-def _take(subset: Subset, points: Floats, keys: list[bytes], which: NDArray[np.bool_]) -> Taken:
-    """Add some of points, shape (n, inputs), dimensionless, to a subset."""
-    places = np.flatnonzero(which)
-    return take(subset, points[places], [keys[one] for one in places.tolist()])
+def _tally(db: Connection, component: str, kind: Kind) -> Tally:
+    row = db.execute(
+        "SELECT revision, offered, merged, thinned, outside, reach, within, reach_outside,"
+        " within_outside, scale FROM gatherings WHERE component = ? AND kind = ?",
+        (component, kind),
+    ).fetchone()
+    return Tally(*row) if row else Tally()
 
 
-def _wider(wrenches: Floats, keys: list[bytes], there: dict[int, bytes]) -> list[tuple[int, bytes]]:
+def _save(db: Connection, component: str, kind: Kind, tally: Tally) -> None:
+    db.execute(
+        "INSERT OR REPLACE INTO gatherings VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        (component, kind, *astuple(tally)),
+    )
+
+
+def _was_recorded(
+    db: Connection, component: str, kind: Kind, block: BlockKey, wrenches: Floats
+) -> bool:
+    """Whether a block was recorded before; a new block's key is written, keys too old forgotten.
+
+    Raises BlockKeyError if the key was used for other wrenches, or is too old to be known.
+    """
+    client, sequence = block
+    digest = content_key(b"".join(packed(wrenches)))
+    key = "component = ? AND kind = ? AND client = ?"
+    of_client = (component, kind, client)
+    before = db.execute(
+        f"SELECT digest FROM blocks WHERE {key} AND sequence = ?", (*of_client, sequence)
+    ).fetchone()
+    if before:
+        if before[0] != digest:
+            raise BlockKeyError(
+                f"block {sequence} of client {client!r} has been recorded with other wrenches; "
+                "give each block a number of its own, or use another client name"
+            )
+        return True
+    last = db.execute(f"SELECT max(sequence) FROM blocks WHERE {key}", of_client).fetchone()[0]
+    if last is not None and sequence <= last - BLOCKS_OF_A_CLIENT:
+        raise BlockKeyError(
+            f"block {sequence} of client {client!r} is more than {BLOCKS_OF_A_CLIENT} before its "
+            f"newest, {last}: whether it was recorded is not known any more. Send blocks in order, "
+            "or use another client name to record it now"
+        )
+    added = db.execute(
+        "INSERT INTO blocks (component, kind, client, sequence, digest) VALUES (?, ?, ?, ?, ?)",
+        (*of_client, sequence, digest),
+    )
+    assert added.lastrowid is not None
+    db.execute(
+        f"DELETE FROM blocks WHERE {key} AND sequence <= ?",
+        (*of_client, sequence - BLOCKS_OF_A_CLIENT),
+    )
+    db.execute("DELETE FROM blocks WHERE id <= ?", (added.lastrowid - BLOCKS,))
+    return False
+
+
+def _recorded(db: Connection, component: str, inputs: int) -> list[bytes]:
+    rows = db.execute("SELECT wrench FROM recorded WHERE component = ? ORDER BY id", (component,))
+    return _of_width((wrench for (wrench,) in rows), inputs)
+
+
+def _extremes(db: Connection, component: str) -> dict[int, bytes]:
+    """Packed extremes by place: of n inputs 0 to n - 1 for the least, n to 2n - 1 the largest."""
+    where = "SELECT place, wrench FROM extremes WHERE component = ? ORDER BY place"
+    return dict(db.execute(where, (component,)).fetchall())
+
+
+def _wider(
+    wrenches: Floats, keys: list[bytes], extremes: dict[int, bytes]
+) -> list[tuple[int, bytes]]:
     """Return the new extremes of wrenches, shape (n, inputs), N and N·m, with their places."""
     if not keys:
         return []
-    found, count = [], wrenches.shape[1]
+    wider, count = [], wrenches.shape[1]
     for place in range(2 * count):
-        one, sign = place % count, -1.0 if place < count else 1.0
-        best = int(np.argmax(sign * wrenches[:, one]))
-        before = _of_width((there.get(place, b""),), count)
-        if not before or sign * wrenches[best, one] > sign * unpacked(before, count)[0, one]:
-            found.append((place, keys[best]))
-    return found
+        load, sign = place % count, -1.0 if place < count else 1.0
+        best = int(np.argmax(sign * wrenches[:, load]))
+        before = _of_width((extremes.get(place, b""),), count)
+        if not before or sign * wrenches[best, load] > sign * unpacked(before, count)[0, load]:
+            wider.append((place, keys[best]))
+    return wider
 
 
 def _of_width(keys: Iterable[bytes], inputs: int) -> list[bytes]:
-    """Return packed wrenches without those of an earlier setup with other inputs."""
+    """Packed wrenches without those of an earlier setup with other inputs."""
     return [key for key in keys if len(key) == 8 * inputs]
-
-
-def _outside(component: Component, wrenches: Floats) -> int:
-    return int((~component.load_range.holds(wrenches)).sum()) if len(wrenches) else 0
 
 
 def _packed_scale(scale: Floats) -> bytes:
     return packed(scale[None])[0]
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The largest displacement over an envelope's box, shape (m,), m and rad; NaN if unknown.
+
+    `kind` is ``bound``, ``estimate`` or ``unknown``, `coverage` the worst of the answers it is
+    computed from, `negligible` whether it is within the tolerance (None if that is not known),
+    `reason` why that is not known, or the basis.
+    """
+
+    displacement: Floats
+    kind: str
+    formula: str
+    coverage: str
+    negligible: bool | None
+    reason: str
+
+
+def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance | None) -> Bound:
+    """How far an envelope's wrenches can move the component, by its table."""
+    low, high = envelope.box
+    space = table.load_range.space
+    if np.isnan(low).any():
+        unknown = np.full(len(space.outputs), np.nan)
+        return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
+    if 2 ** len(low) <= MAX_CORNERS:
+        corners = np.array(list(product(*zip(low, high, strict=True))))
+    else:
+        chosen = np.random.default_rng(0).random((MAX_CORNERS, len(low))) < 0.5
+        corners = np.where(chosen, low, high)
+    with np.errstate(over="ignore"):
+        centre = low / 2 + high / 2
+    more = [centre[None], np.zeros((1, len(low))), envelope.lowest, envelope.highest]
+    answers = table.packed.batch(np.concatenate([corners, *more]))
+    coverage = int(answers.coverage.max(initial=COVERED))
+    exact = table.linear and table.fit.complete
+    if exact:
+        ends = np.stack([table.fit.matrix * low, table.fit.matrix * high])
+        over_box = np.abs([ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)]).max(axis=0)
+        largest = over_box + answers.errors.max(axis=0)
+        largest = largest + np.abs(table.packed.batch(np.zeros((1, len(low)))).outputs[0])
+    else:
+        # NaN stays: what is not known at one point is no estimate of the largest.
+        largest = (np.abs(answers.outputs) + answers.errors).max(axis=0)
+    kind = "unknown" if np.isnan(largest).any() else "bound" if exact else "estimate"
+    negligible, reason = _judged(largest, coverage, kind, tolerance, space)
+    number = f"the {len(corners)}" if len(corners) < MAX_CORNERS else len(corners)
+    formula = EXACT if exact else ESTIMATE.format(number)
+    return Bound(largest, kind, formula, COVERAGE[coverage], negligible, reason)
+
+
+def _judged(
+    largest: Floats, coverage: int, kind: str, tolerance: Tolerance | None, space: Space
+) -> tuple[bool | None, str]:
+    """Whether the largest displacement is within the tolerance, and why that is not known."""
+    if tolerance is None:
+        return None, "the component has no tolerance: ask with ?translation=...&rotation=..."
+    allowed = np.where(space.is_rotation, tolerance.rotation, tolerance.translation)
+    if (largest > allowed).any():
+        return False, ""
+    if kind == "unknown":
+        return None, "the table does not answer over all of the box; start the envelope's solves"
+    if coverage == OUTSIDE and kind != "bound":
+        return None, "part of the box is outside the table, where an estimate is no proof"
+    return True, "" if kind == "bound" else "an estimate by the table, see formula"

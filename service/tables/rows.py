@@ -16,7 +16,7 @@ import numpy as np
 
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.formats import ParsedTable
-from wrenchbook.service.formats.table_rows import MEASURED
+from wrenchbook.service.formats.rows import MEASURED
 from wrenchbook.service.ledger import (
     ImportRecord,
     Ledger,

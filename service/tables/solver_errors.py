@@ -1,8 +1,8 @@
-"""What the solver of each set-up may be wrong by, in a folder: ``<component>/<fingerprint>.json``.
+"""The estimated error of the solver of each setup, in the ledger's database.
 
-It is estimated with the first solve of a set-up, by the solver's process, and belongs to all rows
-of it. Without a readable file error bars lack the discretisation error, replies name that, and the
-next solve estimates it again.
+It is estimated with the first solve of a setup, by the solver's process, and belongs to all rows of
+it. Without an estimate error bars lack the discretisation error, replies say so, and the next solve
+estimates it again.
 """
 
 from __future__ import annotations
@@ -11,26 +11,19 @@ import json
 import logging
 import threading
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.ledger import Ledger, LedgerError
 from wrenchbook.surrogate.solver_error import SolverError
 
 _log = logging.getLogger(__name__)
 
 
 class SolverErrors:
-    """The estimates of a data directory; several processes may use it.
+    """The estimates of a data directory; several processes may use it."""
 
-    Parameters
-    ----------
-    folder : path
-        Made when the first estimate is kept.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger = ledger
         self._claimed: set[tuple[str, str]] = set()
         self._lock = threading.Lock()
 
@@ -55,42 +48,33 @@ class SolverErrors:
             if estimate is not None:
                 SolverError(estimate)
                 self._write(component, fingerprint, estimate)
-        except (OSError, ValueError, TypeError) as error:
+        except (LedgerError, ValueError, TypeError) as error:
             _log.warning("%s: the solver's error was not kept: %s", component, error)
         finally:
             with self._lock:
                 self._claimed.discard((component, fingerprint))
 
-    def release(self, component: str, fingerprint: str) -> None:
-        """Let the next solve estimate: the one that was to has ended without."""
-        self.settle(component, fingerprint, None)
-
     def copy(self, component: str, fingerprint: str, other: str) -> None:
-        """Give a component's copy, which has the same set-up, the same estimate.
+        """Give a component's copy, which has the same setup, the same estimate.
 
-        Raises
-        ------
-        OSError
-            If it cannot be written.
+        Raises LedgerUnavailableError.
         """
         known = self.read(component, fingerprint)
         if known is not None:
             self._write(other, fingerprint, known.values)
 
     def read(self, component: str, fingerprint: str) -> SolverError | None:
-        """Return what is known of a set-up; None of one that was never estimated."""
+        """Return the estimate of a setup; None if there is none that can be read."""
+        where = "SELECT estimate FROM solver_errors WHERE component = ? AND fingerprint = ?"
         try:
-            return SolverError(json.loads(self._path(component, fingerprint).read_bytes()))
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError, TypeError, AttributeError) as error:
+            with self._ledger.reading() as db:
+                row = db.execute(where, (component, fingerprint)).fetchone()
+            return SolverError(json.loads(row[0])) if row else None
+        except (LedgerError, ValueError, TypeError, AttributeError) as error:
             _log.warning("%s: the solver's error cannot be read: %s", component, error)
             return None
 
     def _write(self, component: str, fingerprint: str, estimate: Mapping[str, Any]) -> None:
-        path = self._path(component, fingerprint)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole_bytes(path, json.dumps(dict(estimate), allow_nan=False).encode())
-
-    def _path(self, component: str, fingerprint: str) -> Path:
-        return self._folder / component / f"{fingerprint}.json"
+        values = component, fingerprint, json.dumps(dict(estimate), allow_nan=False)
+        with self._ledger.writing() as db:
+            db.execute("INSERT OR REPLACE INTO solver_errors VALUES (?, ?, ?)", values)

@@ -15,7 +15,7 @@ from typing import Final, TextIO
 
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.program import child_command
-from wrenchbook.service.keys.needed import OWN_KEY
+from wrenchbook.service.keys import OWN_KEY
 
 START_S: Final = 60.0
 STOP_S: Final = 30.0

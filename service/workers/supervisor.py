@@ -12,7 +12,6 @@ import multiprocessing
 import os
 import signal
 import socket
-import sys
 import threading
 import time
 from collections.abc import Mapping
@@ -241,12 +240,13 @@ def supervise(options: Mapping[str, Any]) -> None:
         If the address is taken or not this machine's.
     """
     bound, address = bind_to(options["host"], options["port"])
-    _start_fork_server()
+    forks.set_forkserver_preload([name.split(":")[0] for name in (BUILDER, WEB_WORKER)])
+    forkserver.ensure_running()
     level = options["log_level"]
     set_up(level, options["log_format"])
     builder, web = (
         Config(
-            partial(_made, name, dict(options), os.environ.get("PYTHONPATH")),
+            partial(_made, name, dict(options)),
             workers=options["processes"],
             timeout_worker_healthcheck=HEALTH_S,
             log_config=None,
@@ -264,32 +264,8 @@ def supervise(options: Mapping[str, Any]) -> None:
         raise WorkerFailedError(supervisor.failed)
 
 
-def _start_fork_server() -> None:
-    """Start the process that children are forked from; it imports the modules of this wrenchbook.
-
-    Python 3.11 gives it neither `sys.path` nor the main module (CPython issue 126631).
-    """
-    start = Path(str(sys.modules["wrenchbook"].__file__))
-    root = start.parent if start.name == "wrenchbook.py" else start.parents[1]
-    before = os.environ.get("PYTHONPATH")
-    forks.set_forkserver_preload([name.split(":")[0] for name in (BUILDER, WEB_WORKER)])
-    _set_path(os.pathsep.join(filter(None, (str(root), before))))
-    try:
-        forkserver.ensure_running()
-    finally:
-        _set_path(before)
-
-
-def _set_path(folders: str | None) -> None:
-    """Set or remove the variable PYTHONPATH."""
-    os.environ.pop("PYTHONPATH", None)
-    if folders is not None:
-        os.environ["PYTHONPATH"] = folders
-
-
-def _made(name: str, options: Mapping[str, Any], folders: str | None) -> Any:
-    """Return the server of a child process, with PYTHONPATH as in the parent."""
-    _set_path(folders)
+def _made(name: str, options: Mapping[str, Any]) -> Any:
+    """Return the server of a child process."""
     with suppress(OSError):  # Linux: the name of the process in ps and top
         Path("/proc/self/comm").write_text(f"wb-{name.rpartition(':')[2].lower()}")
     set_up(options["log_level"], options["log_format"])

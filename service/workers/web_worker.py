@@ -25,8 +25,8 @@ DELAY_S: Final = 0.001  # for each open connection, in which a worker with fewer
 LONGEST_DELAY_S: Final = 0.01
 SHARE: Final = 8  # of the open connections, one in so many is taken at once: bursts of thousands
 PARSERS = (
-    "wrenchbook.service.library.bundle_zip",
-    "wrenchbook.service.formats.table_file",
+    "wrenchbook.service.library.bundles",
+    "wrenchbook.service.formats.read",
     "wrenchbook.service.http.batch",
 )
 

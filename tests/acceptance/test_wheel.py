@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -167,7 +168,22 @@ def test_the_wheel_puts_nothing_but_wrenchbook_among_other_packages(wheel: Path)
         names = archive.namelist()
     tops = {name.partition("/")[0] for name in names if ".dist-info/" not in name}
     assert tops == {"wrenchbook"}
-    assert "wrenchbook/fea/bundle/components/plate_ccx/plate.inp" in names
+    assert "wrenchbook/components/plate_ccx/plate.inp" in names
+
+
+def test_the_wheel_of_a_source_distribution_has_the_same_files(wheel: Path, tmp_path: Path):
+    """A source distribution has no links: by their names alone its wheel had nine files."""
+    build = [sys.executable, "-m", "hatchling", "build", "-d", str(tmp_path)]
+    subprocess.run([*build, "-t", "sdist"], cwd=ROOT, capture_output=True, check=True)
+    with tarfile.open(next(tmp_path.glob("*.tar.gz"))) as archive:
+        archive.extractall(tmp_path, filter="data")
+    source = next(path for path in tmp_path.iterdir() if path.is_dir())
+    subprocess.run([*build, "-t", "wheel"], cwd=source, capture_output=True, check=True)
+    listings = []
+    for path in (wheel, next(tmp_path.glob("*.whl"))):
+        with zipfile.ZipFile(path) as archive:
+            listings.append(sorted(archive.namelist()))
+    assert listings[0] == listings[1]
 
 
 def test_the_wheel_brings_the_compiled_kernel_its_header_and_its_platform(wheel: Path):
@@ -232,7 +248,7 @@ def test_commands_and_their_child_processes_run_the_installed_rooms(
     listed = with_server.run("wrenchbook", "components", "--json", "--data", str(tmp_path))
     assert listed.returncode == 0, listed.stderr
     assert {"bar", "spring"} <= {one["name"] for one in json.loads(listed.stdout)}
-    bundle = with_server.packages / "wrenchbook/fea/bundle/components/bar"
+    bundle = with_server.packages / "wrenchbook/components/bar"
     for command in (["wrenchbook"], ["python", "-m", "wrenchbook"]):
         checked = with_server.run(*command, "check", str(bundle))
         assert checked.returncode == 0, checked.stderr

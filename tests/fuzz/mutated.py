@@ -23,8 +23,8 @@ from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.service.formats import Options, ParsedTable, write_hdf5
 from wrenchbook.service.formats.options import ReadReport
-from wrenchbook.service.formats.table_file import read_table_file
-from wrenchbook.service.library.bundle_zip import extract
+from wrenchbook.service.formats.read import read_table_file
+from wrenchbook.service.library.bundles import extract
 from wrenchbook.service.sandbox import Part
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows

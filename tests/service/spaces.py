@@ -28,7 +28,8 @@ def add_component(http: Any, name: str = "two_ends", *, linear: bool = False, **
     whole = replace(
         library[name], load_range=load_range, linear=linear, tolerance=tolerance, **more
     )
-    library._put({**library._components, name: whole})
+    library._components = {**library._components, name: whole}
+    library._version += 1
 
 
 def add_link(http: Any, count: int = 40, name: str = "two_ends", **more: Any) -> None:

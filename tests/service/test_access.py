@@ -14,8 +14,7 @@ from wrenchbook.service.http.access import Permission, Rates, SecuritySettings, 
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.body import counted as counted_
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.keys import Key, Keyring, digest_of
-from wrenchbook.service.keys.needed import is_loopback
+from wrenchbook.service.keys import Key, Keyring, digest_of, is_loopback
 from wrenchbook.service.workspace import Settings
 
 TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}

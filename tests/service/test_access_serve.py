@@ -5,8 +5,7 @@ from typer.testing import CliRunner
 
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.main import app
-from wrenchbook.service.keys import Keyring
-from wrenchbook.service.keys.needed import KeysNeededError
+from wrenchbook.service.keys import Keyring, KeysNeededError
 from wrenchbook.service.workers import supervisor
 
 

@@ -5,6 +5,7 @@ import os
 import random
 import stat
 import zipfile
+from contextlib import closing
 from hashlib import blake2b
 
 import numpy as np
@@ -77,10 +78,12 @@ def test_packed_tables_are_in_no_backup_and_are_built_again(folder, backup, tmp_
 def test_a_restored_directory_keeps_what_solvers_may_be_wrong_by(folder, tmp_path):
     """Without it the mesh's share would leave every bar."""
     told = {"mesh": np.eye(6).tolist(), "loads": [1.0] * 6}
-    SolverErrors(folder / "solver_errors").settle("rig", "f", told)
+    with closing(Ledger(folder / "ledger.sqlite")) as ledger:
+        SolverErrors(ledger).settle("rig", "f", told)
     back_up(folder, tmp_path / "b")
     restore(tmp_path / "b", tmp_path / "again")
-    found = SolverErrors(tmp_path / "again" / "solver_errors").read("rig", "f")
+    with closing(Ledger(tmp_path / "again" / "ledger.sqlite")) as ledger:
+        found = SolverErrors(ledger).read("rig", "f")
     assert found is not None
     assert found.values == told
 

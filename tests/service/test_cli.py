@@ -193,9 +193,8 @@ def test_a_slip_on_the_command_line_is_named_and_nothing_is_sent(
 
 
 def test_help_names_the_command_and_not_the_file_that_was_run():
-    face = Path(__file__).parents[2] / "wrenchbook.py"
     run = subprocess.run(
-        [sys.executable, "-P", str(face), "query", "--help"],
+        [sys.executable, "-P", "-m", "wrenchbook", "query", "--help"],
         capture_output=True,
         text=True,
         check=True,
@@ -421,12 +420,11 @@ def test_withdraw_sends_the_import_and_its_finding_and_restores(stub: Stub, run:
 
 def completions(monkeypatch: pytest.MonkeyPatch, words: str) -> list[str]:
     """Run a shell's completion of the last word in a process, and return the candidates."""
-    face = Path(__file__).parents[2] / "wrenchbook.py"
     monkeypatch.setenv("_WRENCHBOOK_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", f"wrenchbook {words}")
     monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
     run = subprocess.run(
-        [sys.executable, "-P", str(face)], capture_output=True, text=True, check=False
+        [sys.executable, "-P", "-m", "wrenchbook"], capture_output=True, text=True, check=False
     )
     assert run.stderr == ""
     return run.stdout.split()

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from tests.service.live import served
 
-FACE = Path(__file__).parents[2] / "wrenchbook.py"
-
 
 def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
     """A fill that was interrupted left its solves in the queue."""
@@ -18,7 +16,7 @@ def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
         other = client.solve("plate", [1, 2, -3], [0, 0, 0]).job
         assert other is not None
         # A shell starts its background commands with SIGINT ignored, and children inherit it.
-        words = ["env", "--default-signal=INT", sys.executable, "-P", str(FACE)]
+        words = ["env", "--default-signal=INT", sys.executable, "-P", "-m", "wrenchbook"]
         words += ["fill", "plate", "--budget", "3"]
         words += ["--server", client.url]
         with subprocess.Popen(

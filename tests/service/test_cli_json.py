@@ -21,7 +21,6 @@ from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_cli import EXTREMES, QUEUED_NONE, RECORDED
 from tests.service.test_client_calls import COVERED
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.service.cli import local
 from wrenchbook.service.cli.main import app, main
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import Ledger
@@ -74,7 +73,6 @@ OTHERS = {
     "serve",
     "work",
     "demo",
-    "validate",
     "plan",
     "check",
     "new",
@@ -190,21 +188,6 @@ def test_a_demo_prints_its_figures_as_json(run: Run, monkeypatch):
     assert (lambda status, out: (status, json.loads(out)))(*run("demo", "--json")) == (0, figures)
 
 
-def test_a_validation_prints_its_findings_as_json(run: Run):
-    status, out = run("validate", "patch", "--json")
-    assert (status, {row["topic"] for row in json.loads(out)}) == (0, {"patch"})
-
-
-def test_the_paper_prints_its_json_and_nothing_of_its_table(run: Run, monkeypatch, tmp_path: Path):
-    (tmp_path / "paper.json").write_text('{"summary": "all bands"}')
-    table = [sys.executable, "-c", "print('a table')"]
-    run_table = lambda *_, stdout: subprocess.run(table, check=False, stdout=stdout).returncode  # noqa: E731
-    monkeypatch.setattr(local, "run_child", run_table)
-    monkeypatch.setattr(local.importlib.util, "find_spec", lambda _: True)
-    _, out = run("validate", "paper", "--out", str(tmp_path), "--json")
-    assert json.loads(out) == {"summary": "all bands"}
-
-
 def test_a_check_of_a_bundle_is_printed_as_json(run: Run):
     bundle = ROOT / "data" / "components" / "plate_thin"
     status, out = run("check", str(bundle), "--json")
@@ -225,7 +208,7 @@ def test_settings_are_printed_as_json(run: Run, tmp_path: Path):
 
 @pytest.mark.parametrize("command", [["serve", "--port", "0", "--solvers", "0"], ["work"]])
 def test_a_server_prints_one_json_line_when_it_is_ready(tmp_path: Path, command: list[str]):
-    words = [sys.executable, str(ROOT / "wrenchbook.py"), *command, "--data", str(tmp_path)]
+    words = [sys.executable, "-m", "wrenchbook", *command, "--data", str(tmp_path)]
     with subprocess.Popen([*words, "--json"], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +13,12 @@ import pytest
 from tests.service.table_files import read_csv, read_json, write_json
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.formats import UnitError, layout, write_hdf5
-from wrenchbook.service.formats.column_names import columns_of
+from wrenchbook.service.formats.columns import columns_of
 from wrenchbook.service.formats.options import Options
 from wrenchbook.service.jobs import solve_attempt
 from wrenchbook.service.jobs.attempt import prepare, read_outcome, write_outcome
 from wrenchbook.service.jobs.record_outcome import settle, spec_of
-from wrenchbook.service.ledger import About, Ledger, NewRow, packed_columns, packing, schema
+from wrenchbook.service.ledger import About, Ledger, NewRow, packed_columns
 from wrenchbook.service.ledger.packing import row_values
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
@@ -27,6 +28,7 @@ from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Space, space_of
 
+LEDGER_0_2 = Path(__file__).parent / "earlier" / "ledger-0.2.sql"
 THIRDS = tuple(np.random.default_rng(4).normal(size=56) * 1e-12)
 ROW = NewRow((1.0, 0, 0, 0, 0, 2), (1e-6,) * 6, "measured", np.eye(6).tolist(), curvature=THIRDS)
 RANGE = LoadRange(-10 * np.ones(6), 10 * np.ones(6))
@@ -60,20 +62,12 @@ def test_a_ledger_that_is_opened_again_has_it_to_the_bit(tmp_path):
 
 def test_an_older_ledger_has_none_and_takes_some(tmp_path):
     path = tmp_path / "ledger.sqlite"
-    old = sqlite3.connect(path)
-    old.create_function("seal", 3, packing.seal)
-    for script in schema.SCRIPTS[:-1]:
-        old.executescript(script)
-    old.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
-    old.execute(f"PRAGMA user_version = {len(schema.SCRIPTS) - 1}")
-    values = list(row_values("plate", "f1", replace(ROW, curvature=None), None, 1.0))
-    del values[6]
-    old.execute(f"INSERT INTO rows VALUES (1, {', '.join('?' * 12)})", values)
-    old.commit()
+    with sqlite3.connect(path) as old:
+        old.executescript(LEDGER_0_2.read_text())
     old.close()
     ledger = Ledger(path)
-    ledger.insert_rows("plate", "f1", [replace(ROW, wrench=(3.0,) * 6)])
-    assert [row.curvature for row in ledger.rows("plate")] == [None, THIRDS]
+    ledger.insert_rows("rig", "", [replace(ROW, wrench=(3.0,) * 6)])
+    assert [row.curvature for row in ledger.rows("rig")] == [None] * 5 + [THIRDS]
     ledger.close()
 
 

@@ -1,38 +1,33 @@
 """A data directory of an earlier version starts without a false alarm and keeps all its rows."""
 
+import json
 import logging
+import re
 import sqlite3
+import tarfile
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
+from tests.service.live import served
 from tests.service.test_durable_tables import Site
+from wrenchbook.service.demand import QueryStatistics
+from wrenchbook.service.ledger import Ledger, LedgerFileError
+from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.ops.doctor import examine
+from wrenchbook.service.ops.restore import restore
+from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.table.hdf5 import read_table, write_table
+from wrenchbook.surrogate.table.rows import LoadRange
 
+CHECK = re.compile(r"CHECK(\((?:[^()]|\((?:[^()]|\([^()]*\))*\))*\))")  # with its parentheses
 DUMPS = Path(__file__).parent / "earlier"  # of the schemas of these versions
-ROWS = {"0.1": 6, "0.2": 5}  # in the table
-UNKNOWN = {"0.1": ("ledger", "linear", "off_axis", "locked"), "0.2": ()}  # to files of a version
 
 
-def table_file_of(version, path):
-    """Write a table file again as a version wrote it."""
-    if version != "0.1":
-        return
-    rows, meta = read_table(path)
-    write_table(path, rows, replace(meta, schema_version=1, edits=None, ledger=""))
-    plain = path.with_suffix(".plain")
-    with h5py.File(path) as file, h5py.File(plain, "w") as old:  # without a digest
-        for name in file:
-            file.copy(name, old)
-        old.attrs.update({k: v for k, v in file.attrs.items() if k not in UNKNOWN[version]})
-    plain.replace(path)
-
-
-@pytest.fixture(params=["0.1", "0.2"])
+@pytest.fixture(params=["0.2", "0.3"])
 def site(request, tmp_path):
     """A directory of this version; its table file is made from its ledger."""
     site = Site(tmp_path)
@@ -52,17 +47,14 @@ def site(request, tmp_path):
             site.tables.surrogate("rig")
             site.close()
             assert examine(tmp_path, mend=True) is not None  # writes a file that is missing
-            table_file_of(request.param, site.file())
-    site.rows = ROWS[request.param]
     return site
 
 
-def test_rows_withdrawn_may_be_in_the_table_again_after_the_first_start(site, caplog):
-    """It was said of each component of a directory of version 0.1, of which no row was amiss."""
+def test_the_first_start_says_nothing_of_rows_in_the_table_and_loses_none(site, caplog):
     with caplog.at_level(logging.WARNING):
         site.open()
         assert site.tables.catch_up("rig", 20)
-        assert len(site.tables.surrogate("rig").rows) == site.rows
+        assert len(site.tables.surrogate("rig").rows) == 5
         assert site.tables.faults() == {}
         assert site.ledger.losses() == []
         site.close()
@@ -76,7 +68,7 @@ def test_a_directory_of_an_earlier_version_keeps_its_rows_jobs_and_answers(site)
     assert [job.status for job in site.ledger.jobs()] == ["waiting"]
     surrogate = site.tables.surrogate("rig")
     assert sorted(surrogate.rows.displacement[:, 0]) == pytest.approx(
-        [n * 1e-6 for n in range(1, 1 + site.rows)]
+        [n * 1e-6 for n in range(1, 6)]
     )
     site.close()
     assert np.isfinite(read_table(site.file())[0].wrench).all()
@@ -90,3 +82,120 @@ def test_a_ledger_that_is_older_than_a_file_of_0_1_is_still_doubted(site):
     site.tables.surrogate("rig")
     assert "withdrawn" in site.tables.faults()["rig"]
     site.close()
+
+
+def layout(path):
+    """Each table's columns, and the text of its checks and indices, in any order."""
+    with sqlite3.connect(path) as db:
+        tables = [name for (name,) in db.execute("SELECT name FROM sqlite_schema WHERE sql <> ''")]
+        columns = {
+            name: {column[1:] for column in db.execute(f"PRAGMA table_info({name})")}
+            for name in tables
+        }
+        texts = db.execute("SELECT type, name, sql FROM sqlite_schema WHERE sql <> ''")
+        checks = {
+            (kind, name): sorted(CHECK.findall(re.sub(r"[\s\"]", "", sql)))
+            for kind, name, sql in texts
+        }
+    db.close()
+    return columns, checks
+
+
+def test_its_ledger_gets_the_schema_of_a_new_one(site, tmp_path):
+    Ledger(tmp_path / "ledger.sqlite").close()
+    Ledger(tmp_path / "new.sqlite").close()
+    assert layout(tmp_path / "ledger.sqlite") == layout(tmp_path / "new.sqlite")
+
+
+@pytest.mark.parametrize("version", [1, 7, 10])
+def test_a_ledger_before_0_2_is_left_as_it_is_with_the_way_to_take_it_over(tmp_path, version):
+    path = tmp_path / "ledger.sqlite"
+    with sqlite3.connect(path) as db:
+        db.executescript((DUMPS / "ledger-0.2.sql").read_text())
+        db.execute(f"PRAGMA user_version = {version}")
+    db.close()
+    before = path.read_bytes()
+    with pytest.raises(LedgerFileError, match=r"start version 0\.2 once"):
+        Ledger(path)
+    assert path.read_bytes() == before
+
+
+# -- the state that 0.3 kept in files --------------------------------------------------------------
+
+
+@pytest.fixture
+def directory(tmp_path):
+    """A data directory as release 0.3 left it; see earlier/make_directory.py."""
+    with tarfile.open(DUMPS / "directory-0.3.tar.xz") as archive:
+        archive.extractall(tmp_path, filter="data")
+    return tmp_path / "directory-0.3"
+
+
+RANGE = LoadRange(-np.ones(6), np.ones(6))
+STATE = ("library.json", "demand.json", ".demand.lock", "solver_errors")
+
+
+def test_state_in_files_of_0_3_is_in_the_ledger_after_the_first_start(directory, caplog):
+    with caplog.at_level(logging.WARNING), served(directory) as client:
+        components = client.call("GET", "/v1/components").json()["components"]
+        names = {component["name"] for component in components}
+        assert {"bracket", "block"} <= names
+        assert "rig" not in names
+        rig = client.call("GET", "/v1/components/rig").json()
+        assert (rig["notes"], rig["renamed_to"], rig["rows"]) == ("bolts at 20 N m", "bracket", 20)
+        assert client.call("GET", "/v1/components/block").json()["copied_from"] == "bar"
+        demand = client.call("GET", "/v1/components/rig/demand").json()
+        assert [cell["count"] for cell in demand["cells"]] == [2, 1]
+        assert (demand["asked"], len(demand["latest"])) == (3, 3)
+        query = {"force": [10.0, 0, 0], "moment": [0, 0, 0], "detail": True, "on_thin": "estimate"}
+        content, head = json.dumps(query).encode(), {"Content-Type": "application/json"}
+        path = "/v1/components/block/displacement"
+        answer = client.call("POST", path, content, headers=head).json()
+        assert "mesh" in answer["error_parts"]
+    assert not [name for name in STATE if (directory / name).exists()]
+    assert [record.message for record in caplog.records] == []
+
+
+def test_files_of_0_3_are_read_once_and_what_the_ledger_has_wins(directory):
+    ledger = Ledger(directory / "ledger.sqlite")
+    Catalogue(ledger).change("rig", notes="bolts at 25 N m")
+    ledger.close()
+    old = {"rig": {"notes": "old", "archived": False, "renamed_to": None, "copied_from": None}}
+    (directory / "library.json").write_text(json.dumps({**old, "bar": {**old["rig"]}}))
+    ledger = Ledger(directory / "ledger.sqlite")
+    catalogue = Catalogue(ledger)
+    assert catalogue["rig"].notes == "bolts at 25 N m"
+    assert catalogue["bar"].notes == "old"
+    assert not (directory / "library.json").exists()
+    ledger.close()
+
+
+@pytest.mark.parametrize("name", ["library.json", "demand.json"])
+def test_a_damaged_file_of_0_3_is_left_and_keeps_no_other_from_being_read(directory, name, caplog):
+    (directory / name).write_text("[1]")
+    with closing(Ledger(directory / "ledger.sqlite")) as ledger:
+        assert f"{name} of an earlier version cannot be read and is left" in caplog.text
+        assert (directory / name).exists()
+        asked = QueryStatistics(ledger).map_of("rig", RANGE)["asked"]
+        assert (asked == 3) == (name != "demand.json")
+        assert Catalogue(ledger)["rig"].archived == (name != "library.json")
+
+
+def test_a_backup_of_0_3_is_restored_with_its_state(directory, tmp_path):
+    restore(directory.with_name("backup-0.3.zip"), tmp_path / "data")
+    with closing(Ledger(tmp_path / "data" / "ledger.sqlite")) as ledger:
+        assert Catalogue(ledger)["rig"].notes == "bolts at 20 N m"
+        row = ledger.rows("block")[0]
+        assert SolverErrors(ledger).read("block", row.fingerprint) is not None
+    assert not [name for name in STATE if (tmp_path / "data" / name).exists()]
+
+
+def test_a_ledger_of_0_3_that_is_made_anew_has_the_state_of_the_files(directory):
+    path = directory / "ledger.sqlite"
+    with path.open("r+b") as file:
+        file.seek(20_000)
+        file.write(b"\xff" * 20_000)
+    assert examine(directory, mend=True) is not None
+    with closing(Ledger(path)) as ledger:
+        assert Catalogue(ledger)["rig"].notes == "bolts at 20 N m"
+        assert QueryStatistics(ledger).map_of("rig", RANGE)["asked"] == 3

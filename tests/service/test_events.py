@@ -8,10 +8,10 @@ import time
 import pytest
 
 from tests.service.live import add_rows, add_table, as_rows, clean_wrenches, moved, served
+from wrenchbook.service import events as feed_module
 from wrenchbook.service.client import Client, ProblemError, ServerUnreachable
 from wrenchbook.service.client.events import EventParser
-from wrenchbook.service.events import feed as feed_module
-from wrenchbook.service.events.feed import Feed, TooManyListenersError
+from wrenchbook.service.events import Feed, TooManyListenersError
 from wrenchbook.service.http.access import (
     AccessControl,
     Permission,
@@ -98,7 +98,7 @@ def test_a_slow_listener_is_let_go_with_the_reason_and_holds_no_more_memory():
 
 def test_listeners_are_bounded_and_a_place_that_is_left_is_free():
     feed = Feed()
-    listeners = [feed.listen(None, None, {}) for _ in range(feed_module.MOST_LISTENERS)]
+    listeners = [feed.listen(None, None, {}) for _ in range(feed_module.MAX_LISTENERS)]
     with pytest.raises(TooManyListenersError, match="poll GET"):
         feed.listen(None, None, {})
     feed.leave(listeners[0])
@@ -121,7 +121,7 @@ def test_one_who_does_not_read_is_let_go_and_its_place_is_free(monkeypatch):
 
         stream = route.EventStream(feed, feed.listen(None, None, {}))
         assert feed.listeners == 1
-        await asyncio.wait_for(stream({}, receive, send), 20)
+        await asyncio.wait_for(stream({"type": "http"}, receive, send), 20)
 
     asyncio.run(listen())
     assert feed.listeners == 0
@@ -178,16 +178,14 @@ def test_the_life_of_jobs_is_told_whoever_changes_them(tmp_path):
 def test_what_happens_right_after_the_greeting_is_told_however_slow_the_first_look(
     tmp_path, monkeypatch
 ):
-    from wrenchbook.service.events import watch
-
-    looked = watch.look
+    looked = feed_module.look
 
     def slow(workspace, seen):
         if seen is None:
             time.sleep(0.5)  # a busy machine: the caller acts before the first look ends
         return looked(workspace, seen)
 
-    monkeypatch.setattr(watch, "look", slow)
+    monkeypatch.setattr(feed_module, "look", slow)
     with served(tmp_path) as client:
         events = client.events("plate_thin", timeout_s=30)
         assert next(events).body["tables"]["plate_thin"] is not None
@@ -245,7 +243,7 @@ def test_an_unknown_component_is_404_and_no_server_is_told(tmp_path):
 
 
 def test_one_listener_too_many_is_503_and_a_place_is_free_when_one_goes(tmp_path, monkeypatch):
-    monkeypatch.setattr(feed_module, "MOST_LISTENERS", 2)
+    monkeypatch.setattr(feed_module, "MAX_LISTENERS", 2)
     with served(tmp_path) as client:
         held = [client.events(timeout_s=20) for _ in range(2)]
         for one in held:

@@ -18,8 +18,8 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.raw import MeshFileError
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.service.library import arrival, bundle_zip
-from wrenchbook.service.library.arrival import check_mesh, toml_text, unpack
+from wrenchbook.service.library import bundles
+from wrenchbook.service.library.bundles import check_mesh, toml_text, unpack
 
 BAR = (SHIPPED / "bar" / "component.toml").read_text().replace('"bar"', '"beam"', 1)
 
@@ -83,12 +83,12 @@ def test_a_broken_archive_is_refused_and_nothing_of_it_stays(tmp_path, what):
 
 def test_an_archive_that_lies_about_its_size_is_cut_off_where_the_limit_is(tmp_path, monkeypatch):
     bomb = zipped(("component.toml", BAR), ("zeros", bytes(64 << 20)))
-    monkeypatch.setattr("wrenchbook.service.library.bundle_zip.MAX_BUNDLE_BYTES", 1 << 20)
+    monkeypatch.setattr("wrenchbook.service.library.bundles.MAX_BUNDLE_BYTES", 1 << 20)
     path = tmp_path / "bomb.zip"
     path.write_bytes(edited(bomb, 24, CENTRAL, 10, "<I"))
     (tmp_path / "out").mkdir()
     with pytest.raises(BundleError):
-        bundle_zip.extract(path, tmp_path / "out")
+        bundles.extract(path, tmp_path / "out")
     assert sum(one.stat().st_size for one in (tmp_path / "out").iterdir()) <= 2 << 20
 
 
@@ -192,7 +192,7 @@ def hostile_check(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent / "sandbox"))
 
     def choose(name):
-        monkeypatch.setattr(arrival, "CHECKER", f"hostile_readers:{name}")
+        monkeypatch.setattr(bundles, "CHECKER", f"hostile_readers:{name}")
 
     return choose
 

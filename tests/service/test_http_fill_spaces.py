@@ -7,8 +7,9 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.spaces import SPACE, N, add_link
-from wrenchbook.service.demand.demand import QueryStatistics
+from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.workspace import Settings
 from wrenchbook.surrogate.table.rows import LoadRange
 
@@ -59,9 +60,13 @@ def test_coverage_is_answered(http):
 
 def test_the_demand_map_of_many_inputs_outlasts_a_restart(tmp_path):
     span = LoadRange(-np.ones(N), np.ones(N), SPACE)
-    counts = QueryStatistics(tmp_path / "demand.json")
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    counts = QueryStatistics(ledger)
     counts.note("two_ends", span, tuple([0.4] * N), "thin")
     counts.save()
-    found = QueryStatistics(tmp_path / "demand.json").map_of("two_ends", span)
+    ledger.close()
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    found = QueryStatistics(ledger).map_of("two_ends", span)
+    ledger.close()
     assert found["asked"] == 1
     assert len(found["cells"][0]["wrench"]) == N

@@ -13,9 +13,8 @@ from wrenchbook.service.answering.queries import Query
 from wrenchbook.service.cli.render import answer_table, own_error_lines
 from wrenchbook.service.jobs import solve_attempt
 from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome
-from wrenchbook.service.library.component import LibraryUnavailableError
+from wrenchbook.service.ledger import Ledger, LedgerFullError
 from wrenchbook.service.settings import Settings
-from wrenchbook.service.tables import solver_errors
 from wrenchbook.service.tables.served import in_memory
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.service.workspace import Workspace
@@ -136,10 +135,10 @@ def test_a_copy_is_not_seen_without_its_estimate_nor_made_if_that_cannot_be_writ
 
     def full_disk(*_):
         seen.append("second" in workspace.library)
-        raise OSError("no space left")
+        raise LedgerFullError("no space left")
 
-    monkeypatch.setattr(solver_errors, "write_whole_bytes", full_disk)
-    with pytest.raises(LibraryUnavailableError):
+    monkeypatch.setattr(workspace.ledger, "writing", full_disk)
+    with pytest.raises(LedgerFullError):
         workspace.library.add_copy("plate", "second", None)
     assert seen == [False]
     assert "second" not in workspace.library
@@ -194,8 +193,14 @@ def test_an_attempt_estimates_only_if_it_is_asked_to(tmp_path, monkeypatch):
     assert found[0]["displacement"] == found[1]["displacement"]
 
 
-def test_one_solve_at_a_time_estimates_and_another_one_if_that_told_nothing(tmp_path):
-    errors = SolverErrors(tmp_path / "errors")
+@pytest.fixture
+def errors(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    yield SolverErrors(ledger)
+    ledger.close()
+
+
+def test_one_solve_at_a_time_estimates_and_another_one_if_that_told_nothing(errors):
     assert [errors.claim("bar", "f1"), errors.claim("bar", "f1")] == [True, False]
     errors.settle("bar", "f1", None)
     assert errors.claim("bar", "f1")
@@ -206,8 +211,7 @@ def test_one_solve_at_a_time_estimates_and_another_one_if_that_told_nothing(tmp_
     assert errors.claim("bar", "f2")
 
 
-def test_an_estimate_that_no_row_can_make_grow_is_made_again(tmp_path):
-    errors = SolverErrors(tmp_path)
+def test_an_estimate_that_no_row_can_make_grow_is_made_again(errors):
     errors.settle("bar", "f1", TOLD)
     assert errors.claim("bar", "f1")
     for known in (WHOLE, TOLD | {"linearity": None}, TOLD | {"mesh": None}):
@@ -215,10 +219,10 @@ def test_an_estimate_that_no_row_can_make_grow_is_made_again(tmp_path):
         assert not errors.claim("bar", "f1")
 
 
-def test_a_damaged_estimate_is_as_none_and_is_made_again(tmp_path):
-    errors = SolverErrors(tmp_path)
+def test_a_damaged_estimate_is_as_none_and_is_made_again(errors):
     errors.settle("bar", "f1", TOLD)
-    (tmp_path / "bar" / "f1.json").write_text("[1, 2")
+    with errors._ledger.writing() as db:
+        db.execute("UPDATE solver_errors SET estimate = '[1, 2'")
     assert errors.read("bar", "f1") is None
     assert errors.claim("bar", "f1")
 

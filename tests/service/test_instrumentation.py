@@ -67,7 +67,7 @@ def test_a_500_and_the_lines_of_its_request_share_the_id(crashing, lines):
 
 
 def test_a_503_names_its_request_and_a_404_does_not(http, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.events.feed.MOST_LISTENERS", 0)
+    monkeypatch.setattr("wrenchbook.service.events.MAX_LISTENERS", 0)
     refused = http.get("/v1/events")
     assert refused.status_code == 503
     assert refused.json()["request_id"] == refused.headers["x-request-id"]

@@ -7,8 +7,7 @@ import stat
 
 import pytest
 
-from wrenchbook.service.keys import FILE, Keyring, KeysError
-from wrenchbook.service.keys.record import PREFIX
+from wrenchbook.service.keys import FILE, PREFIX, Keyring, KeysError
 
 
 @pytest.fixture
@@ -105,7 +104,7 @@ def test_keys_that_a_full_disk_does_not_take_stay_as_they_were(keyring, tmp_path
     def full(_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("wrenchbook.service.keys.keyring.os.fsync", full)
+    monkeypatch.setattr("os.fsync", full)
     with pytest.raises(KeysError, match=r"keys\.json cannot be written.*No space left"):
         keyring.add("bob", "read")
     assert sorted(tmp_path.iterdir()) == before

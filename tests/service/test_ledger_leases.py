@@ -1,10 +1,8 @@
 """Who looks after a running attempt: engine, task key, owner, heartbeat."""
 
-import sqlite3
-
 import pytest
 
-from wrenchbook.service.ledger import Ledger, schema
+from wrenchbook.service.ledger import Ledger
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -104,35 +102,3 @@ def test_the_cause_of_the_last_death_is_in_the_failure(ledger, monkeypatch):
         ended = ledger.lose(job.id, attempt, f"killed by SIGSEGV, attempt {attempt}")
     assert ended.status == "failed"
     assert ended.error["message"].endswith("the last time: killed by SIGSEGV, attempt 4")
-
-
-def test_what_ran_under_the_fourth_schema_runs_on_as_the_local_engines(tmp_path):
-    path = tmp_path / "ledger.sqlite"
-    old = sqlite3.connect(path)
-    old.create_function("seal", 3, lambda *_: b"")
-    for script in schema.SCRIPTS[:4]:
-        old.executescript(script)
-    old.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
-    old.execute("PRAGMA user_version = 4")
-    columns = "id, component, fingerprint, wrench, status, priority, attempt, lost, owner, created"
-    for number, status, attempt, owner, started in (
-        (7, "running", 2, "12-ab", 5.0),
-        (8, "waiting", 0, None, None),
-    ):
-        old.execute(
-            f"INSERT INTO jobs ({columns}, started) VALUES (?, 'bar', ?, ?, ?, 0, ?, 0, ?, 1.0, ?)",
-            (number, f"f{number}", bytes(48), status, attempt, owner, started),
-        )
-    old.commit()
-    old.close()
-    ledger = Ledger(path)
-    running, waiting = ledger.job(7), ledger.job(8)
-    assert (running.owner, running.engine, running.task) == ("12-ab", "local", "7-2")
-    assert (running.started, running.began) == (5.0, 5.0)
-    assert (waiting.engine, waiting.task, waiting.began) == (None, None, None)
-    assert ledger.leases() == {}
-    assert ledger.adopt(7, 2, "12-ab", "me").owner == "me"
-    ledger.close()
-    again = Ledger(path)
-    assert again.job(7).owner == "me"
-    again.close()

@@ -1,15 +1,26 @@
-"""Recordings in the ledger: files of earlier schemas, keys of blocks, what is bounded."""
+"""Recordings in the ledger: keys of blocks, what is bounded."""
 
-import sqlite3
-from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from wrenchbook.service.ledger import BlockKeyError, Kept, Ledger, block_of, recordings
-from wrenchbook.service.ledger import versions as schema
-from wrenchbook.service.ledger.packing import pack_vector
+from wrenchbook.service.ledger import BlockKeyError, Ledger
+from wrenchbook.service.recording import store as recordings
+from wrenchbook.service.recording.store import RecordingStore
+from wrenchbook.surrogate.table.rows import LoadRange
 
-WRENCH = pack_vector((1.0, 2, 3, 4, 5, 6))
+WRENCH = np.array([[1.0, 2, 3, 4, 5, 6]])
+RANGE = LoadRange(np.array([-10.0] * 6), np.array([10.0] * 6))
+
+
+class Library(dict):
+    def __missing__(self, name):
+        return SimpleNamespace(name=name, load_range=RANGE, acting=lambda wrenches: wrenches)
+
+
+def store_of(ledger):
+    return RecordingStore(SimpleNamespace(library=Library(), ledger=ledger))
 
 
 @pytest.fixture
@@ -19,8 +30,9 @@ def ledger(tmp_path):
     opened.close()
 
 
-def add_one(now, _):
-    return Kept(replace(now, offered=now.offered + 1), [], [])
+@pytest.fixture
+def store(ledger):
+    return store_of(ledger)
 
 
 def count(ledger, table):
@@ -28,64 +40,40 @@ def count(ledger, table):
         return db.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
 
 
-@pytest.mark.parametrize("version", [1, 2, 3, 4])
-def test_a_ledger_of_an_earlier_schema_is_taken_over_and_records(tmp_path, version):
-    path = tmp_path / "ledger.sqlite"
-    old = sqlite3.connect(path)
-    old.create_function("seal", 3, lambda *_: b"")
-    for script in schema.SCRIPTS[:version]:
-        old.executescript(script)
-    old.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
-    old.execute(f"PRAGMA user_version = {version}")
-    old.execute(
-        "INSERT INTO jobs (id, component, fingerprint, wrench, status, priority, attempt, lost,"
-        " created) VALUES (7, 'plate', 'f1', ?, 'waiting', 0, 0, 0, 1.0)",
-        (WRENCH,),
-    )
-    old.commit()
-    old.close()
-    ledger = Ledger(path)
-    assert ledger.job(7).wrench == (1.0, 2, 3, 4, 5, 6)
-    assert ledger.recording("plate")[1] == []
-    ledger.record("plate", None, lambda now, _: Kept(replace(now, offered=1), [WRENCH], []))
-    ledger.close()
-    again = Ledger(path)
-    assert again.recording("plate")[1] == [WRENCH]
-    again.close()
-
-
-def test_keys_of_a_client_are_kept_while_a_block_may_be_sent_again_and_no_longer(ledger):
+def test_keys_of_a_client_are_kept_while_a_block_may_be_sent_again_and_no_longer(ledger, store):
     for number in range(600):
-        ledger.record("plate", block_of("me", number, [WRENCH]), add_one)
+        store.record("plate", WRENCH, ("me", number))
     assert count(ledger, "blocks") == recordings.BLOCKS_OF_A_CLIENT
-    assert ledger.record("plate", block_of("me", 599, [WRENCH]), add_one)[1]
+    assert store.record("plate", WRENCH, ("me", 599)).known
     with pytest.raises(BlockKeyError, match="in order"):
-        ledger.record("plate", block_of("me", 5, [WRENCH]), add_one)
-    assert ledger.recording("plate")[0].offered == 600
+        store.record("plate", WRENCH, ("me", 5))
+    assert store.recording("plate").tally.offered == 600
 
 
-def test_keys_of_any_number_of_clients_are_bounded(ledger, monkeypatch):
+def test_keys_of_any_number_of_clients_are_bounded(ledger, store, monkeypatch):
     monkeypatch.setattr(recordings, "BLOCKS", 20)
     for number in range(50):
-        ledger.record("plate", block_of(f"client {number}", 0, [WRENCH]), add_one)
+        store.record("plate", WRENCH, (f"client {number}", 0))
     assert count(ledger, "blocks") == 20
 
 
-def test_a_block_whose_choice_fails_leaves_nothing_not_even_its_key(ledger):
-    block = block_of("me", 1, [WRENCH])
+def test_a_block_that_fails_leaves_nothing_not_even_its_key(ledger, store, monkeypatch):
+    block = ("me", 1)
 
-    def fails(now, read):
+    def fails(*_):
         raise RuntimeError("no memory")
 
-    with pytest.raises(RuntimeError):
-        ledger.record("plate", block, fails)
+    with monkeypatch.context() as broken:
+        broken.setattr(recordings, "take", fails)
+        with pytest.raises(RuntimeError):
+            store.record("plate", WRENCH, block)
     assert count(ledger, "blocks") == 0
-    assert not ledger.record("plate", block, add_one)[1]
+    assert not store.record("plate", WRENCH, block).known
 
 
-def test_the_same_key_counts_once_for_each_of_recording_and_envelope(ledger):
-    block = block_of("me", 1, [WRENCH])
+def test_the_same_key_counts_once_for_each_of_recording_and_envelope(store):
+    block = ("me", 1)
     for _ in range(2):
-        ledger.record("plate", block, add_one)
-        ledger.widen("plate", block, add_one)
-    assert ledger.recording("plate")[0].offered == ledger.envelope("plate")[0].offered == 1
+        store.record("plate", WRENCH, block)
+        store.widen("plate", WRENCH, block)
+    assert store.recording("plate").tally.offered == store.envelope("plate").tally.offered == 1

@@ -15,8 +15,7 @@ from wrenchbook.service.ledger import (
     NewRow,
     RowStatusError,
     UnknownRowError,
-    packing,
-    schema,
+    connection,
 )
 
 ROWS = [
@@ -292,31 +291,6 @@ def test_a_damaged_row_of_a_job_is_solved_again_when_it_is_asked_for(ledger):
     assert [row.seq for row in ledger.row_changes("plate", seen).rows] == [seq]
 
 
-def test_a_ledger_of_the_first_schema_is_taken_over_whole(tmp_path, monkeypatch):
-    path = tmp_path / "ledger.sqlite"
-    old = sqlite3.connect(path)
-    old.executescript(schema.SCRIPTS[0])
-    old.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
-    old.execute("PRAGMA user_version = 1")
-    key = packing.row_key("plate", "f1", "fea", bytes(48), bytes(48), None)
-    content = ("plate", "f1", "fea", bytes(48), bytes(48), bytes(288), None)
-    old.execute(
-        "INSERT INTO jobs VALUES (7, 'plate', 'f1', ?, 'done', 0, 1, 0, NULL, 1, 2, 3, NULL, 9)",
-        (bytes(48),),
-    )
-    old.execute(
-        "INSERT INTO rows VALUES (9, ?, ?, ?, ?, ?, ?, ?, 7, 1.0, 'job 7', ?)", (*content, key)
-    )
-    old.commit()
-    old.close()
-    ledger = Ledger(path)
-    assert ledger.job(7).row == 9
-    assert (ledger.row(9).origin, ledger.row(9).compliance[0]) == ("job 7", (0.0,) * 6)
-    ledger.insert_rows("plate", "f1", ROWS[:1])
-    assert [row.seq for row in ledger.rows("plate")] == [9, 10]
-    ledger.close()
-
-
 @pytest.mark.parametrize("replaced", [False, True])
 def test_a_ledger_deleted_while_it_is_open_takes_nothing_and_says_so(ledger, replaced):
     """Imports went on into a file that nobody could ever open again."""
@@ -354,10 +328,10 @@ def test_a_ledger_that_cannot_be_written_is_read_and_later_written(tmp_path, mon
     whole.insert_rows("plate", "f1", ROWS[:3])
     whole.close()
 
-    def full(connection):
+    def full(_):
         raise sqlite3.OperationalError("database or disk is full")
 
-    monkeypatch.setattr(schema, "_use_wal", full)
+    monkeypatch.setattr(connection, "_use_wal", full)
     patient = Ledger(path, patient=True)
     assert [len(patient.rows("plate")), patient.last_seq("plate")] == [3, 3]
     assert "full" in patient.trouble()

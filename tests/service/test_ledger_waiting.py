@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from wrenchbook.service.ledger import About, Ledger, schema
+from wrenchbook.service.ledger import About, Ledger, connection
 from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.records import LedgerUnavailableError
 
@@ -18,7 +18,7 @@ def path(tmp_path):
 
 
 def test_a_writer_that_waits_begins_once_the_other_has_ended(path):
-    ledger, other = Ledger(path), schema.connect(path)
+    ledger, other = Ledger(path), connection.connect(path)
     other.execute("BEGIN IMMEDIATE")
     waiting = threading.Thread(target=lambda: ledger.accept("bar", "f", WRENCH))
     waiting.start()
@@ -31,9 +31,9 @@ def test_a_writer_that_waits_begins_once_the_other_has_ended(path):
 
 
 def test_a_ledger_that_stays_busy_is_told_of_and_usable_afterwards(path, monkeypatch):
-    ledger, other = Ledger(path), schema.connect(path)
+    ledger, other = Ledger(path), connection.connect(path)
     other.execute("BEGIN IMMEDIATE")
-    monkeypatch.setattr(schema, "BUSY_SECONDS", 0.05)
+    monkeypatch.setattr(connection, "BUSY_SECONDS", 0.05)
     with pytest.raises(LedgerUnavailableError, match="locked"):
         ledger.accept("bar", "f", WRENCH)
     monkeypatch.undo()
@@ -44,12 +44,12 @@ def test_a_ledger_that_stays_busy_is_told_of_and_usable_afterwards(path, monkeyp
 
 
 def test_what_is_no_lock_is_told_at_once(path):
-    connection = schema.connect(path)
-    connection.execute("BEGIN")
+    db = connection.connect(path)
+    db.execute("BEGIN")
     with pytest.raises(sqlite3.OperationalError, match="within a transaction"):
-        schema.begin(connection)
-    assert connection.execute("PRAGMA busy_timeout").fetchone() == (30_000,)
-    connection.close()
+        connection.begin(db)
+    assert db.execute("PRAGMA busy_timeout").fetchone() == (30_000,)
+    db.close()
 
 
 def test_each_part_of_an_import_is_on_the_disk_before_the_next_begins(path, monkeypatch):

@@ -15,7 +15,7 @@ from wrenchbook.service.cli.main import app
 from wrenchbook.service.client import ProblemError
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.rig import Rig, rigged, with_known_point
-from wrenchbook.service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.surrogate.table.rows import LoadRange, unknown_column
 from wrenchbook.surrogate.table.space import space_of
 

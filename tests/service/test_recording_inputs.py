@@ -1,13 +1,13 @@
 """Recordings and envelopes of components with several interfaces and further inputs."""
 
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from wrenchbook.service.ledger import Ledger
-from wrenchbook.service.recording.bound import bound_of
-from wrenchbook.service.recording.store import RecordingStore
+from wrenchbook.service.recording.store import EnvelopeState, RecordingStore, Tally, bound_of
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
@@ -82,3 +82,28 @@ def test_the_bound_of_13_inputs_is_that_of_the_matrix_and_judges_each_output(wor
     assert (found.kind, found.negligible) == ("bound", True)
     assert (found.displacement >= largest * (1 - 1e-9)).all()
     assert bound_of(table, envelope, Tolerance(1e3, 1.0)).negligible is False
+
+
+def test_the_bound_of_a_matrix_is_the_largest_at_the_corners_of_the_box():
+    """By all 64 corners, of a complete compliance without an error bar and with zero at rest."""
+    random = np.random.default_rng(5)
+    low, high, matrix = (
+        -random.uniform(1, 2, 6),
+        random.uniform(1, 2, 6),
+        random.normal(size=(6, 6)),
+    )
+
+    def batch(points):
+        errors = np.zeros((len(points), 6))
+        coverage = np.zeros(len(points), dtype=np.uint8)
+        return SimpleNamespace(outputs=points @ matrix.T, errors=errors, coverage=coverage)
+
+    fit = SimpleNamespace(complete=True, matrix=matrix)
+    span = LoadRange(-np.ones(6), np.ones(6))
+    packed = SimpleNamespace(batch=batch)
+    table = SimpleNamespace(load_range=span, linear=True, fit=fit, packed=packed)
+    envelope = EnvelopeState(Tally(), np.diag(low), np.diag(high))
+    corners = np.array(list(product(*zip(low, high, strict=True))))
+    expected = np.abs(corners @ matrix.T).max(axis=0)
+    found = bound_of(table, envelope, Tolerance(1e3, 1e3)).displacement
+    assert np.allclose(found, expected, rtol=1e-12)

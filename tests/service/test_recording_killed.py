@@ -35,7 +35,7 @@ class Site:
         self.start()
 
     def start(self):
-        command = [sys.executable, str(HERE.parents[1] / "wrenchbook.py"), "serve"]
+        command = [sys.executable, "-m", "wrenchbook", "serve"]
         command += ["--data", str(self.folder), "--port", str(self.port), "--solvers", "0"]
         log = (self.folder.parent / "log").open("ab")
         self.server = subprocess.Popen([*command, "--log-level", "warning"], stdout=log, stderr=log)

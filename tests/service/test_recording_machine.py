@@ -10,7 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from wrenchbook.service.ledger import BlockKeyError, Ledger, block_of, packed
+from wrenchbook.service.ledger import BlockKeyError, Ledger, packed
 from wrenchbook.service.recording.store import RecordingStore
 from wrenchbook.surrogate.table.rows import LoadRange
 
@@ -81,7 +81,7 @@ class RecordingAgainstReference(RuleBasedStateMachine):
     def send(self, name, kind, block, sequence, elsewhere):
         gathering = self.other if elsewhere else self.gathering
         wrenches = np.array(block, dtype=float).reshape(-1, 6) + 0.0
-        key = None if sequence is None else block_of("me", sequence, packed(wrenches))
+        key = None if sequence is None else ("me", sequence)
         take = gathering.record if kind == "recording" else gathering.widen
         before = self.keys.get((name, kind, sequence)) if sequence is not None else None
         try:

@@ -20,7 +20,7 @@ def points_of(count, seed=1):
 
 def taken(blocks):
     """Take blocks in turn; return the net and what became of the wrenches in all."""
-    subset, merged, thinned = Subset(most=50), 0, 0
+    subset, merged, thinned = Subset(limit=50), 0, 0
     for block in blocks:
         step = take(subset, scaled_loads(block, ONE), packed(block))
         assert len(step.subset.keys) == len(subset.keys) + len(step.added) - len(step.dropped)

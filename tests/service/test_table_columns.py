@@ -11,7 +11,7 @@ import pytest
 from scipy.io import savemat
 
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.table_file import read_table_file
+from wrenchbook.service.formats.read import read_table_file
 
 LOADS = {"Fz [kN]": [-0.5, -1.0, -1.5], "uz": [-0.1, -0.2, -0.31]}
 EXPECTED = ([-500.0, -1000.0, -1500.0], [-1e-4, -2e-4, -3.1e-4])

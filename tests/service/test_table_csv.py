@@ -13,8 +13,8 @@ import pytest
 
 from tests.service import table_files
 from tests.service.table_files import ReadTable
-from wrenchbook.service.formats import csv_table
-from wrenchbook.service.formats.column_names import columns_of
+from wrenchbook.service.formats import csv as csv_table
+from wrenchbook.service.formats.columns import columns_of
 from wrenchbook.service.formats.options import FileMistake, Options, ReadReport
 from wrenchbook.surrogate.table.rows import LoadRange
 

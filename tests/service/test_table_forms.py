@@ -26,12 +26,14 @@ from tests.service.table_files import (
     write_json,
 )
 from tests.service.test_table_roundtrip import any_units, same, tables, texts
-from wrenchbook.service.formats import Options, csv_table, options, write_hdf5, xlsx_table
-from wrenchbook.service.formats.binary_table import write_parquet
+from wrenchbook.service.formats import Options, options, write_hdf5
+from wrenchbook.service.formats import csv as csv_table
+from wrenchbook.service.formats import xlsx as xlsx_table
+from wrenchbook.service.formats.arrow import write_parquet
 from wrenchbook.service.formats.cells import guard_formula, unguard_formula
 from wrenchbook.service.formats.options import ReadReport
-from wrenchbook.service.formats.table_file import ContentError, read_table_file, unpack
-from wrenchbook.service.formats.xlsx_table import (
+from wrenchbook.service.formats.read import ContentError, read_table_file, unpack
+from wrenchbook.service.formats.xlsx import (
     ZipBoundsError,
     entry_sizes,
     escape,

@@ -19,7 +19,7 @@ from wrenchbook.service.formats import (
     write_parquet,
     write_xlsx,
 )
-from wrenchbook.service.formats.table_rows import ParsedTable
+from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.service.ledger import About, Ledger, packed_columns
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table

@@ -93,8 +93,7 @@ def _in_child(
 
     The child inherits the limits of this process, and ends with it.
     """
-    program = str(sys.modules["wrenchbook"].__file__)
-    command = [sys.executable, "-P", program, "-m", "wrenchbook.fea.mesh.cad.child"]
+    command = [sys.executable, "-P", "-m", "wrenchbook.fea.mesh.cad.child"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0) as process:
         request, process.stdin = process.stdin, None  # open until the child has answered

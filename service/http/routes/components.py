@@ -23,7 +23,7 @@ from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.scenes import need_from
-from wrenchbook.service.library.bundle_zip import MAX_BUNDLE_BYTES
+from wrenchbook.service.library.bundles import MAX_BUNDLE_BYTES
 from wrenchbook.service.library.catalogue import CatalogueCard
 from wrenchbook.service.library.component import (
     Component,

@@ -23,7 +23,7 @@ from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.library.arrival import surface_of
+from wrenchbook.service.library.bundles import surface_of
 from wrenchbook.service.library.component import require_one_wrench
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.table.axes import AXES

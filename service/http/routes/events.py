@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+import contextlib
+from collections.abc import AsyncIterator, Mapping
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request
-from starlette.responses import Response
-from starlette.types import Receive, Scope, Send
+from starlette.responses import Response, StreamingResponse
+from starlette.types import Message, Receive, Scope, Send
 
-from wrenchbook.service.events.feed import Feed, Listener, TooManyListenersError
-from wrenchbook.service.events.watch import Watch
+from wrenchbook.service.events import Events, Feed, Listener, TooManyListenersError
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.problems import HttpProblemError
@@ -58,51 +58,40 @@ async def events(
         str | None, Header(max_length=64, description="go on after this event")
     ] = None,
 ) -> Response:
-    watch: Watch = request.app.state.watch
+    watched: Events = request.app.state.events
     if component is not None:
         _ = workspace.library[component]
     try:
-        listener = await watch.listen(component, last_event_id)
+        listener = await watched.listen(component, last_event_id)
     except TooManyListenersError as error:
         raise HttpProblemError(
             503, "too-many-listeners", "Too many listeners", f"{error}. Nothing was changed."
         ) from None
     request.app.state.access.end_with_key(listener, permission_of(request.scope))
-    return EventStream(watch.feed, listener)
+    return EventStream(watched.feed, listener)
 
 
-class EventStream(Response):
-    """Events for as long as somebody reads them."""
+class EventStream(StreamingResponse):
+    """Events until the connection ends, the listener is ended, or the caller no longer reads."""
 
     def __init__(self, feed: Feed, listener: Listener) -> None:
-        super().__init__(headers=dict(HEADERS))
-        del self.headers["content-length"]
+        super().__init__(_lines(listener), headers=HEADERS)
         self._feed, self._listener = feed, listener
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send events until the listener goes, is let go, or no longer reads."""
-        head = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
-        gone = asyncio.create_task(_gone(receive))
+        """Send the events; free the listener's place in any case."""
+
+        async def send_in_time(message: Message) -> None:
+            await asyncio.wait_for(send(message), SEND_S)
+
         try:
-            await send(head)
-            sending = asyncio.create_task(self._send(send))
-            await asyncio.wait((gone, sending), return_when=asyncio.FIRST_COMPLETED)
-            sending.cancel()
-            await asyncio.gather(sending, return_exceptions=True)
+            with contextlib.suppress(TimeoutError):
+                await super().__call__(scope, receive, send_in_time)
         finally:
-            gone.cancel()
             self._feed.leave(self._listener)
 
-    async def _send(self, send: Send) -> None:
-        listener, more = self._listener, True
-        while more:
-            lines = await listener.read(HEARTBEAT_S)
-            more = not listener.ended
-            body = {"type": "http.response.body", "body": lines or b":\n\n", "more_body": more}
-            # A listener that does not read is disconnected after this time.
-            await asyncio.wait_for(send(body), SEND_S)
 
-
-async def _gone(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass
+async def _lines(listener: Listener) -> AsyncIterator[bytes]:
+    while not listener.ended:
+        yield await listener.read(HEARTBEAT_S) or b":\n\n"
+    yield await listener.read(0.0)

@@ -13,8 +13,7 @@ from wrenchbook.service.http.body import JsonRoute
 from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
-from wrenchbook.service.keys import Keyring, KeysError
-from wrenchbook.service.keys.record import MEGABYTES, RATE
+from wrenchbook.service.keys import MEGABYTES, RATE, Keyring, KeysError
 
 router = APIRouter(
     prefix="/v1/keys",

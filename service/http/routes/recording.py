@@ -28,23 +28,26 @@ from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import both_tolerances, checked, read_block
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.displacement import DirectRoute
-from wrenchbook.service.ledger import Block, Tally, block_of, packed
-from wrenchbook.service.ledger.recordings import MERGE
-from wrenchbook.service.recording.bound import bound_of
 from wrenchbook.service.recording.start import (
     StartedSolves,
     start_envelope,
     start_recording,
     start_resolving,
 )
-from wrenchbook.service.recording.store import RecordingStore, Took
+from wrenchbook.service.recording.store import (
+    BlockResult,
+    RecordingStore,
+    Tally,
+    bound_of,
+)
+from wrenchbook.service.recording.thinning import MERGE
 from wrenchbook.service.workspace import Workspace
 
 Floats = NDArray[np.float64]
 Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 
 # Each wrench six numbers of 17 digits and a comma, and some blanks.
-MOST_BLOCK_BYTES = MAX_BLOCK * 6 * 40
+MAX_BLOCK_BYTES = MAX_BLOCK * 6 * 40
 
 router = APIRouter(
     prefix="/v1/components/{name}",
@@ -68,19 +71,23 @@ _QUEUED = answers(messages.Started, "solves are queued", 202) | refused(409)
 )
 async def record(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
-    took = await run_in_threadpool(_store(request).record, name, wrenches, block)
-    body = messages.Recorded(**_took(name, len(wrenches), took), **_counts(took.tally))
-    return json_reply(body, 200 if took.known else 201)
+    result = await run_in_threadpool(_store(request).record, name, wrenches, block)
+    fields = _block_fields(name, len(wrenches), result)
+    body = messages.Recorded(**fields, **_counts(result.tally))
+    return json_reply(body, 200 if result.known else 201)
 
 
 @router.get("/recording", summary="What is recorded", response_model=messages.Recording)
 def get_recording(name: str, request: Request) -> Response:
-    state = _store(request).recording(name)
-    counts, reason = _counts(state.tally), _thinning(state.tally)
-    outside, wrenches = state.tally.outside, state.wrenches
+    recording = _store(request).recording(name)
+    tally = recording.tally
     return json_reply(
         messages.Recording(
-            component=name, outside=outside, reason=reason, wrenches=wrenches, **counts
+            component=name,
+            outside=tally.outside,
+            reason=_thinning(tally),
+            wrenches=recording.wrenches,
+            **_counts(tally),
         )
     )
 
@@ -98,7 +105,7 @@ def clear_recording(name: str, request: Request) -> Response:
     responses=_QUEUED,
 )
 def solve_recording(name: str, request: Request, order: StartBody) -> Response:
-    return _started(name, request, order, start_recording)
+    return _started(name, request, order, start_recording, _store(request))
 
 
 @blocks.post(
@@ -110,13 +117,11 @@ def solve_recording(name: str, request: Request, order: StartBody) -> Response:
 )
 async def widen_envelope(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
-    took = await run_in_threadpool(_store(request).widen, name, wrenches, block)
+    result = await run_in_threadpool(_store(request).widen, name, wrenches, block)
     envelope = await run_in_threadpool(_store(request).envelope, name)
-    low, high = envelope.box
+    fields, (low, high) = _block_fields(name, len(wrenches), result), envelope.box
     count = envelope.tally.offered
-    return json_reply(
-        messages.Widened(**_took(name, len(wrenches), took), count=count, min=low, max=high)
-    )
+    return json_reply(messages.Widened(**fields, count=count, min=low, max=high))
 
 
 @router.get(
@@ -170,7 +175,7 @@ def clear_envelope(name: str, request: Request) -> Response:
     responses=_QUEUED,
 )
 def solve_envelope(name: str, request: Request, order: EnvelopeStartBody) -> Response:
-    return _started(name, request, order, start_envelope)
+    return _started(name, request, order, start_envelope, _store(request))
 
 
 @router.post(
@@ -180,20 +185,17 @@ def solve_envelope(name: str, request: Request, order: EnvelopeStartBody) -> Res
     responses=_QUEUED,
 )
 def resolve_table(name: str, request: Request, order: StartBody) -> Response:
-    def start(workspace: Workspace, _: RecordingStore, name: str, **order: Any) -> StartedSolves:
-        return start_resolving(workspace, name, **order)
-
-    return _started(name, request, order, start)
+    return _started(name, request, order, start_resolving)
 
 
 def _store(request: Request) -> RecordingStore:
     return request.app.state.recording_store
 
 
-async def _block(name: str, request: Request) -> tuple[Floats, Block | None]:
+async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] | None]:
     """Return a block's wrenches, shape (n, inputs), SI, and its key if it has one."""
     space = request.app.state.workspace.library.as_read(name).space
-    binary, body = is_binary(request), await read_limited(request.receive, MOST_BLOCK_BYTES)
+    binary, body = is_binary(request), await read_limited(request.receive, MAX_BLOCK_BYTES)
     if binary:
         wrenches, key = (
             read_wrenches(body, MAX_BLOCK, np.inf, space),
@@ -203,24 +205,24 @@ async def _block(name: str, request: Request) -> tuple[Floats, Block | None]:
         wrenches, key = await run_in_threadpool(read_block, body, len(space.inputs))
     if key.client is None or key.sequence is None:
         return wrenches, None
-    return wrenches, block_of(key.client, key.sequence, packed(wrenches))
+    return wrenches, (key.client, key.sequence)
 
 
-def _took(name: str, count: int, took: Took) -> dict[str, Any]:
+def _block_fields(name: str, count: int, result: BlockResult) -> dict[str, Any]:
     """Return the fields of a block's reply that recordings and envelopes share."""
-    remarks = [_thinning(took.tally)]
-    if took.known:
+    remarks = [_thinning(result.tally)]
+    if result.known:
         remarks.append("this block was recorded before; nothing has changed")
-    if took.outside:
+    if result.outside:
         remarks.append(
-            f"{took.outside} of these are outside the load range: they are kept, and solved only "
+            f"{result.outside} of these are outside the load range: they are kept, and solved only "
             "by a start with beyond_range true"
         )
     return {
         "component": name,
         "recorded": count,
-        "duplicate": took.known,
-        "outside": took.tally.outside,
+        "duplicate": result.known,
+        "outside": result.tally.outside,
         "reason": "; ".join(filter(None, remarks)),
     }
 
@@ -246,13 +248,15 @@ def _thinning(tally: Tally) -> str:
 
 
 def _started(
-    name: str, request: Request, order: Body, start: Callable[..., StartedSolves]
+    name: str,
+    request: Request,
+    order: Body,
+    start: Callable[..., StartedSolves],
+    *store: RecordingStore,
 ) -> Response:
     """Queue solves by the options in the body."""
-    state = request.app.state
-    how = state.workspace, state.recording_store, name
-    began = time.time()
-    started = start(*how, **order.model_dump())
+    workspace, began = request.app.state.workspace, time.time()
+    started = start(workspace, name, *store, **order.model_dump())
     links = tuple(job_link(job, began) for job in started.jobs)
     body = messages.Started(**{**vars(started), "component": name, "jobs": links})
     return json_reply(body, 202 if started.jobs else 200)

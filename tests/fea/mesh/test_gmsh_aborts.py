@@ -14,7 +14,7 @@ from wrenchbook.fea.check.reporting import report
 from wrenchbook.fea.component import mesh_of
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.service.files.program import child_command
-from wrenchbook.service.library.arrival import check_mesh
+from wrenchbook.service.library.bundles import check_mesh
 
 SIZE = 8.0  # mm: its mesh is beside a coarser one
 
@@ -54,7 +54,7 @@ def test_an_abort_at_each_size_is_a_problem_of_the_size_and_ends_the_check_with_
     part, tmp_path, monkeypatch
 ):
     abort_gmsh(monkeypatch, tmp_path / "fake", "True")
-    command = child_command("wrenchbook.service.cli", "check", str(part))
+    command = child_command("wrenchbook.service.cli.main", "check", str(part))
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     said = " ".join((done.stdout + done.stderr).split())
     assert done.returncode == 1
@@ -103,7 +103,7 @@ def test_a_check_that_is_terminated_leaves_no_gmsh(part, tmp_path, monkeypatch):
     condition = f"(held := open({str(tmp_path / 'alive')!r}, 'w')) and held.write('meshing\\n')"
     condition += " and not held.flush() and __import__('signal').pause()"
     abort_gmsh(monkeypatch, tmp_path / "fake", condition)
-    command = child_command("wrenchbook.service.cli", "check", str(part))
+    command = child_command("wrenchbook.service.cli.main", "check", str(part))
     with subprocess.Popen(command) as check, (tmp_path / "alive").open() as alive:
         assert alive.readline() == "meshing\n"
         check.terminate()

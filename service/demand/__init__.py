@@ -1,1 +1,0 @@
-"""Statistics of queries that the tables did not cover."""

@@ -1,0 +1,337 @@
+"""Server-sent events: changes of jobs and tables, whichever process made them.
+
+`Events` compares the state with that of its last look while somebody listens, and `Feed` keeps the
+events for a while and gives them to its listeners. Both are used on one event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import secrets
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import orjson
+from starlette.concurrency import run_in_threadpool
+
+from wrenchbook.service.ledger import JobRecord, LedgerError, LedgerUnavailableError
+from wrenchbook.service.tables.served import TableBehindError
+from wrenchbook.service.workspace import Workspace
+
+_log = logging.getLogger(__name__)
+
+KEPT = 2_000  # events held for listeners that come back: 0.6 MB
+MAX_LISTENERS = 64  # each is a connection and at most `BEHIND` events
+BEHIND = 256  # events a listener may be behind: minutes of usual work, a burst of single jobs
+
+LOOK_S = 0.25  # between looks at progress and tables, which no commit announces
+FIRST_LOOK_S = 10.0  # as long as a ledger may be busy; later the caller must retry
+LINGER_S = 300.0  # looked on after the last listener left: it may only be connecting again
+ONE_BY_ONE = 50  # changed jobs reported one by one; more are reported as a number
+
+Notice = tuple[str, str | None, dict[str, Any]]  # kind, component (None for all), data
+
+
+class TooManyListenersError(Exception):
+    """There are `MAX_LISTENERS` already."""
+
+
+class Listener:
+    """The events of a component, or of all, that a connection has not read yet."""
+
+    def __init__(self, component: str | None) -> None:
+        self.component = component
+        self.ended = False
+        self._unread: deque[bytes] = deque()
+        self._ready = asyncio.Event()
+
+    def put(self, wire: bytes) -> bool:
+        """Add an event's lines; False if this listener is too far behind."""
+        if len(self._unread) >= BEHIND:
+            return False
+        self._unread.append(wire)
+        self._ready.set()
+        return True
+
+    def end(self, last: bytes = b"") -> None:
+        """Drop what is unread; the listener reads `last` and then ends."""
+        self._unread.clear()
+        self.ended = True
+        if last:
+            self._unread.append(last)
+        self._ready.set()
+
+    async def read(self, seconds: float) -> bytes:
+        """Return all lines there are, waiting for the first; nothing after `seconds`."""
+        if not self._unread and not self.ended:
+            try:
+                await asyncio.wait_for(self._ready.wait(), seconds)
+            except TimeoutError:
+                return b""
+        lines = b"".join(self._unread)
+        self._unread.clear()
+        self._ready.clear()
+        return lines
+
+
+class _Event(NamedTuple):
+    number: int
+    component: str | None
+    wire: bytes
+
+    def is_for(self, listener: Listener) -> bool:
+        return listener.component is None or self.component in (None, listener.component)
+
+
+class Feed:
+    """The newest events of one server, numbered.
+
+    An id is the feed's random mark and a number, so that an id of an earlier feed is recognised.
+    """
+
+    def __init__(self) -> None:
+        self._mark = secrets.token_hex(4)
+        self._number = 0
+        self._kept: deque[_Event] = deque(maxlen=KEPT)
+        self._listeners: set[Listener] = set()
+        self.closed = False
+
+    @property
+    def listeners(self) -> int:
+        """How many listen."""
+        return len(self._listeners)
+
+    def publish(self, kind: str, component: str | None, body: dict[str, Any]) -> None:
+        """Send an event to its listeners, and keep it for those that come back."""
+        self._number += 1
+        event = _Event(self._number, component, _wire(kind, body, self._newest()))
+        self._kept.append(event)
+        for listener in [each for each in self._listeners if event.is_for(each)]:
+            if not listener.put(event.wire):
+                self._listeners.discard(listener)
+                reason = (
+                    f"this listener was more than {BEHIND} events behind; connect again with the "
+                    "id of the last one you have read"
+                )
+                listener.end(_wire("dropped", {"reason": reason}, None))
+
+    def listen(self, component: str | None, last_id: str | None, hello: dict[str, Any]) -> Listener:
+        """Add a listener, which reads what came after `last_id` and then what comes.
+
+        Raises TooManyListenersError.
+        """
+        if len(self._listeners) >= MAX_LISTENERS:
+            raise TooManyListenersError(
+                f"{MAX_LISTENERS} listeners are connected, the most this server has; end one, or "
+                "poll GET /v1/jobs and GET /v1/components"
+            )
+        listener = Listener(component)
+        missed = self._missed(last_id, listener) if last_id else []
+        listener.put(b"retry: 2000\n" + _wire("hello", hello, None if missed else self._newest()))
+        if missed is None:
+            reason = "the events since your last one are not there any more: read jobs and tables"
+            listener.put(_wire("missed", {"reason": reason}, self._newest()))
+        for event in missed or ():
+            listener.put(event.wire)
+        self._listeners.add(listener)
+        if self.closed:
+            listener.end()
+        return listener
+
+    def leave(self, listener: Listener) -> None:
+        """Forget a listener."""
+        self._listeners.discard(listener)
+
+    def forget(self) -> None:
+        """Take another mark: nobody has listened for long, and what has happened is not known."""
+        self._mark = secrets.token_hex(4)
+        self._kept.clear()
+
+    def close(self) -> None:
+        """End all listeners: the server stops."""
+        self.closed = True
+        for listener in list(self._listeners):
+            listener.end()
+
+    def _missed(self, last_id: str, listener: Listener) -> list[_Event] | None:
+        """Return what a listener has missed since an id; None if that is not known any more."""
+        mark, _, number = last_id.partition(".")
+        if mark != self._mark or not number.isdecimal():
+            return None
+        since = int(number)
+        if not self._number - len(self._kept) <= since <= self._number:
+            return None
+        missed = [event for event in self._kept if event.number > since and event.is_for(listener)]
+        return missed if len(missed) < BEHIND - 2 else None
+
+    def _newest(self) -> str:
+        return f"{self._mark}.{self._number}"
+
+
+def _wire(kind: str, body: dict[str, Any], number: str | None) -> bytes:
+    """Return an event's lines; JSON on one line, so no data of it can be taken for a field."""
+    lines = [b"event: " + kind.encode(), b"data: " + orjson.dumps(body)]
+    if number is not None:
+        lines.insert(0, b"id: " + number.encode())
+    return b"\n".join(lines) + b"\n\n"
+
+
+@dataclass
+class Seen:
+    """The state at a look: open jobs (status, attempt, progress) and versions of tables."""
+
+    ledger: int | None = None
+    newest_job: int = 0
+    jobs: dict[int, tuple[str, int, float]] = field(default_factory=dict)
+    versions: dict[str, int] = field(default_factory=dict)
+
+
+class Events:
+    """Looks at a workspace for as long as its feed has listeners."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.feed = Feed()
+        self._workspace = workspace
+        self._task: asyncio.Task[None] | None = None
+        self._seen: Seen | None = None
+        self._looked = asyncio.Event()
+        self._wake = asyncio.Event()
+        self._unsubscribe: Callable[[], None] = lambda: None
+
+    def start(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Look soon after each commit."""
+
+        def committed() -> None:
+            if self._task is not None and not loop.is_closed():
+                loop.call_soon_threadsafe(self._wake.set)
+
+        self._unsubscribe = self._workspace.watcher.on_change(committed)
+
+    async def stop(self) -> None:
+        """End the listeners and look no more."""
+        self._unsubscribe()
+        self.feed.close()
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+
+    async def listen(self, component: str | None, last_id: str | None) -> Listener:
+        """Return a listener that receives all changes after its greeting.
+
+        A first look comes before the greeting, so that no change between the two is lost. Raises
+        LedgerUnavailableError if the ledger cannot be read, TooManyListenersError.
+        """
+        if self._task is None or self._task.done():
+            self._looked.clear()
+            self._task = asyncio.get_running_loop().create_task(self._look_on())
+        try:
+            await asyncio.wait_for(self._looked.wait(), FIRST_LOOK_S)
+        except TimeoutError:
+            raise LedgerUnavailableError(
+                "the ledger could not be read for a first look; try again in a moment"
+            ) from None
+        versions: dict[str, int | None] = {**self._seen.versions} if self._seen else {}
+        if component is not None:
+            versions = {component: versions.get(component)}
+        return self.feed.listen(component, last_id, {"tables": versions})
+
+    async def _look_on(self) -> None:
+        loop = asyncio.get_running_loop()
+        self._seen, used = None, loop.time()
+        while self.feed.listeners or loop.time() - used < LINGER_S:
+            self._wake.clear()
+            try:
+                self._seen, notices = await run_in_threadpool(look, self._workspace, self._seen)
+                for notice in notices:
+                    self.feed.publish(*notice)
+                self._looked.set()
+            except LedgerError:
+                await asyncio.sleep(1.0)  # the ledger itself reports it
+            except Exception:
+                _log.exception("looking for events failed; trying again")
+                await asyncio.sleep(1.0)
+            if self.feed.listeners:
+                used = loop.time()
+            await asyncio.sleep(LOOK_S / 5)  # changes that come together are sent together
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._wake.wait(), LOOK_S)
+        self.feed.forget()
+        self._task = None
+
+
+def look(workspace: Workspace, seen: Seen | None) -> tuple[Seen, list[Notice]]:
+    """Return the state now, and the events that lead to it from the state seen before."""
+    ledger, before = workspace.ledger, seen or Seen()
+    now = Seen(ledger.version(), before.newest_job, before.jobs)
+    tables: list[Notice] = []
+    for name in workspace.library.names():
+        with contextlib.suppress(TableBehindError, LookupError):
+            table = workspace.tables.surrogate(name)
+            now.versions[name] = table.version
+            if seen and table.version != before.versions.get(name):
+                body = {"table_version": table.version, "rows": table.row_count}
+                tables.append(("table", name, {"component": name, **body}))
+    changed: list[JobRecord] = []
+    if now.ledger != before.ledger:
+        jobs = ledger.unfinished(before.newest_job if seen else None)
+        newest = jobs if seen else ledger.jobs(limit=1)
+        now.newest_job = max([before.newest_job, *(job.id for job in newest)])
+        if seen:
+            ended = before.jobs.keys() - {job.id for job in jobs}
+            changed = [ledger.job(number) for number in ended]
+            changed += [
+                job for job in jobs if before.jobs.get(job.id, ())[:2] != (job.status, job.attempt)
+            ]
+        now.jobs = {job.id: (job.status, job.attempt, 0.0) for job in jobs if not job.is_final}
+    return now, [*_of_jobs(changed), *_progressed(workspace, before, now), *tables]
+
+
+def _job_event(job: JobRecord, **more: Any) -> Notice:
+    body = {
+        "id": job.id,
+        "status": job.status,
+        "url": f"/v1/jobs/{job.id}",
+        "component": job.component,
+        "attempt": job.attempt,
+        "error": job.error,
+        "row": job.row,
+        **more,
+    }
+    return "job", job.component, body
+
+
+def _of_jobs(changed: list[JobRecord]) -> list[Notice]:
+    """Return an event for each changed job, or for each component with many their number."""
+    of_component: dict[str, list[JobRecord]] = {}
+    for job in sorted(changed, key=lambda job: job.id):
+        of_component.setdefault(job.component, []).append(job)
+    notices: list[Notice] = []
+    for name, jobs in of_component.items():
+        if len(jobs) > ONE_BY_ONE:
+            body = {"component": name, "count": len(jobs), "url": f"/v1/jobs?component={name}"}
+            notices.append(("jobs", name, body))
+        else:
+            notices += map(_job_event, jobs)
+    return notices
+
+
+def _progressed(workspace: Workspace, before: Seen, now: Seen) -> list[Notice]:
+    """Return the progress of running jobs where it has changed."""
+    notices: list[Notice] = []
+    running = [number for number, state in now.jobs.items() if state[0] == "running"]
+    for number in running[:ONE_BY_ONE]:
+        job = workspace.ledger.job(number)
+        progress = workspace.progress(job)
+        if progress is None or job.status != "running":
+            continue
+        last = before.jobs.get(number, ("", 0, 0.0))[2]
+        now.jobs[number] = job.status, job.attempt, progress.fraction
+        if progress.fraction != last:
+            body = {"fraction": progress.fraction, "message": progress.message}
+            notices.append(_job_event(job, progress=body))
+    return notices

@@ -1,1 +1,0 @@
-"""Events for listeners: jobs that change, new versions of tables."""

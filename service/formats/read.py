@@ -1,0 +1,341 @@
+"""Table files of every format: from untrusted files to pieces of SI arrays, in bounded memory.
+
+The format comes from the content. A child process with limits reads the file; it returns arrays and
+JSON, one part a piece and a last one with the report, so a hostile file can at worst give wrong
+numbers.
+"""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wrenchbook.service.formats.arrow import read_hdf5, read_mat, read_parquet
+from wrenchbook.service.formats.csv import read_csv
+from wrenchbook.service.formats.findings import FindingsSample
+from wrenchbook.service.formats.json import read_json
+from wrenchbook.service.formats.logs import joined_loads, with_loads, zeroed
+from wrenchbook.service.formats.options import Format, Options, ReadReport
+from wrenchbook.service.formats.rig import rigged, with_known_point
+from wrenchbook.service.formats.rows import ParsedTable, with_own_setup, within_limits
+from wrenchbook.service.formats.units import FORCE, si_factor
+from wrenchbook.service.formats.xlsx import read_xlsx
+from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
+from wrenchbook.surrogate.table.rows import unknown_column
+
+MOST_PREVIEW = 100
+MOST_BYTES = 512 * 1024 * 1024
+"""Of a file, packed or not: two million rows of 12 numbers, or a million with 17 digits each."""
+
+_LIMITS = Limits(memory=1024 << 20, seconds=60.0, output=1024 << 20)
+"""A million rows of 17 digits take 20 s and 300 MB."""
+
+_NUMBERS = ("wrench", "displacement", "uncertainty", "compliance")
+_TEXTS = ("source", "note", "fingerprint")
+_READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]] = {
+    "csv": read_csv,
+    "xlsx": read_xlsx,
+    "parquet": read_parquet,
+    "hdf5": read_hdf5,
+    "json": read_json,
+    "mat": read_mat,
+}
+_TEXT_FORMATS = ("csv", "json")  # a damaged file of one can look like the other
+_BLOCK = 1 << 20
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_HDF5_OFFSETS = (0, 512, 1024, 2048)  # behind a user block
+_MAT = b"MATLAB 5.0 MAT-file"
+_OTHER_FORMATS = {
+    b"%PDF": "a PDF; export the table as CSV or XLSX",
+    b"\xd0\xcf\x11\xe0": "an old .xls workbook; save it as .xlsx",
+    b"\x89PNG": "a picture",
+    b"Rar!": "a RAR archive; unpack it first",
+    b"7z\xbc\xaf": "a 7z archive; unpack it first",
+    b"BZh": "packed by bzip2; pack it by gzip, or not at all",
+    b"\xfd7zXZ": "packed by xz; pack it by gzip, or not at all",
+    b"\x28\xb5\x2f\xfd": "packed by zstd; pack it by gzip, or not at all",
+}
+
+
+@dataclass(frozen=True)
+class ReadResult:
+    """The report on a file, as `ReadReport.as_json` returns it, and its good rows in parts."""
+
+    report: Mapping[str, Any]
+    parts: Sequence[Part]
+
+    def pieces(self) -> Iterator[ParsedTable]:
+        """Yield the rows in pieces."""
+        return (_piece(part) for part in self.parts)
+
+
+def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) -> ReadResult:
+    """Read a table file, or two logs to be joined by time, in a child process with limits.
+
+    Raises
+    ------
+    SandboxBusyError
+        If no child is free for a minute.
+    OSError
+        If the disk is full.
+    """
+    arguments = {
+        "second": str(files[1]) if len(files) > 1 else None,
+        "options": options.as_json(),
+        "preview": preview,
+    }
+    try:
+        parts = run("wrenchbook.service.formats.read:table_parts", files[0], arguments, _LIMITS)
+    except SandboxError as error:
+        report = ReadReport()
+        report.mistakes.ruin(0, "file", str(error))
+        return ReadResult({**report.as_json(0, []), "findings": []}, [])
+    return ReadResult(parts[-1].fields, parts[:-1])
+
+
+def warm_up() -> None:
+    """Load pint's definitions before the child of the first file starts."""
+    si_factor("N", FORCE)
+
+
+def table_parts(
+    file: Path, second: str | None, options: Mapping[str, Any], preview: int
+) -> Iterator[Part]:
+    """Read a file, or two, and yield its pieces; the last part is the report.
+
+    Parameters
+    ----------
+    file : path
+    second : str or None
+        The log of the displacements, if `file` is that of the loads.
+    options : mapping
+        The result of `Options.as_json`.
+    preview : int
+        Number of the first good rows in the report.
+    """
+    own, report, good = Options.from_json(options), ReadReport(), 0
+    shown: list[dict[str, Any]] = []
+    if second is None:
+        pieces = read_table_file(file, own, report)
+    else:
+        pieces = read_logs(file, Path(second), own, report)
+    sample = FindingsSample()
+    for piece in pieces:
+        if report.mistakes.whole:
+            break
+        sample.add(piece)
+        shown += _preview(piece, min(preview, MOST_PREVIEW) - len(shown))
+        good += len(piece)
+        if len(piece):
+            yield _part(piece)
+    findings = [] if report.mistakes.whole else sample.findings(own, report.findings)
+    yield Part({**report.as_json(good, shown), "findings": findings})
+
+
+def read_table_file(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the rows of a table file that may be loaded, piece by piece.
+
+    Parameters
+    ----------
+    path : path
+        The file; a gzipped one is unpacked next to it.
+    options : Options
+    report : ReadReport
+        Complete after the last piece.
+    """
+    yield from _corrected(_columns(path, options, report), options, report)
+
+
+def read_logs(
+    loads: Path, displacements: Path, options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield the rows of two logs joined by time; parameters as `read_table_file`."""
+    log = _columns(loads, replace(options, role="loads", zero_rows=0), report)
+    found = joined_loads(log, report)
+    report.read, report.format, report.gzip = 0, "", False  # those of the displacements count
+    if found is None:
+        return
+    log = list(_columns(displacements, replace(options, role="displacements"), report))
+    yield from _corrected(with_loads(log, *found, options, report), options, report)
+
+
+def _corrected(
+    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield the rows of the interface that may be loaded, from readings in SI.
+
+    The order of all corrections: meaning, sign and unit of each column (the readers), the join of
+    two logs by time, the zero offset, the rig's frame, its load point and displacement point, the
+    moment of a load cell on the ground. Then come the limits, the setup, whether the point of the
+    moments must be known, and outside of this the findings.
+    """
+    pieces = rigged(zeroed(pieces, options, report), options, report)
+    pieces = (within_limits(piece, options, report) for piece in pieces)
+    yield from with_known_point(with_own_setup(pieces, options, report), options, report)
+
+
+def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the rows of a file without corrections, whatever their setup."""
+    try:
+        plain = _unpacked(path, report)
+        report.format = _checked_format(plain, options)
+    except ContentError as error:
+        report.mistakes.ruin(0, "file", str(error))
+        return
+    if options.role != "table" and report.format in ("json", "hdf5"):
+        message = f"a log with a time is CSV, XLSX or Parquet, and this is {report.format}"
+        report.mistakes.ruin(0, "file", message)
+        return
+    yield from _READERS[report.format](plain, options, report)
+
+
+def _unpacked(path: Path, report: ReadReport) -> Path:
+    if path.stat().st_size == 0:
+        raise ContentError("the file is empty")
+    if not _is_gzip(path):
+        return path
+    report.gzip = True
+    plain = path.with_name(f"{path.name}.plain")
+    unpack(path, plain)
+    return plain
+
+
+def _checked_format(path: Path, options: Options) -> Format:
+    found, named = _format_of(path), options.format
+    if named is None or named == found:
+        return found
+    if named in _TEXT_FORMATS and found in _TEXT_FORMATS:
+        return named
+    raise ContentError(f"is {found} by its content, not {named}; leave the format out")
+
+
+class ContentError(ValueError):
+    """The file is no table that can be read; the message names its format."""
+
+
+def _is_gzip(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(2) == b"\x1f\x8b"
+
+
+def unpack(path: Path, target: Path, most: int = MOST_BYTES) -> None:
+    """Unpack a gzipped file, at most `most` bytes of it.
+
+    Raises
+    ------
+    ContentError
+        If the file is larger, damaged, or gzipped twice.
+    """
+    written = 0
+    try:
+        with gzip.open(path) as content, target.open("wb") as unpacked:
+            while block := content.read(_BLOCK):
+                written += len(block)
+                if written > most:
+                    raise ContentError(f"unpacks to more than {most >> 20} MiB; send parts")
+                unpacked.write(block)
+    except (OSError, EOFError, zlib.error) as error:
+        raise ContentError(f"is a damaged gzip file ({error}); send it again") from error
+    if _is_gzip(target):
+        raise ContentError("is gzipped twice; send it gzipped once, or not at all")
+
+
+def _format_of(path: Path) -> Format:
+    """Return the format of a file from its content; raises ContentError."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if head.startswith(b"PAR1"):
+        return "parquet"
+    if any(head[at : at + 8] == _HDF5 for at in _HDF5_OFFSETS):
+        return "hdf5"
+    if head.startswith(_MAT):
+        return "mat"
+    if head.startswith(b"PK\x03\x04"):
+        return _format_of_zip(path)
+    for magic, what in _OTHER_FORMATS.items():
+        if head.startswith(magic):
+            raise ContentError(f"is {what}")
+    utf16 = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if _is_wide_text(head, utf16):
+        raise ContentError(
+            "is text in UTF-32, or in UTF-16 without the mark at its beginning; save it as UTF-8"
+        )
+    if b"\0" in head and not utf16:
+        raise ContentError(
+            "is no table: it holds zero bytes. Send CSV, XLSX, Parquet, JSON, HDF5 or "
+            "MAT, each gzipped if you like"
+        )
+    text = head.removeprefix(codecs.BOM_UTF8).lstrip()
+    return "json" if text[:1] in (b"{", b"[") else "csv"
+
+
+def _is_wide_text(head: bytes, utf16: bool) -> bool:
+    """Return whether a file is UTF-32, or UTF-16 without a mark.
+
+    A header in Latin letters has a zero in every second byte, or in three of four.
+    """
+    start = head[: len(head) // 4 * 4]
+    zeros = [start[place::4].count(0) * 4 / max(len(start), 1) for place in range(4)]
+    wide = [share > 0.8 for share in zeros]
+    return sum(wide) == 3 or (not utf16 and wide in ([True, False] * 2, [False, True] * 2))
+
+
+def _format_of_zip(path: Path) -> Format:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {name for name in archive.namelist() if len(name) < 100}
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        raise ContentError(f"is a damaged zip file or workbook ({error})") from error
+    if "[Content_Types].xml" in names and any(name.startswith("xl/") for name in names):
+        return "xlsx"
+    raise ContentError("is a zip file and no XLSX workbook; unpack it and send the table")
+
+
+def _preview(piece: ParsedTable, count: int) -> list[dict[str, Any]]:
+    return [
+        {
+            "row": int(piece.row[at]),
+            "wrench": piece.wrench[at].tolist(),
+            "displacement": [
+                None if np.isnan(value) else float(value) for value in piece.displacement[at]
+            ],
+        }
+        for at in range(min(count, len(piece)))
+    ]
+
+
+def _part(piece: ParsedTable) -> Part:
+    """Return a piece as a part, without unknown columns; equal texts are one text."""
+    numbers = {name: getattr(piece, name) for name in (*_NUMBERS, "curvature")}
+    arrays = {
+        name: column
+        for name, column in numbers.items()
+        if column is not None and column.size and any(column.strides)
+    }
+    texts = {name: getattr(piece, name) for name in _TEXTS}
+    packed = {name: one[0] if len(set(one)) == 1 else list(one) for name, one in texts.items()}
+    return Part({"n": len(piece), **packed}, arrays | {"row": piece.row.astype(np.int64)})
+
+
+def _piece(part: Part) -> ParsedTable:
+    count = int(part.fields["n"])
+    wrench, displacement = (part.arrays[name] for name in _NUMBERS[:2])
+    shapes = displacement.shape, (*displacement.shape, wrench.shape[1])
+    uncertainty, compliance = (
+        part.arrays[name] if name in part.arrays else unknown_column(*shape)
+        for name, shape in zip(_NUMBERS[2:], shapes, strict=True)
+    )
+    packed = (part.fields[name] for name in _TEXTS)
+    texts = ((one,) * count if isinstance(one, str) else tuple(one) for one in packed)
+    source, note, fingerprint = texts
+    numbers = wrench, displacement, uncertainty, compliance
+    rest = source, note, fingerprint, part.arrays["row"]
+    return ParsedTable(*numbers, *rest, curvature=part.arrays.get("curvature"))

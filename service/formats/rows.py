@@ -1,0 +1,254 @@
+"""Rows of a table file as SI arrays, and the checks of whole rows: limits, setups.
+
+No row may exceed the limits: such rotations, translations and loads are mistakes of a unit.
+
+Rows of different setups are never mixed. A row with the component's own fingerprint is loaded with
+its source and its tangent, so an export of solves comes back as solves. A row with another
+fingerprint, or with the source `fea` and no fingerprint, is refused: loaded as measured it would be
+a solve of another mesh. The sender can change the source in the file. A row without a fingerprint
+is a measurement or a solve from elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wrenchbook.service.formats.columns import Columns
+from wrenchbook.service.formats.options import Options, ReadReport
+from wrenchbook.surrogate.limits import (
+    ROTATION_LIMIT,
+    TRANSLATION_LIMIT,
+    is_too_far,
+    rotation_angles,
+)
+from wrenchbook.surrogate.table.rows import LoadRange, unknown_column
+from wrenchbook.surrogate.table.space import PER_INTERFACE
+
+Array = np.ndarray
+Problem = tuple[int, str, str]
+"""The index of a row in the arrays, its column, and what to do."""
+
+LOAD_LIMIT = 10.0
+"""Largest load over the component's range: tests reach a few times the service load; kN read as N,
+or a shifted column, is off by more."""
+
+
+FEA = "fea"  # the source of solves
+MEASURED = "measured"  # the source of rows that name none
+
+
+@dataclass(frozen=True)
+class ParsedTable:
+    """The rows of a table file without mistakes, in SI.
+
+    Parameters
+    ----------
+    wrench : numpy.ndarray
+        Shape (n, inputs), N and N·m and the units of further inputs.
+    displacement : numpy.ndarray
+        Shape (n, outputs), m and rad; NaN where not measured, but never all of a row.
+    uncertainty : numpy.ndarray
+        Shape (n, outputs), m and rad; NaN where the file gives none.
+    compliance : numpy.ndarray
+        Shape (n, outputs, inputs), the tangent d(displacement)/d(wrench), m and rad over N and N·m;
+        all of a row or NaN where the file gives none.
+    source, note, fingerprint : tuple of str
+        One a row; empty where the file gives none.
+    row : numpy.ndarray
+        Shape (n,), the place of each row: see `FileMistake.row`.
+    time : numpy.ndarray or None
+        Shape (n,), s; of logs that are joined by it.
+    curvature : numpy.ndarray or None
+        As `Rows.curvature`; None if no row has one.
+    """
+
+    wrench: Array
+    displacement: Array
+    uncertainty: Array
+    compliance: Array
+    source: tuple[str, ...]
+    note: tuple[str, ...]
+    fingerprint: tuple[str, ...]
+    row: Array
+    time: Array | None = None
+    curvature: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.wrench)
+
+    def take(self, which: Array) -> ParsedTable:
+        """Return the rows of a mask, shape (n,), dimensionless."""
+        if which.all():
+            return self
+        places = np.flatnonzero(which).tolist()
+        return replace(
+            self,
+            wrench=self.wrench[which],
+            displacement=self.displacement[which],
+            uncertainty=_taken(self.uncertainty, which),
+            compliance=_taken(self.compliance, which),
+            source=tuple(self.source[place] for place in places),
+            note=tuple(self.note[place] for place in places),
+            fingerprint=tuple(self.fingerprint[place] for place in places),
+            row=self.row[which],
+            time=None if self.time is None else self.time[which],
+            curvature=None if self.curvature is None else self.curvature[which],
+        )
+
+
+def number_word(count: int) -> str:
+    """Return a number as a message has it: six, 12."""
+    return "six" if count == PER_INTERFACE else str(count)
+
+
+def known_column(column: Array) -> Array:
+    """Return a column, shape (n, k), m and rad; one without memory if all of it is unknown."""
+    return unknown_column(*column.shape) if np.isnan(column).all() else column
+
+
+def _taken(column: Array, which: Array) -> Array:
+    if any(column.strides):
+        return column[which]
+    return unknown_column(int(which.sum()), *column.shape[1:])
+
+
+def within_limits(
+    piece: ParsedTable, options: Options, report: ReadReport, good: Array | None = None
+) -> ParsedTable:
+    """Return the rows within all limits; the others become mistakes.
+
+    `good`, shape (n,), dimensionless, masks rows without other mistakes; others are left out.
+    """
+    good = np.ones(len(piece), dtype=bool) if good is None else good
+    for at, name, message in _excesses(piece, options):
+        good[at] = False
+        label = report.label(name, options.columns)
+        report.mistakes.add(int(piece.row[at]), label, message)
+    report.mistakes.settle()
+    return piece.take(good)
+
+
+def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadReport) -> ParsedTable:
+    """Return the rows of a mask, shape (n,), dimensionless, that are within all limits.
+
+    Readings that are joined or corrected are not checked here, but as rows of the interface.
+    """
+    if options.zero_rows or options.rig or options.role != "table":
+        report.mistakes.settle()
+        return piece.take(good)
+    return within_limits(piece, options, report, good)
+
+
+def _excesses(piece: ParsedTable, options: Options) -> Iterator[Problem]:
+    """Yield the numbers beyond a limit."""
+    columns = options.columns
+    yield from _rotations(piece.displacement, columns)
+    yield from _translations(piece.displacement, columns)
+    yield from _uncertainties(piece.uncertainty, columns)
+    if options.load_range is not None:
+        yield from _loads(piece.wrench, options.load_range)
+
+
+def largest_loads(load_range: LoadRange) -> Array:
+    """Return the largest size of each input that a table may have, shape (n,), N and N·m.
+
+    A load without a range of its own (0 to 0) has the largest of its kind: the cross-loads of a rig
+    are a part of its main load. If all of a kind have none there is no limit.
+    """
+    kinds = np.array([one.kind for one in load_range.space.inputs])
+    size = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
+    for kind in ("force", "moment"):
+        size[(kinds == kind) & (size == 0.0)] = size[kinds == kind].max()
+    return np.where(size > 0.0, LOAD_LIMIT * size, np.inf)
+
+
+def _rotations(displacement: Array, columns: Columns) -> Iterator[Problem]:
+    for first in range(0, len(columns.displacement), PER_INTERFACE):
+        moved = displacement[:, first : first + PER_INTERFACE]
+        angle = rotation_angles(moved)
+        for at in np.flatnonzero(is_too_far(angle)).tolist():
+            name = columns.displacement[first + 3 + int(np.nanargmax(np.abs(moved[at, 3:])))]
+            message = (
+                f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "
+                "(check the unit: rad or deg?)"
+            )
+            yield at, name, message
+
+
+def _translations(displacement: Array, columns: Columns) -> Iterator[Problem]:
+    beyond = (np.abs(displacement) > TRANSLATION_LIMIT) & ~columns.space.is_rotation
+    for at, axis in np.argwhere(beyond).tolist():
+        message = (
+            f"the translation is {displacement[at, axis]:.4g} m; a table ends at "
+            f"{TRANSLATION_LIMIT:g} m, because within 20 degrees only a part longer than 40 m "
+            "moves so far (check the unit: m or mm?)"
+        )
+        yield at, columns.displacement[axis], message
+
+
+def _uncertainties(uncertainty: Array, columns: Columns) -> Iterator[Problem]:
+    is_rotation = columns.space.is_rotation
+    limit = np.where(is_rotation, ROTATION_LIMIT * (1.0 + 1e-12), TRANSLATION_LIMIT)
+    beyond = np.isfinite(uncertainty) & (uncertainty > limit)  # infinite ones are other mistakes
+    for at, output in np.argwhere(beyond).tolist():
+        unit, end = ("rad", ROTATION_LIMIT) if is_rotation[output] else ("m", TRANSLATION_LIMIT)
+        message = (
+            f"the uncertainty is {uncertainty[at, output]:.4g} {unit}; no displacement of a table "
+            f"is beyond {end:.4g} {unit} (check the unit, or leave it out if it is not known)"
+        )
+        yield at, columns.uncertainty[output], message
+
+
+def _loads(wrench: Array, load_range: LoadRange) -> Iterator[Problem]:
+    limit = largest_loads(load_range)
+    for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
+        one = load_range.space.inputs[load]
+        unit, what = one.unit.replace("·", "*"), "input" if one.kind == "scalar" else "load"
+        message = (
+            f"the {what} is {wrench[at, load]:.6g} {unit}; the component's range is "
+            f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit}, and a table ends at "
+            f"{limit[load]:g} (check the unit and the column)"
+        )
+        yield at, one.name, message
+
+
+def with_own_setup(
+    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield the rows that a table of the setup `options.fingerprint` may hold."""
+    own = options.fingerprint
+    for piece in pieces:
+        if own is None or not (any(piece.fingerprint) or FEA in piece.source):
+            yield piece
+            continue
+        good = np.ones(len(piece), dtype=bool)
+        for at, name, message in _foreign_rows(piece, own):
+            good[at] = False
+            report.mistakes.add(int(piece.row[at]), name, message)
+        yield piece.take(good)
+        if report.is_beyond_limits():
+            return
+
+
+def _foreign_rows(piece: ParsedTable, own: str) -> Iterator[Problem]:
+    """Yield the rows that are solves of another setup, or incomplete ones."""
+    pairs = zip(piece.fingerprint, piece.source, strict=True)
+    for at, (fingerprint, source) in enumerate(pairs):
+        if fingerprint != own and (fingerprint or source == FEA):
+            other = (
+                f"the setup {fingerprint}" if fingerprint else "a setup that the row does not name"
+            )
+            message = (
+                f"is a solve of {other}, this component's setup is {own}; rows "
+                "of different setups are never mixed. Leave the row out, or load it as measured: "
+                "an empty fingerprint and another source"
+            )
+            yield at, "fingerprint", message
+        elif source == FEA and np.isnan(piece.displacement[at]).any():
+            count = number_word(piece.displacement.shape[1])
+            message = f"a solve knows all {count} outputs; write them, or another source than fea"
+            yield at, "source", message

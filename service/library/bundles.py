@@ -1,0 +1,273 @@
+"""Bundles of components: uploads, unpacked and checked in the sandbox, and copies.
+
+The web process never imports the finite-element stack; a bad archive or mesh can crash the sandbox
+without harm to the server. `unpacked`, `checked` and `surface` run there.
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import json
+import re
+import shutil
+import struct
+import zipfile
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from wrenchbook.fea.bundle.read import BundleError, BundleProblem, read_bundle
+from wrenchbook.service.files.redact import redact
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.sandbox import MIB, Limits, Part, Sandbox, SandboxError, run
+from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
+
+MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # a mesh of some million cells
+MAX_FILES: Final = 1000  # a component is its component.toml, a mesh, and what a deck includes
+MAX_PROBLEMS: Final = 1000
+PICTURE_VERTICES: Final = 2000  # a small picture shows no more; 80 kB of JSON
+# The largest mesh of a generator, two million cells, takes 3 GB; a solve of half of that is days.
+CHECK: Final = Limits(memory=2048 * MIB, seconds=300.0, output=MAX_BUNDLE_BYTES)
+# Pieces of 1 MiB, the archive's list of files, and a component.toml that is small.
+UNPACK: Final = Limits(memory=256 * MIB, seconds=120.0, output=MAX_BUNDLE_BYTES)
+CHECKER: Final = "wrenchbook.service.library.bundles:checked"
+_PIECE: Final = 1 << 20
+# Errors of the disk; all others are the archive's fault.
+_OF_THE_DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES)
+_CANNOT_UNPACK: Final = (
+    "The zip cannot be unpacked: {why}. Zip the folder again, without a password, with the usual "
+    "compression (deflate) and with short file names."
+)
+_TOO_LARGE: Final = "Unpacked, the zip is larger than {} MiB, the most accepted."
+_NO_REPORT: Final = "The mesh check stopped without an answer ({why})."
+# Slots apart from those of `run`: a check may take minutes. It imports 75 MB, so none stays.
+_checks: Final = Sandbox(keep=False)
+
+
+def one_problem(where: str, message: str) -> BundleError:
+    """Return the error of a bundle with one mistake."""
+    return BundleError([BundleProblem(where, message)])
+
+
+def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
+    """Unpack a bundle's zip below `incoming`; return its folder, and whether it has a deck.
+
+    Raises BundleError if the archive or its component.toml has mistakes or takes too much to be
+    read, SandboxBusyError if too many others are being read, OSError if the disk is full.
+    """
+    copy, target = incoming / "bundle.zip", incoming / "bundle"
+    target.mkdir()
+    archive.seek(0)
+    with copy.open("wb") as file:
+        shutil.copyfileobj(archive, file, _PIECE)
+    arguments = {"target": str(target)}
+    try:
+        (part,) = run("wrenchbook.service.library.bundles:unpacked", copy, arguments, UNPACK)
+    except SandboxError as error:
+        raise one_problem("bundle", str(error)) from None
+    copy.unlink()
+    if part.fields["problems"]:
+        raise BundleError([BundleProblem(where, why) for where, why in part.fields["problems"]])
+    return target / part.fields["folder"], bool(part.fields["deck"])
+
+
+def check_mesh(folder: Path) -> dict[str, Any]:
+    """Build the bundle's mesh and resolve its groups, in a subprocess; return the report.
+
+    Raises BundleError with every problem or with what ended the check, SandboxBusyError if too
+    many others are being checked.
+    """
+    try:
+        (part,) = _checks.run(CHECKER, folder, None, CHECK)
+        report = json.loads(part.fields["report"])
+        if report["ok"]:
+            return report
+        problems = report["problems"][:MAX_PROBLEMS]
+        problems = [BundleProblem(each["where"], each["message"]) for each in problems]
+    except SandboxError as error:
+        if error.kind == "memory" or "bad_alloc" in str(error):
+            limit = CHECK.memory >> 20
+            why = f"The mesh takes more than {limit} MiB of memory to check. Give a coarser one."
+        elif error.kind in ("time", "crash", "size"):
+            why = f"{error} A coarser mesh does."
+        else:
+            why = _NO_REPORT.format(why=redact(f"{error.kind}: {error}")[:300])
+        raise one_problem("mesh", why) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise one_problem("mesh", _NO_REPORT.format(why=f"a malformed report: {error}")) from None
+    raise BundleError(problems)
+
+
+@lru_cache(maxsize=64)
+def surface_of(folder: Path, _fingerprint: str) -> dict[str, Any]:
+    """Return the outer surface of a bundle's mesh, ``vertices`` in m and ``triangles``.
+
+    Raises SandboxError or SandboxBusyError if its mesh cannot be built within the limits of a
+    check, or too many others are built.
+    """
+    (part,) = _checks.run("wrenchbook.service.library.bundles:surface", folder, None, CHECK)
+    return {name: np.array(array) for name, array in part.arrays.items()}
+
+
+_TOP_LEVEL = re.compile(r"^\s*\[", re.MULTILINE)
+_LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
+
+
+def copy_bundle(component: Component, name: str, title: str | None, folder: Path) -> None:
+    """Copy a component's folder, with another name in its component.toml.
+
+    Nothing else changes, so that its fingerprint, and with it the meaning of its rows, stays.
+    """
+    shutil.copytree(component.folder, folder, symlinks=False, dirs_exist_ok=False)
+    file = folder / "component.toml"
+    text = file.read_text(encoding="utf-8")
+    begins = _TOP_LEVEL.search(text)
+    end = begins.start() if begins else len(text)
+    head = text[:end]
+    for key, value in (("name", name), ("title", title)):
+        if value is None:
+            continue
+        line = f"{key} = {toml_text(value)}"
+        if _LINE[key].search(head):
+            head = _LINE[key].sub(lambda _, line=line: line, head, count=1)
+        else:
+            head = f"{line}\n{head}"
+    file.write_text(head + text[end:], encoding="utf-8")
+
+
+def toml_value(value: Any) -> str:
+    """Return a text, a number, a list or a mapping as a value of TOML, on one line."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key} = {toml_value(entry)}' for key, entry in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return toml_text(value) if isinstance(value, str) else repr(value)
+
+
+def toml_text(text: str) -> str:
+    """Return a TOML basic string."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
+
+
+# -- in the sandbox ---------------------------------------------------------------------------
+
+
+def unpacked(archive: Path, target: str) -> Iterator[Part]:
+    """Unpack a bundle's zip into an empty folder and read it.
+
+    Yields a part with ``problems``, each ``[where, message]``; without any also ``folder``, which
+    holds the bundle, relative to `target`, and ``deck``, whether it names a command.
+    """
+    try:
+        folder = extract(archive, Path(target))
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            try:  # HDF5 files, as some meshes are, may have other files of this machine read
+                outside = leads_out(path)
+            except TableFileError as error:
+                raise one_problem("bundle", f'"{path.name}" {error}') from None
+            if outside:
+                message = f'"{path.name}" has parts in other files; write it whole, without links'
+                raise one_problem("bundle", message)
+        bundle = read_bundle(folder)
+    except BundleError as error:
+        problems = [[each.where, each.message] for each in error.problems[:MAX_PROBLEMS]]
+        yield Part({"problems": problems})
+    else:
+        inside = folder.relative_to(target).as_posix()
+        yield Part({"problems": [], "folder": inside, "deck": bundle.deck is not None})
+
+
+def checked(folder: Path) -> Iterator[Part]:
+    """Yield a part with the ``report`` of `fea.check` on a bundle, as JSON text."""
+    # Imported here alone: no server imports finite elements.
+    check = importlib.import_module("wrenchbook.fea.check")
+    try:
+        yield Part({"report": json.dumps(check.report(folder))})
+    except OSError as error:  # of the bundle's files, not of this machine's disk
+        raise RuntimeError(f"{type(error).__name__}: {error}") from error
+
+
+def surface(folder: Path) -> Iterator[Part]:
+    """Yield the outer surface of a bundle's mesh: ``vertices`` (v, 3), ``triangles`` (t, 3)."""
+    component = importlib.import_module("wrenchbook.fea.component")
+    recovery = importlib.import_module("wrenchbook.fea.recovery.surface")
+    reader = importlib.import_module("wrenchbook.fea.mesh.io.read")
+    bundle = read_bundle(folder)
+    source, deck = bundle.mesh, bundle.deck
+    mesh = component.mesh_of(source) if source else reader.read_mesh(deck and deck.file, "m")
+    outside = recovery.surface_of(mesh, PICTURE_VERTICES)
+    points = np.round(mesh.points[outside.nodes], 6)  # µm: short JSON
+    yield Part({}, {"vertices": points, "triangles": outside.triangles})
+
+
+def extract(archive: Path, target: Path) -> Path:
+    """Unpack a bundle's zip and return the folder that holds component.toml.
+
+    Raises BundleError if it cannot be unpacked, leads out of the folder or is too large, OSError if
+    the disk is full or cannot be written.
+    """
+    try:
+        with zipfile.ZipFile(archive) as bundle:
+            _refuse_hostile(bundle)
+            _unpack(bundle, target)
+    except zipfile.BadZipFile as error:
+        raise one_problem(
+            "bundle",
+            f"This is not a zip file that can be read ({error}). Zip the folder that holds "
+            "component.toml and send it.",
+        ) from None
+    except (BundleError, MemoryError):
+        raise
+    except OSError as error:
+        if error.errno in _OF_THE_DISK:
+            raise
+        why = error.strerror or "it is damaged"
+        raise one_problem("bundle", _CANNOT_UNPACK.format(why=why)) from None
+    except (Exception, struct.error) as error:  # whatever zipfile comes to in a damaged archive
+        raise one_problem("bundle", _CANNOT_UNPACK.format(why=str(error)[:200])) from None
+    folders = sorted(path.parent for path in target.rglob("component.toml"))
+    if len(folders) != 1:
+        raise one_problem(
+            "bundle", f"The zip holds {len(folders)} files named component.toml; it must hold one."
+        )
+    return folders[0]
+
+
+def _refuse_hostile(bundle: zipfile.ZipFile) -> None:
+    entries = bundle.infolist()
+    if len(entries) > MAX_FILES:
+        message = f"The zip holds {len(entries)} files; at most {MAX_FILES} are accepted."
+        raise one_problem("bundle", message)
+    if sum(info.file_size for info in entries) > MAX_BUNDLE_BYTES:
+        raise one_problem("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))
+    for info in entries:
+        name = info.filename[:200]
+        parts = Path(info.filename).parts
+        if info.filename.startswith(("/", "\\")) or ".." in parts or ":" in info.filename:
+            message = f"The zip holds the path {name!r}, which leads out of the bundle."
+            raise one_problem("bundle", message)
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            why = f"{name!r} is compressed by method {info.compress_type}"
+            raise one_problem("bundle", _CANNOT_UNPACK.format(why=why))
+
+
+def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
+    """Write each member and count its bytes: the size in its header may be wrong."""
+    remaining = MAX_BUNDLE_BYTES
+    for info in bundle.infolist():
+        path = target.joinpath(*Path(info.filename).parts)
+        if info.is_dir():
+            path.mkdir(parents=True, exist_ok=True)
+            continue
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with bundle.open(info) as packed, path.open("xb") as written:
+            while piece := packed.read(_PIECE):
+                remaining -= len(piece)
+                if remaining < 0:
+                    raise one_problem("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))
+                written.write(piece)

@@ -1,0 +1,5 @@
+"""The command line: ``python -m wrenchbook``."""
+
+from wrenchbook import main
+
+main()
