@@ -43,8 +43,6 @@ class Settings:
         Which folders of ended attempts are kept.
     access_log:
         Whether each request is a line of the log.
-    opentelemetry:
-        Whether requests are traced; without it, OTEL_* variables of the environment decide.
     part:
         What this process does.
     processes:
@@ -61,7 +59,6 @@ class Settings:
     keep: Keep = KEEP
     method: str | None = None
     access_log: bool = False
-    opentelemetry: bool = False
     part: Part = "all"
     processes: int = 1
 
@@ -90,7 +87,6 @@ def settings_of_options(options: Mapping[str, Any], part: Part = "all") -> Setti
         keep=keep,
         method=options["method"],
         access_log=options["access_log"],
-        opentelemetry=options["opentelemetry"],
         part=part,
         processes=options["processes"],
     )

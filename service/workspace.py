@@ -15,11 +15,16 @@ from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
-from wrenchbook.service.jobs.attempt import Progress, attempt_folder, read_progress
+from wrenchbook.service.jobs.attempt import (
+    Attempt,
+    Engine,
+    Progress,
+    attempt_folder,
+    notes_of,
+    read_progress,
+)
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.engines import open_engine
-from wrenchbook.service.jobs.engines.engine import Engine
-from wrenchbook.service.jobs.record_outcome import notes_of
+from wrenchbook.service.jobs.solver_pool import open_engine
 from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
 from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError, OpenJob
 from wrenchbook.service.ledger.watch import Watcher
@@ -316,7 +321,9 @@ class Workspace:
 
     def notes(self, job: JobRecord) -> list[str]:
         """Return the solver's notes on the answer of a done job."""
-        return notes_of(job, self.attempt_folder(job)) if job.status == "done" else []
+        if job.status != "done":
+            return []
+        return notes_of(Attempt.of(job, self.attempt_folder(job)))
 
     def attempt_folder(self, job: JobRecord) -> Path:
         """Return the folder of a job's latest attempt."""

@@ -26,12 +26,6 @@ Host = Annotated[str, typer.Option(help="address to listen on")]
 AccessLog = Annotated[
     bool, typer.Option("--access-log", help="a line a request; queries take no fast path then")
 ]
-OpenTelemetry = Annotated[
-    bool,
-    typer.Option(
-        "--opentelemetry", help="trace requests, as OTEL_* variables say; no fast path then"
-    ),
-]
 AllowHost = Annotated[
     str | None, typer.Option(help="further names of this server, with commas: a proxy's, say")
 ]
@@ -97,7 +91,6 @@ def serve(
     log_level: Level = "info",
     log_format: Form = "text",
     access_log: AccessLog = False,
-    opentelemetry: OpenTelemetry = False,
     allow_host: AllowHost = None,
     allow_origin: AllowOrigin = None,
     first_key: FirstKey = False,
@@ -119,17 +112,14 @@ def serve(
 
 def _serve(**options: Any) -> None:
     """Serve by the settings found."""
-    from wrenchbook.service.http.instrumentation import MissingExtraError, tracing_packages
-    from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
+    from wrenchbook.service.jobs.solver_pool import EngineSettingsError, check_engine
     from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.listen import AddressError
     from wrenchbook.service.workers.supervisor import supervise
 
     try:
         check_engine(options["engine"], options["scheduler"])
-        if options["opentelemetry"]:
-            tracing_packages()
-    except (EngineSettingsError, MissingExtraError) as error:
+    except EngineSettingsError as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(Path(options["data"]))
     if options["first_key"]:
