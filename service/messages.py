@@ -13,6 +13,7 @@ from functools import cache
 from typing import (
     Annotated,
     Any,
+    ClassVar,
     Literal,
     Self,
     cast,
@@ -24,6 +25,8 @@ from typing import (
 
 import numpy as np
 from numpy.typing import NDArray
+
+from wrenchbook.service.contract import Coverage
 
 Vector = NDArray[np.float64]
 JobStatus = Literal["waiting", "running", "done", "failed", "cancelled"]
@@ -43,12 +46,17 @@ class Doc:
 class Numbers:
     """Marks a field as an array of floats: `shape` of its JSON, None where it varies."""
 
+    number: ClassVar[tuple[dict[str, Any], Any]] = (
+        {"anyOf": [{"type": "number"}, {"type": "null"}]},
+        np.float64,
+    )
+
     def __init__(self, *shape: int | None) -> None:
         self.shape = shape
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON schema."""
-        schema: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
+        schema: dict[str, Any] = self.number[0]
         for size in reversed(self.shape):
             limits = {} if size is None else {"minItems": size, "maxItems": size}
             schema = {"type": "array", "items": schema, **limits}
@@ -56,7 +64,7 @@ class Numbers:
 
     def read(self, values: Any) -> Vector:
         """Return the array of JSON, NaN for null, that is not written to by mistake."""
-        array = np.array(values, dtype=float)
+        array = np.array(values, dtype=self.number[1])
         if not array.size and len(self.shape) == 2:
             array = array.reshape(0, self.shape[1] or 6)
         array.flags.writeable = False
@@ -68,6 +76,12 @@ class Numbers:
 
     def __get_pydantic_json_schema__(self, *_: Any) -> dict[str, Any]:
         return self.schema()
+
+
+class Indices(Numbers):
+    """Marks a field as an array of integers."""
+
+    number: ClassVar = {"type": "integer"}, np.int64
 
 
 Six = Annotated[Vector, Numbers(6)]
@@ -326,3 +340,74 @@ class Plan(Message):
 
 class Plans(Message):
     components: dict[str, Plan]
+
+
+class Stress(Message):
+    """The largest von Mises stress of a component."""
+
+    largest: Annotated[float, Doc("Pa")]
+    error: Annotated[
+        float | None,
+        Doc("95 % error bar, Pa, of the table alone: without the mesh's; null if not known"),
+    ]
+    at: Annotated[
+        Vector, Numbers(3), Doc("where, undeformed, m, in the interface frame from its point")
+    ]
+    region: Annotated[str, Doc("the material there")]
+    yield_strength: Annotated[float | None, Doc("of that material, Pa; null if it is not given")]
+    yields: Annotated[
+        bool | None,
+        Doc("whether it yields there; null without a strength, or if the bar lies across it"),
+    ]
+
+
+class DeformedShape(Message):
+    """A component's surface under one wrench, in the undeformed interface frame from its point."""
+
+    component: str = ""
+    force: Annotated[Vector | None, Numbers(3), Doc("N")] = None
+    moment: Annotated[Vector | None, Numbers(3), Doc("N·m")] = None
+    frame: dict[Literal["point", "axes"], Any] | None = None
+    vertices: Annotated[Vector, Numbers(None, 3), Doc("undeformed, shape (v, 3), m")]
+    triangles: Annotated[
+        NDArray[np.int64],
+        Indices(None, 3),
+        Doc("vertices, shape (t, 3), anticlockwise seen from outside"),
+    ]
+    displacement: Annotated[Vector, Numbers(None, 3), Doc("shape (v, 3), m")]
+    error: Annotated[
+        Vector | None,
+        Numbers(None),
+        Doc(
+            "95 % error bar of each vertex's displacement, shape (v,), m; null where it is not "
+            "known. The mesh's error is in it if error_parts has mesh"
+        ),
+    ]
+    error_parts: Annotated[
+        dict[str, Any] | None,
+        Doc("the largest of each part of error, m: table, mesh, linearity; mesh_basis in words"),
+    ] = None
+    within_tolerance: Annotated[
+        bool | None,
+        Doc(
+            "whether every bar is within the component's tolerance; null without one, or if the "
+            "discretisation error is not known"
+        ),
+    ] = None
+    simplified: dict[Literal["from", "to"], int] | None = None
+    stress: Annotated[Stress | None, Doc("null where it is not known")]
+    source: Annotated[
+        str, Doc("row: a solve of this very wrench; rows: between them; linear: six unit fields")
+    ]
+    rows: Annotated[tuple[int, ...], Doc("the rows it is made of")] = ()
+    coverage: Annotated[Coverage, Doc("of the interpolation error alone")]
+    reason: Annotated[str, Doc("why it is not covered")] = field(default="", metadata=LEFT_OUT)
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether the interpolation error is within the component's tolerance."""
+        return self.coverage == "covered"
+
+    def deformed(self, scale: float = 1.0) -> Vector:
+        """Return the displaced vertices, shape (v, 3), m, exaggerated by `scale`."""
+        return self.vertices + scale * self.displacement

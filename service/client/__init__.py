@@ -8,8 +8,9 @@
 ...     R, p = answer.apply(R0, p0)
 """
 
+from ..messages import DeformedShape, Stress
 from .connection import Connection
-from .deformed import DeformedShape, Stress, SurfaceCalls
+from .deformed import SurfaceCalls
 from .displacement import DisplacementCalls
 from .errors import (
     InvalidArgument,

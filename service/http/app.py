@@ -67,15 +67,9 @@ _PARTS = (
 
 
 class Application(FastAPI):
-    """FastAPI behind the observer of requests and the access control.
+    """FastAPI behind the observer of requests and the access control."""
 
-    Attributes
-    ----------
-    fast_path : FastPath or None
-        Answers queries of the main call from their bytes; None if requests are logged or traced.
-    """
-
-    fast_path: FastPath | None = None
+    fast_path: FastPath | None = None  # none if requests are logged
     observed: ASGIApp
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -94,12 +88,7 @@ class Application(FastAPI):
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
     """Return the application; its workspace is open while the server runs.
 
-    Parameters
-    ----------
-    settings : Settings
-        The workspace's.
-    security : SecuritySettings, optional
-        How its access stands: by default without keys unless there are some, and under any name.
+    `security` is by default without keys unless there are some, and under any name.
     """
     counts = Counts()
 

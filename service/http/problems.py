@@ -185,7 +185,7 @@ def problem_of(error: Exception) -> HttpProblemError:
 
 
 def crash_of(method: str, path: str) -> HttpProblemError:
-    """Return what a call answers that came to a mistake of ours."""
+    """Return the answer of a call that an unexpected error ended."""
     detail = f"{method} {path} failed; the server's log has the traceback."
     return HttpProblemError(500, "internal", "Internal server error", detail)
 

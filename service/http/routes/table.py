@@ -223,10 +223,7 @@ async def import_table(
 async def one_reader(caller: str) -> AsyncIterator[None]:
     """Wait until no other table of a caller (a key, or an address without keys) is being read.
 
-    Raises
-    ------
-    SandboxBusyError
-        If another one is still being read after `_READER_WAIT_S` seconds.
+    It raises SandboxBusyError after `_READER_WAIT_S` seconds.
     """
     lock = _reader_locks.setdefault(caller, asyncio.Lock())
     try:
