@@ -9,7 +9,6 @@
 """
 
 from ..messages import DeformedShape, Stress
-from .connection import Connection
 from .deformed import SurfaceCalls
 from .displacement import DisplacementCalls
 from .errors import (
@@ -29,6 +28,7 @@ from .recording import Envelope, Recording, RecordingCalls, Started
 from .replies import Displacement, Displacements
 from .scene import ComponentPlan, Scene, SceneError
 from .table import DownloadCalls, Table
+from .transport import Connection
 
 
 class Calls(

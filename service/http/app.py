@@ -16,7 +16,7 @@ from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events import Events
 from wrenchbook.service.http import instrumentation, openapi, problems
 from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings
-from wrenchbook.service.http.fast_path import FastPath
+from wrenchbook.service.http.protocol import FastPath
 from wrenchbook.service.http.routes import (
     components,
     coverage,
@@ -67,9 +67,15 @@ _PARTS = (
 
 
 class Application(FastAPI):
-    """FastAPI behind the observer of requests and the access control."""
+    """FastAPI behind the observer of requests and the access control.
 
-    fast_path: FastPath | None = None  # none if requests are logged
+    Attributes
+    ----------
+    fast_path : FastPath or None
+        Answers queries of the main call from their bytes; None if requests are logged or traced.
+    """
+
+    fast_path: FastPath | None = None
     observed: ASGIApp
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -88,7 +94,12 @@ class Application(FastAPI):
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
     """Return the application; its workspace is open while the server runs.
 
-    `security` is by default without keys unless there are some, and under any name.
+    Parameters
+    ----------
+    settings : Settings
+        The workspace's.
+    security : SecuritySettings, optional
+        How its access stands: by default without keys unless there are some, and under any name.
     """
     counts = Counts()
 

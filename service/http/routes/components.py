@@ -16,11 +16,10 @@ from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import MAX_QUERY_BYTES, JsonRoute, form_of, read_limited
-from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.replies import json_reply, next_page
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.library.bundles import MAX_BUNDLE_BYTES
@@ -31,7 +30,8 @@ from wrenchbook.service.library.component import (
     vibration_of,
     warnings_of,
 )
-from wrenchbook.service.messages import Queued
+from wrenchbook.service.messages import JobLink, Queued
+from wrenchbook.service.query import job_link
 from wrenchbook.service.tables.rows import warning_of
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
@@ -168,7 +168,7 @@ def fill(name: str, workspace: Opened, order: FillBody) -> Response:
     fewer = (
         f"{len(jobs)} of at most {order.budget} solves: " if 0 < len(jobs) < order.budget else ""
     )
-    links = tuple(job_link(job, began) for job in jobs)
+    links = tuple(JobLink(**job_link(job, began)) for job in jobs)
     reply = Queued(component=name, jobs=links, stage=design.stage, reason=fewer + design.reason)
     return json_reply(reply, 202 if jobs else 200)
 
@@ -258,7 +258,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),
         "rows": table.row_count,
-        "pending_rows": workspace.pending_rows(component.name, table),
+        "pending_rows": workspace.unbuilt(component.name, table)[0],
         "solved": solved,
         "measured": table.row_count - solved,
         "another_setup": {"rows": table.other_rows, "wrenches": table.other_wrenches},

@@ -45,7 +45,7 @@ def ready(
 ) -> JSONResponse:
     faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
     names, present = set(workspace.library.names()), workspace.tables.present().items()
-    counts = {name: workspace.pending_rows(name, table) for name, table in present if name in names}
+    counts = {name: workspace.unbuilt(name, table)[0] for name, table in present if name in names}
     pending = {name: count for name, count in counts.items() if count}  # rows that are being built
     for name in pending:
         if not workspace.tables.present()[name].row_count:  # it has nothing to answer from

@@ -23,11 +23,11 @@ from wrenchbook.service.http.bodies import (
     StartBody,
 )
 from wrenchbook.service.http.body import JsonRoute, read_limited
-from wrenchbook.service.http.links import job_link
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import both_tolerances, checked, read_block
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.displacement import DirectRoute
+from wrenchbook.service.query import job_link
 from wrenchbook.service.recording.start import (
     StartedSolves,
     start_envelope,
@@ -257,7 +257,7 @@ def _started(
     """Queue solves by the options in the body."""
     workspace, began = request.app.state.workspace, time.time()
     started = start(workspace, name, *store, **order.model_dump())
-    links = tuple(job_link(job, began) for job in started.jobs)
+    links = tuple(messages.JobLink(**job_link(job, began)) for job in started.jobs)
     body = messages.Started(**{**vars(started), "component": name, "jobs": links})
     return json_reply(body, 202 if started.jobs else 200)
 

@@ -21,10 +21,9 @@ from wrenchbook.service.formats import SheetFullError, UnitError
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.body import received
 from wrenchbook.service.http.import_query import ImportQuery
-from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.replies import holds, json_reply, naming
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.table_schemas import Imported, Table
 from wrenchbook.service.ledger import About
