@@ -100,7 +100,7 @@ def import_rows(
                 db.execute("UPDATE import_parts SET hidden = 0 WHERE import = ?", (number,))
                 if not new:
                     db.execute("DELETE FROM imports WHERE id = ?", (number,))
-                db.rows[component] += new
+                db.rows += new
         except BaseException:
             _drop_hidden(ledger)
             raise
