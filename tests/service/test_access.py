@@ -395,7 +395,7 @@ def test_a_key_that_no_header_can_hold_is_refused_without_telling_it():
 
 def test_a_key_is_taken_from_the_environment_unless_one_is_given(monkeypatch):
     monkeypatch.setenv("WRENCHBOOK_KEY", "wb_env")
-    assert b"Bearer wb_env" in Client()._head("GET", "/", {})
-    assert b"Bearer wb_own" in Client(key="wb_own")._head("GET", "/", {})
+    assert b"Bearer wb_env" in Client()._head("GET", "/", None, {})
+    assert b"Bearer wb_own" in Client(key="wb_own")._head("GET", "/", None, {})
     monkeypatch.delenv("WRENCHBOOK_KEY")
-    assert b"Authorization" not in Client()._head("GET", "/", {})
+    assert b"Authorization" not in Client()._head("GET", "/", None, {})
