@@ -167,6 +167,7 @@ class Ledger:
     drop_abandoned = import_sql.drop_abandoned
     edit_import = _writes(import_sql.edit_import)
     imports = _reads(import_sql.imports)
+    stored_numbers = _reads(import_sql.stored_numbers)
     import_of = _reads(import_sql.import_of)
     import_spans = _reads(import_sql.import_spans)
     findings = _reads(import_sql.findings)
