@@ -13,6 +13,7 @@ import os
 import threading
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -128,10 +129,12 @@ class SharedCounts:
 
     def __init__(self, folder: Path, counts: Counts, listeners: Callable[[], int]) -> None:
         self._counts, self._listeners = counts, listeners
-        folder.mkdir(parents=True, exist_ok=True)
-        # The lowest number that no other process has, locked until this process ends.
-        locks = (take(folder / f"{number}.lock", 0.0) for number in count(1))
-        number = next(number for number, lock in enumerate(locks, 1) if lock is not None)
+        number = 0
+        with suppress(OSError):  # on a read-only disk counts are not shared
+            folder.mkdir(parents=True, exist_ok=True)
+            # The lowest number that no other process has, locked until this process ends.
+            numbers = count(1)
+            number = next(n for n in numbers if take(folder / f"{n}.lock", 0.0) is not None)
         self._folder, self._own = folder, folder / f"{number}.json"
         counts.add_all(_read(self._own)[0])
         self._writing = threading.Lock()

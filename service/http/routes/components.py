@@ -32,7 +32,7 @@ from wrenchbook.service.library.component import (
 )
 from wrenchbook.service.messages import JobLink, Queued
 from wrenchbook.service.query import job_link
-from wrenchbook.service.tables.rows import warning_of
+from wrenchbook.service.tables.mapped import warning_of
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import Tolerance
