@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from wrenchbook.service.fields.codec import DamagedFieldsError
-from wrenchbook.service.fields.record import read_geometry, read_row
+from wrenchbook.service.fields.record import DamagedFieldsError, read_geometry, read_row
 from wrenchbook.service.keys import Keyring, KeysError
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.backup import LEDGER
