@@ -191,8 +191,7 @@ def need_from(
             is_scalar = load.kind == "scalar"
             name = f"inputs.{load.name}" if is_scalar else f"{front}{load.kind}.{number % 3}"
             places.append(f"{where}.{name}")
-        found = [{"loc": places[at], "msg": text} for at, text in error.mistakes]
-        raise bad_body(found) from None
+        raise bad_body([{"loc": places[at], "msg": text} for at, text in error.mistakes]) from None
 
 
 def _unknown(span: SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
