@@ -17,7 +17,6 @@ COPY fea fea
 COPY surrogate surrogate
 COPY service service
 COPY data/components data/components
-COPY data/scenes/arm.xml data/scenes/
 RUN /opt/wrenchbook/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
 
 FROM base

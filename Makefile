@@ -99,12 +99,15 @@ soak: $(VENV)/.installed-dev
 soak-recording: $(VENV)/.installed-dev
 	WRENCHBOOK_SOAK=60 $(BIN)/python -m pytest tests/service/test_recording_killed.py -s --timeout 900
 
-validate: setup  ## verify the solver by closed forms, published numbers and CalculiX
-	$(BIN)/wrenchbook validate all
+validate: $(VENV)/.installed-dev  ## verify the solver by closed forms, published numbers and CalculiX
+	$(BIN)/python -m tests.validation all
+
+paper: $(VENV)/.installed-dev  ## reproduce the coupling paper with MuJoCo: build/paper/paper.html
+	$(BIN)/python -m data.paper build/paper
 
 # the same, and write its tables into fea/README.md
-validate-table: setup
-	$(BIN)/python -m wrenchbook.fea.validation all --update fea/README.md
+validate-table: $(VENV)/.installed-dev
+	$(BIN)/python -m tests.validation all --update fea/README.md
 
 # same mesh as CalculiX: the slow cases, about ten minutes
 validate-ccx: $(VENV)/.installed-dev

@@ -20,7 +20,7 @@ import orjson
 from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.service.ledger import JobRecord, LedgerError, LedgerUnavailableError
-from wrenchbook.service.tables.served import TableBehindError
+from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
 
 _log = logging.getLogger(__name__)

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.ops.retention import KEEP, Keep
 from wrenchbook.service.submission import QUEUE_LIMIT
-from wrenchbook.service.tables.served import TABLE_MEMORY
-
-# What a process does: all; or, of a server's processes, build tables and dispatch jobs, or answer.
-Part = Literal["all", "builder", "web"]
+from wrenchbook.service.tables.store import TABLE_MEMORY
 
 
 @dataclass(frozen=True)
@@ -45,8 +42,6 @@ class Settings:
         Whether each request is a line of the log.
     opentelemetry:
         Whether requests are traced; without it, OTEL_* variables of the environment decide.
-    part:
-        What this process does.
     processes:
         How many web workers the server has.
     """
@@ -62,19 +57,16 @@ class Settings:
     method: str | None = None
     access_log: bool = False
     opentelemetry: bool = False
-    part: Part = "all"
     processes: int = 1
 
 
-def settings_of_options(options: Mapping[str, Any], part: Part = "all") -> Settings:
+def settings_of_options(options: Mapping[str, Any]) -> Settings:
     """Return the settings of a process of the server by the options of `serve`.
 
     Parameters
     ----------
     options : mapping
         By name; those that are no settings of a workspace are ignored.
-    part
-        As in `Settings`.
     """
     keep = Keep(
         *(options[f"keep_{one}"] for one in ("days", "count", "failed_days", "failed_count"))
@@ -91,6 +83,5 @@ def settings_of_options(options: Mapping[str, Any], part: Part = "all") -> Setti
         method=options["method"],
         access_log=options["access_log"],
         opentelemetry=options["opentelemetry"],
-        part=part,
         processes=options["processes"],
     )

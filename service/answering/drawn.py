@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.table.axes import LoadAxis
 from wrenchbook.surrogate.table.rows import LoadRange
 

@@ -13,7 +13,7 @@ from wrenchbook.service.answering.queries import BatchOutcome, BatchQuery, Queue
 from wrenchbook.service.answering.refusals import BeyondRangeError, NotCoveredError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placed
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.rows import why_beyond
 

@@ -21,8 +21,7 @@ from wrenchbook.service.contract import by_part
 from wrenchbook.service.ledger import JobRecord
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placed
-from wrenchbook.service.tables.rows import others_in_words
-from wrenchbook.service.tables.served import ROW, ROW_DETAIL, ServedTable
+from wrenchbook.service.tables.mapped import ROW, ROW_DETAIL, ServedTable, others_in_words
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.kernel.explain import explain
 from wrenchbook.surrogate.kernel.replies import Reply
@@ -49,7 +48,7 @@ def answer_at_once(workspace: Workspace, name: str, query: Query) -> Outcome | N
     if outcome.coverage != "covered":
         if query.on_thin != "estimate" or table.needs_compliance:
             return None
-        if not table.row_count or workspace.tables.is_extended(name):
+        if not table.row_count:
             return None  # rows that are being built are part of the reason
         _note(workspace, query, outcome)
     return outcome

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.scene.cut import cut
 from wrenchbook.surrogate.scene.need import Need

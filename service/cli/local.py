@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 from rich.text import Text
 
-from wrenchbook.fea.bundle.read import FILE_NAME
-from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli.connect import AsJson, print_json
 from wrenchbook.service.cli.convergence import converge
 from wrenchbook.service.cli.keys import make_first_key
@@ -24,7 +20,6 @@ CORES = usable_cores()
 LogLevel = Literal["debug", "info", "warning", "error"]
 LogFormat = Literal["text", "json"]
 DEFAULT_DATA = Path("wrenchbook-data")
-DEFAULT_PAPER = Path("wrenchbook-paper")
 
 
 Host = Annotated[str, typer.Option(help="address to listen on")]
@@ -127,8 +122,7 @@ def _serve(**options: Any) -> None:
     from wrenchbook.service.http.instrumentation import MissingExtraError, tracing_packages
     from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
     from wrenchbook.service.keys import require_keys
-    from wrenchbook.service.workers.listen import AddressError
-    from wrenchbook.service.workers.supervisor import supervise
+    from wrenchbook.service.workers.supervisor import AddressError, supervise
 
     try:
         check_engine(options["engine"], options["scheduler"])
@@ -181,20 +175,18 @@ def work(
     import signal
     import threading
 
-    from wrenchbook.service.workspace import Settings, Workspace
+    from wrenchbook.service.settings import Settings
+    from wrenchbook.service.workers.builder import opened, solving
 
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    workspace = Workspace(Settings(data, solvers))
-    try:
-        workspace.start_solving()
+    settings = Settings(data, solvers)
+    with opened(settings) as parts, solving(settings, parts):
         ready = {"data": str(data), "solvers": solvers, "pid": os.getpid()}
         line = f"solving for {data} with {solvers} solvers"
         print(json.dumps(ready) if as_json else line, flush=True)
         stop.wait()
-    finally:
-        workspace.close()
 
 
 def demo(
@@ -210,84 +202,6 @@ def demo(
     if as_json:
         print_json(figures)
     raise typer.Exit(1 if figures["failed"] else 0)
-
-
-def validate(
-    topic: Annotated[
-        str,
-        typer.Argument(
-            help="patch, support, bar, plate, curved_beam, spring, material, vibration, all; "
-            "paper; or, with --with, a component or a bundle's folder"
-        ),
-    ] = "all",
-    markdown: Annotated[bool, typer.Option(help="print the tables as Markdown")] = False,
-    out: Annotated[
-        Path | None, typer.Option(help="with paper: folder for its page and JSON")
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="with paper: fewer loads, one plate")] = (
-        False
-    ),
-    other: Annotated[
-        Literal["ccx"] | None,
-        typer.Option("--with", help="also solve a component by CalculiX (ccx)"),
-    ] = None,
-    wrench: Annotated[
-        list[str] | None,
-        typer.Option(help="with --with: Fx,Fy,Fz,Mx,My,Mz in N and N·m; repeatable"),
-    ] = None,
-    as_json: AsJson = False,
-    data: Folder = DEFAULT_DATA,
-) -> None:
-    """Verify the solver against closed forms, published numbers and CalculiX; minutes for all.
-
-    `paper` runs the coupling paper's bar, spring and robot on a plate, MuJoCo and service included.
-    """
-    # In a process of its own: this one never imports the finite elements.
-    flags = ["--json"] * as_json
-    if other is not None:
-        flags += [f"--wrench={one}" for one in wrench or ()]
-        bundle = str(_bundle_named(topic, data))
-        raise typer.Exit(
-            run_child("wrenchbook.fea.validation.second_opinion", *flags, "--", bundle)
-        )
-    if wrench:
-        raise typer.BadParameter("--wrench goes with --with ccx")
-    if topic == "paper":
-        raise typer.Exit(_validate_paper(out or DEFAULT_PAPER, quick, markdown, as_json))
-    if out is not None or quick:
-        raise typer.BadParameter("--out and --quick go with the topic paper")
-    raise typer.Exit(
-        run_child("wrenchbook.fea.validation", topic, *flags, *["--markdown"] * markdown)
-    )
-
-
-def _bundle_named(name: str, data: Path) -> Path:
-    """Return the folder of a component, the data directory's or a shipped one, or a folder."""
-    folders = [data / "components" / name, SHIPPED / name, Path(name)]
-    for folder in folders:
-        if (folder / FILE_NAME).is_file():
-            return folder
-    raise typer.BadParameter(
-        f'"{name}" is neither a component in {data} (--data) nor a shipped one, nor a folder with '
-        f"{FILE_NAME}"
-    )
-
-
-def _validate_paper(out: Path, quick: bool, markdown: bool, as_json: bool) -> int:
-    """Reproduce the paper in a process of its own; return its exit status."""
-    if markdown:
-        raise typer.BadParameter("--markdown is for the other topics: paper writes a page and JSON")
-    if out.exists() and not out.is_dir():
-        raise typer.BadParameter(f"--out {out} is a file; name a folder")
-    if importlib.util.find_spec("mujoco") is None:
-        raise RuntimeError(
-            "validate paper runs MuJoCo, which is not installed: pip install 'wrenchbook[mujoco]'"
-        )
-    words = [*(["--quick"] * quick), "--", str(out)]
-    status = run_child("wrenchbook.service.paper", *words, stdout=sys.stderr if as_json else None)
-    if as_json and (found := out / "paper.json").is_file():
-        sys.stdout.write(found.read_text() + "\n")
-    return status
 
 
 def check(
@@ -352,4 +266,4 @@ def condense(
     )
 
 
-LOCAL_COMMANDS = (serve, work, demo, new, check, converge, condense, validate)
+LOCAL_COMMANDS = (serve, work, demo, new, check, converge, condense)

@@ -30,8 +30,8 @@ from wrenchbook.service.ops.checks import (
     move_aside,
 )
 from wrenchbook.service.ops.restore import in_use
-from wrenchbook.service.tables.files import TableFiles, new_row
-from wrenchbook.service.tables.rows import own_rows, table_rows, unsolved, without
+from wrenchbook.service.tables.rows import followed, unsolved
+from wrenchbook.service.tables.store import TableStore, new_row
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows
@@ -177,7 +177,7 @@ def _check_tables(
     """Compare the rows of the ledger and of the table files; repair either from the other."""
     whole, found = _read_all(folder, mend=mend, count=ledger.count_rows)
     found += _damaged_rows(ledger, whole, mend=mend)
-    files = TableFiles(folder, ledger)
+    files = TableStore(folder, ledger)
     for name in library.names():
         found += _compare(ledger, library[name], files, whole.get(name), mend=mend)
         found += _of_another_setup(ledger, library[name])
@@ -265,7 +265,7 @@ def _copy_of(seq: int, whole: Found) -> tuple[str, Rows, int] | None:
 def _compare(
     ledger: Ledger,
     component: Component,
-    files: TableFiles,
+    files: TableStore,
     on_file: tuple[Rows, TableMeta] | None,
     *,
     mend: bool,
@@ -284,7 +284,7 @@ def _compare(
     if not mend:
         return [DataFinding("fault" if on_file else "note", what, f"a server's start or {REPAIR}")]
     files.load(component)  # puts rows that the file alone has back into the ledger
-    rows, last_seq = _whole_table(ledger, component)
+    rows, last_seq = followed(ledger, component, Rows.empty(component.space), 0)
     files.save(component, rows, last_seq)
     back = ledger.count_rows(name) - count
     remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)} rows"
@@ -296,7 +296,7 @@ def _of_another_setup(ledger: Ledger, component: Component) -> list[DataFinding]
     others = ledger.of_other_setups(component.name, component.fingerprint)
     if not others:
         return []
-    rows, _ = _whole_table(ledger, component)
+    rows, _ = followed(ledger, component, Rows.empty(component.space), 0)
     known = component.linear and bool(np.isfinite(rows.compliance).all(axis=(1, 2)).any())
     wrenches = unsolved(component, others, rows.wrench)
     if known or not len(wrenches):  # one solve of a linear component determines its compliance
@@ -306,17 +306,3 @@ def _of_another_setup(ledger: Ledger, component: Component) -> list[DataFinding]
     back = "they come back if its files are as they were"
     remedy = f"{again}; {back}" if component.has_fea else back
     return [DataFinding("note", what, remedy)]
-
-
-def _whole_table(ledger: Ledger, component: Component) -> tuple[Rows, int]:
-    """Return all rows that the ledger has of a component, and its newest change."""
-    rows, after = Rows.empty(component.space), 0
-    while True:
-        row_changes = ledger.row_changes(component.name, after)
-        rows, after = (
-            without(rows, row_changes.gone)
-            + table_rows(component, own_rows(component, row_changes.rows)),
-            row_changes.last_seq,
-        )
-        if row_changes.whole:
-            return rows, after

@@ -15,8 +15,8 @@ from wrenchbook.service.formats import Options, ReadResult, read_untrusted
 from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
-from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.findings.find import MOST
 from wrenchbook.surrogate.table.compliance import fit_compliance
 

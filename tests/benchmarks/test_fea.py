@@ -22,12 +22,12 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.kinds_of_parts import kinds
+from tests.validation import calculix
+from tests.validation.calculix import LINEAR, NONLINEAR, worst_gap
+from tests.validation.clamped import shipped
+from tests.validation.plate import WRENCH
 from wrenchbook.fea.accuracy.second_mesh import finer
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation import calculix
-from wrenchbook.fea.validation.calculix import LINEAR, NONLINEAR, worst_gap
-from wrenchbook.fea.validation.clamped import shipped
-from wrenchbook.fea.validation.plate import WRENCH
 
 ROUNDS = int(os.environ.get("WRENCHBOOK_BENCH_ROUNDS", "3"))
 ONE_THREAD = dict.fromkeys(
@@ -41,7 +41,7 @@ import json, sys, time
 started = time.perf_counter()
 from dataclasses import replace
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation.clamped import shipped
+from tests.validation.clamped import shipped
 imported = time.perf_counter()
 name, nonlinear, wrench = json.loads(sys.argv[1])
 part = replace(shipped(name), coupling="rigid")

@@ -7,12 +7,12 @@ import pytest
 
 from tests.fea import calculix as in_calculix
 from tests.fea.tets import in_tets
+from tests.validation import calculix
+from tests.validation.calculix import same_mesh
+from tests.validation.clamped import shipped
+from tests.validation.plate import WRENCH
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation import calculix
-from wrenchbook.fea.validation.calculix import same_mesh
-from wrenchbook.fea.validation.clamped import shipped
-from wrenchbook.fea.validation.plate import WRENCH
 
 pytestmark = pytest.mark.skipif(not calculix.installed(), reason=calculix.ABSENT)
 

@@ -15,8 +15,8 @@ import pytest
 
 from tests.benchmarks.test_fea_order import PROGRAM, in_calculix, run
 from tests.benchmarks.unstructured import part_of
+from tests.validation import calculix
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation import calculix
 
 UNKNOWNS = int(os.environ.get("WRENCHBOOK_BENCH_UNKNOWNS", "40000"))
 BLOCK = f"block{round((UNKNOWNS / 12.7) ** (1 / 3))}"  # 12.7 unknowns a hex20 at 11 cells each way

@@ -19,10 +19,10 @@ import pytest
 import scipy.sparse as sparse
 
 from tests.benchmarks.unstructured import NAMES, part_of
+from tests.validation import calculix
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
 from wrenchbook.fea.linalg.nested_dissection import unknowns_of
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation import calculix
 
 ROUNDS = int(os.environ.get("WRENCHBOOK_BENCH_ROUNDS", "3"))
 PARDISO = os.environ.get("WRENCHBOOK_PARDISO")

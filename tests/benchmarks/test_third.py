@@ -16,9 +16,9 @@ import pytest
 
 from tests.fea.solver.test_third_derivatives import OTHERS, case, solver_of
 from tests.fea.third_derivatives import asymmetry, error, range_of
+from tests.validation.clamped import shipped
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver import third_derivatives
-from wrenchbook.fea.validation.clamped import shipped
 
 STEP, DOUBLINGS = 0.005, 6  # of the range: roundoff of slender parts' tangents wants long steps
 SHIPPED = {

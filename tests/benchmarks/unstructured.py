@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from tests.fea.geometry import start
+from tests.validation.boxes import box
+from tests.validation.clamped import clamped, shipped
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import FacetGroup, Mesh
-from wrenchbook.fea.validation.boxes import box
-from wrenchbook.fea.validation.clamped import clamped, shipped
 
 NAMES = ("flange", "cheese", "box", "plate", "block")
 

@@ -15,12 +15,12 @@ from scipy.optimize import brentq
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.test_failures import arch
+from tests.validation.spring import Rod
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import Material
-from wrenchbook.fea.validation.spring import Rod
 
 YOUNG = 210e9
 RUBBER = 3e6

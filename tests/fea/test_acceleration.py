@@ -9,12 +9,12 @@ from tests.fea.boxes import box
 from tests.fea.calculix import require_ccx
 from tests.fea.supports import TABLE, largest
 from tests.fea.two_interfaces import LINK
+from tests.validation import calculix
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check import as_text, check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.validation import calculix
 
 YOUNG, DENSITY, LENGTH, SIDE = 70e9, 2700.0, 1.0, 0.02
 ALUMINIUM = {

@@ -8,6 +8,7 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.calculix import require_ccx
 from tests.fea.supports import PLANES, TABLE, largest, mistakes, part
+from tests.validation import calculix, second_opinion
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check.findings import motion_problems
 from wrenchbook.fea.check.reporting import report
@@ -21,7 +22,6 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.solver.warm_start import WarmFolder
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.validation import calculix, second_opinion
 
 COUPLINGS = ["rigid", "distributed"]
 TURN = rotation(np.array([0.4, -0.7, 0.3]))

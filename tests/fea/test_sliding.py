@@ -8,13 +8,13 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.calculix import require_ccx
 from tests.fea.supports import PLANES, largest, mistakes, part, stress, turned
+from tests.validation import calculix, second_opinion
+from tests.validation.patch import distort
 from wrenchbook.fea.check.findings import motion_problems
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.inspection.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
-from wrenchbook.fea.validation import calculix, second_opinion
-from wrenchbook.fea.validation.patch import distort
 
 TURN = rotation(np.array([0.4, -0.7, 0.3]))
 CORNER = {"coupling": "rigid", "point": [0, 0, 1], "locked": ["ux", "uy", "rx", "ry", "rz"]}

@@ -8,6 +8,8 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.calculix import require_ccx
 from tests.fea.supports import PLANES, TABLE, largest
+from tests.validation import calculix
+from tests.validation.second_opinion import difference
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check import as_text, check
 from wrenchbook.fea.component import build
@@ -16,8 +18,6 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection.warnings import warnings_of
 from wrenchbook.fea.solve import Solver, solve
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.validation import calculix
-from wrenchbook.fea.validation.second_opinion import difference
 
 ALUMINIUM = {
     "region": "all",

@@ -21,7 +21,6 @@ from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_cli import EXTREMES, QUEUED_NONE, RECORDED
 from tests.service.test_client_calls import COVERED
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.service.cli import local
 from wrenchbook.service.cli.main import app, main
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import Ledger
@@ -74,7 +73,6 @@ OTHERS = {
     "serve",
     "work",
     "demo",
-    "validate",
     "plan",
     "check",
     "new",
@@ -188,21 +186,6 @@ def test_a_demo_prints_its_figures_as_json(run: Run, monkeypatch):
     figures = {"failed": None, "seconds": 1.5, "rows": 7}
     monkeypatch.setattr("wrenchbook.service.cli.demo.run", lambda *_: figures)
     assert (lambda status, out: (status, json.loads(out)))(*run("demo", "--json")) == (0, figures)
-
-
-def test_a_validation_prints_its_findings_as_json(run: Run):
-    status, out = run("validate", "patch", "--json")
-    assert (status, {row["topic"] for row in json.loads(out)}) == (0, {"patch"})
-
-
-def test_the_paper_prints_its_json_and_nothing_of_its_table(run: Run, monkeypatch, tmp_path: Path):
-    (tmp_path / "paper.json").write_text('{"summary": "all bands"}')
-    table = [sys.executable, "-c", "print('a table')"]
-    run_table = lambda *_, stdout: subprocess.run(table, check=False, stdout=stdout).returncode  # noqa: E731
-    monkeypatch.setattr(local, "run_child", run_table)
-    monkeypatch.setattr(local.importlib.util, "find_spec", lambda _: True)
-    _, out = run("validate", "paper", "--out", str(tmp_path), "--json")
-    assert json.loads(out) == {"summary": "all bands"}
 
 
 def test_a_check_of_a_bundle_is_printed_as_json(run: Run):

@@ -25,7 +25,7 @@ from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.bundles import surface_of
 from wrenchbook.service.library.component import require_one_wrench
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.rows import CLEAN, Rows
 

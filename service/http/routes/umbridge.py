@@ -32,7 +32,7 @@ from wrenchbook.service.http.parsing import known_method, parsed_json
 from wrenchbook.service.http.problems import HttpProblemError, problem_of
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.library.component import UnknownComponentError
-from wrenchbook.service.tables.served import TableBehindError
+from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import Space

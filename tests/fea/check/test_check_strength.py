@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from tests.fea.boxes import box
+from tests.validation.clamped import clamped
+from tests.validation.laminate import strip
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text, report
@@ -15,8 +17,6 @@ from wrenchbook.fea.component import build
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import DeclaredRange
-from wrenchbook.fea.validation.clamped import clamped
-from wrenchbook.fea.validation.laminate import strip
 
 
 def bar(tmp_path, **changes):

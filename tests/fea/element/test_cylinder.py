@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.fea.supports import TABLE
+from tests.validation.materials import CENTRE, TURN, WOUND, orthotropic_beam, wound_tube
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.validation.materials import CENTRE, TURN, WOUND, orthotropic_beam, wound_tube
 
 LAMINA = {
     "region": "all",

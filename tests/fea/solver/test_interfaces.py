@@ -9,6 +9,7 @@ from tests.fea.boxes import box
 from tests.fea.calculix import require_ccx
 from tests.fea.components import component
 from tests.fea.two_interfaces import column, with_second
+from tests.validation import calculix
 from wrenchbook.fea import equations
 from wrenchbook.fea.coupling.rotation import rotation, skew
 from wrenchbook.fea.failure import SolveFailed
@@ -17,7 +18,6 @@ from wrenchbook.fea.solver.load_steps import LoadPath
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.solver.warm_start import WarmFolder
 from wrenchbook.fea.spec.schema import FREEDOMS
-from wrenchbook.fea.validation import calculix
 
 COUPLINGS = ["rigid", "distributed"]
 PAIRS = [(one, other) for one in COUPLINGS for other in COUPLINGS]

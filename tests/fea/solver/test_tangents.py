@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tests.validation.clamped import shipped
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.validation.clamped import shipped
 
 SPRING_LOADS = [(-9.9, 0.0), (-8.0, 0.005), (-1.0, -0.01), (2.0, 0.01)]
 """F_z, N, and M_z, N·m: over the shipped range of -10 to 2 N and 0.01 N·m."""

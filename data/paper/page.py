@@ -1,0 +1,148 @@
+"""The reproduction as one HTML page with plots, which needs nothing but itself."""
+
+from __future__ import annotations
+
+import html
+from typing import Any
+
+import plotly.graph_objects as go
+
+from data.paper.part import OUTPUTS
+from wrenchbook.service.report.page import STYLE, section_html
+from wrenchbook.service.report.text import ReportSection
+
+LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
+# Colours that remain apart for the colour-blind (Okabe and Ito 2008).
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+_LOOKS: dict[str, dict[str, Any]] = {
+    "line": {"mode": "lines", "line": {"width": 2}},
+    "dash": {"mode": "lines", "line": {"width": 2, "dash": "dash"}},
+    "points": {"mode": "markers", "marker": {"size": 8, "symbol": "circle-open"}},
+    "crosses": {"mode": "markers", "marker": {"size": 8, "symbol": "x-thin-open"}},
+}
+HEAD = ("quantity", "beside", "reference", "computed", "error", "band", "verdict")
+
+
+def as_page(body: dict[str, Any]) -> str:
+    """Lay out what `run` gives, JSON-able values, as an HTML page."""
+    heading = "The coupling paper, reproduced"
+    parts, first = [], True
+    for part in body["parts"].values():
+        section = ReportSection(part["title"], part["note"], HEAD, lines_of(part["findings"]))
+        parts.append(section_html(section))
+        for plot in part["plots"]:
+            drawn = _figure(plot).to_html(full_html=False, include_plotlyjs=first)
+            parts.append(f"<h3>{html.escape(plot['title'])}</h3>{drawn}")
+            first = False
+        parts += [section_html(one) for one in _components(part["numbers"])]
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{heading}</title>'
+        f"<style>{STYLE}td:nth-child(2){{white-space:normal}}</style></head><body><h1>{heading}</h1>"
+        f"<p>{html.escape(body['summary'])}</p>{''.join(parts)}</body></html>"
+    )
+
+
+def lines_of(findings: list[dict[str, Any]]) -> tuple[tuple[str, ...], ...]:
+    """Return findings as words, in the order of `HEAD`."""
+    return tuple(
+        (
+            one["quantity"],
+            one["source"],
+            f"{one['reference']:.5g}",
+            f"{one['computed']:.6g}",
+            f"{one['error']:.2g}",
+            _band(one),
+            one["verdict"],
+        )
+        for one in findings
+    )
+
+
+def _band(finding: dict[str, Any]) -> str:
+    """Return a finding's tolerance in words."""
+    tolerance, comparison = finding["tolerance"], finding["comparison"]
+    if tolerance is None:
+        return ""
+    if comparison == "at least":
+        return f"at least {finding['reference'] - tolerance:g}"
+    return f"{tolerance:g}" + " relative" * (comparison == "relative")
+
+
+def _figure(plot: dict[str, Any]) -> go.Figure:
+    """Draw a plot; curves of one output share their colour."""
+    figure = go.Figure()
+    shades: dict[str, str] = {}
+    for curve in plot["curves"]:
+        group = curve["name"].split(",")[0]
+        colour = shades.setdefault(group, _COLOURS[len(shades) % len(_COLOURS)])
+        look = _LOOKS[curve["look"]]
+        figure.add_scatter(
+            x=curve["x"],
+            y=curve["y"],
+            name=curve["name"],
+            mode=look["mode"],
+            line={"color": colour, **look.get("line", {})},
+            marker={"color": colour, **look.get("marker", {})},
+        )
+    figure.update_xaxes(title=plot["x"])
+    figure.update_yaxes(title=plot["y"], exponentformat="power")
+    return figure.update_layout(**LAYOUT, showlegend=True)
+
+
+def _components(numbers: dict[str, Any]) -> list[ReportSection]:
+    """Return each component's errors, output by output, the small ones named."""
+    found = []
+    for name, one in numbers.items():
+        if not isinstance(one, dict) or "methods" not in one:
+            continue
+        lines = []
+        for figures in one["methods"].values():
+            for place, output in enumerate(OUTPUTS):
+                lines.append(_component_line(figures, place, output))
+        note = (
+            f"{one['rows']} rows for {one['wrenches']} wrenches. Ranges, errors, error bars in m "
+            "and rad; small: below a tenth of the largest output of its kind."
+        )
+        head = (
+            "method",
+            "output",
+            "range",
+            "RMS/range",
+            "largest error",
+            "median error bar",
+            "inside",
+            "",
+        )
+        found.append(ReportSection(f"Error of each output on {name}", note, head, tuple(lines)))
+        found.append(_times(name, one))
+    return found
+
+
+def _component_line(figures: dict[str, Any], place: int, output: str) -> tuple[str, ...]:
+    return (
+        figures["method"],
+        output,
+        f"{figures['range'][place]:.2e}",
+        f"{figures['rms_over_range'][place]:.1e}",
+        f"{figures['largest_error'][place]:.1e}",
+        f"{figures['median_bar'][place]:.1e}",
+        f"{figures['inside_bars'][place]:.0%}",
+        "small" if output in figures["small"] else "",
+    )
+
+
+def _times(name: str, one: dict[str, Any]) -> ReportSection:
+    head = ("method", "covered", "one answer", "over HTTP", "one solve", "the whole loop")
+    lines = tuple(
+        (
+            figures["method"],
+            f"{figures['coverage']['covered']} of {sum(figures['coverage'].values())}",
+            f"{1e6 * figures['answer_s']:.0f} µs",
+            f"{1e6 * figures['http_s']:.0f} µs",
+            f"{figures['solve_s']:.2f} s",
+            f"{figures['loop_s']:.2f} s",
+        )
+        for figures in one["methods"].values()
+    )
+    note = "Medians of wall time; other programs on the machine stretch them."
+    return ReportSection(f"Run time on {name}", note, head, lines)

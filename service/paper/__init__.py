@@ -1,1 +1,0 @@
-"""The coupling paper (SIMULTECH 2017) reproduced: bar, spring, and an arm on a plate."""

@@ -1,0 +1,157 @@
+"""Run the verification suite: ``python -m tests.validation [TOPIC]``.
+
+Prints one line for each finding and ends with status 1 if one is beyond its tolerance. It runs in
+a process of its own, as every solve does: the command line never imports the finite elements.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+from tests.validation import (
+    bar,
+    curved_beam,
+    laminate,
+    materials,
+    patch,
+    plate,
+    rates,
+    spring,
+    supports,
+    vibration,
+)
+from tests.validation.finding import CASES, TOPICS, Case, Finding
+
+__all__ = ["MODULES", "main", "markdown", "replace_table", "run"]
+
+MODULES = (patch, rates, supports, bar, plate, curved_beam, spring, laminate, materials, vibration)
+"""Where the cases are; importing them enters them in `CASES`."""
+
+BEGIN = "<!-- validation: begin (written by `make validate-table`) -->"
+END = "<!-- validation: end -->"
+
+_HEADINGS = ("quantity", "source", "reference", "computed", "error", "tolerance", "verdict")
+
+
+def run(topic: str) -> Iterator[tuple[Case, Finding]]:
+    """Run the cases of a topic, or of ``"all"``, and yield their findings as they come."""
+    for one in sorted(CASES, key=lambda c: TOPICS.index(c.topic)):
+        if topic in ("all", one.topic):
+            for finding in one.check():
+                yield one, finding
+
+
+def cells(finding: Finding) -> tuple[str, ...]:
+    """Return one finding as words, in the order of the table's columns."""
+    if finding.missing:
+        return finding.quantity, finding.source, "", "", "", "", f"not run: {finding.missing}"
+    numbers = f"{finding.reference:.6g}", f"{finding.computed:.6g}", f"{finding.error:.1e}"
+    allowed = "" if finding.tolerance is None else f"{finding.tolerance:.0e}"
+    return finding.quantity, finding.source, *numbers, allowed, finding.verdict
+
+
+def markdown(found: Iterable[tuple[Case, Finding]]) -> str:
+    """Return findings as one Markdown table for each case."""
+    lines: list[str] = []
+    last: Case | None = None
+    for one, finding in found:
+        if one is not last:
+            lines += ["", f"**{one.title}**", "", _row(_HEADINGS), _row(["---"] * len(_HEADINGS))]
+            last = one
+        lines.append(_row(cells(finding)))
+    return "\n".join(lines[1:])
+
+
+def replace_table(page: str, table: str) -> str:
+    """Return a page with what is between its two markers replaced.
+
+    Raises
+    ------
+    ValueError
+        If the page has not both markers.
+    """
+    if BEGIN not in page or END not in page:
+        raise ValueError(f"the page has not both markers {BEGIN} and {END}")
+    above, rest = page.split(BEGIN, 1)
+    return f"{above}{BEGIN}\n\n{table}\n\n{END}{rest.split(END, 1)[1]}"
+
+
+def _row(words: Iterable[str]) -> str:
+    return "| " + " | ".join(words) + " |"
+
+
+def _lines(topic: str, found: list[tuple[Case, Finding]]) -> Iterator[str]:
+    """Yield the plain table as the findings come; keep them in `found`."""
+    last: Case | None = None
+    for one, finding in run(topic):
+        found.append((one, finding))
+        if one is not last:
+            yield f"\n{one.topic}: {one.title}"
+            last = one
+        quantity, source, *numbers = cells(finding)
+        reference, computed, error, tolerance, verdict = numbers
+        yield (
+            f"  {verdict:<9} {quantity:<62} {computed:>13} {reference:>13} "
+            f"{error:>9} {tolerance:>6}  {source}"
+        )
+
+
+def _plain(topic: str, found: list[tuple[Case, Finding]]) -> None:
+    print(
+        f"  {'verdict':<9} {'quantity':<62} {'computed':>13} {'reference':>13} "
+        f"{'error':>9} {'most':>6}  source of the reference"
+    )
+    for line in _lines(topic, found):
+        print(line, flush=True)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run what the arguments ask for; return the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m tests.validation", description=__doc__)
+    parser.add_argument("topic", nargs="?", default="all", choices=(*TOPICS, "all"))
+    shape = parser.add_mutually_exclusive_group()
+    shape.add_argument("--markdown", action="store_true", help="print Markdown tables")
+    shape.add_argument("--json", action="store_true", help="print one JSON array")
+    shape.add_argument("--update", type=Path, metavar="PAGE", help="put the tables into a page")
+    options = parser.parse_args(arguments)
+    started = time.perf_counter()
+    found: list[tuple[Case, Finding]] = []
+    if options.markdown or options.json:
+        found.extend(run(options.topic))
+        print(markdown(found) if options.markdown else _json(found))
+    else:
+        _plain(options.topic, found)
+    if options.update is not None:
+        page = options.update.read_text(encoding="utf-8")
+        options.update.write_text(replace_table(page, markdown(found)), encoding="utf-8")
+    verdicts = [finding.verdict for _, finding in found]
+    if not (options.markdown or options.json):
+        print(f"\n{_summary(verdicts)}, {time.perf_counter() - started:.0f} s")
+    return 1 if "FAIL" in verdicts else 0
+
+
+def _summary(verdicts: list[str]) -> str:
+    kinds = ("pass", "FAIL", "reported", "not run")
+    return ", ".join(f"{verdicts.count(k)} {k}" for k in kinds if k in verdicts)
+
+
+def _json(found: list[tuple[Case, Finding]]) -> str:
+    rows = []
+    for one, finding in found:
+        row = {"topic": one.topic, "case": one.title, **asdict(finding)}
+        rows.append(row | {"verdict": finding.verdict})
+        if finding.missing:
+            rows[-1] |= {"reference": None, "computed": None}
+        else:
+            rows[-1]["error"] = finding.error
+    return json.dumps(rows, indent=2)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
