@@ -93,6 +93,7 @@ class Workspace:
         with suppress(LedgerUnavailableError):
             self.ledger.drop_abandoned()  # what a server left that was killed during an import
         self.watcher.on_change(self._on_commit)
+        self.watcher.on_change(self.tables.wake, self.tables.stamp)
         self.watcher.start()
         self.tables.start()
         self.query_counts.start()

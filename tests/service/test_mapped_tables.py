@@ -7,6 +7,7 @@ import pytest
 
 from tests.until import until
 from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build as builds
 from wrenchbook.service.tables import mapped, store
@@ -34,6 +35,9 @@ class Part:
         if kind is TableBuilder:
             assert self.state.take()
         self.tables = kind(self.ledger, self.library, folder / "tables", self.state)
+        self.watcher = Watcher(self.ledger)
+        if isinstance(self.tables, MappedTables):
+            self.watcher.on_change(self.tables.wake, self.tables.stamp)
 
     def add(self, name, count):
         self.library.add_table_only(name=name, title=name, range={"force": RANGE, "moment": RANGE})
@@ -43,10 +47,12 @@ class Part:
 @contextmanager
 def part(folder, kind, *, leave=True):
     one = Part(folder, kind)
+    one.watcher.start()
     one.tables.start()
     try:
         yield one
     finally:
+        one.watcher.stop()
         one.tables.stop()
         if kind is TableBuilder and leave:
             one.state.release()
