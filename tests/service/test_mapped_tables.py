@@ -284,9 +284,9 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
         assert late.tables.catch_up("new", 20)
         may_map, map_new = threading.Event(), late.tables._map_new
 
-        def slow(status):
+        def slow():
             assert may_map.wait(20)
-            map_new(status)
+            map_new()
 
         monkeypatch.setattr(late.tables, "_map_new", slow)
         reader.ledger.insert_rows("new", "", new_rows(2, 4))
