@@ -56,7 +56,6 @@ class Settings:
     keep: Keep = KEEP
     method: str | None = None
     access_log: bool = False
-    opentelemetry: bool = False
     processes: int = 1
 
 
@@ -82,6 +81,5 @@ def settings_of_options(options: Mapping[str, Any]) -> Settings:
         keep=keep,
         method=options["method"],
         access_log=options["access_log"],
-        opentelemetry=options["opentelemetry"],
         processes=options["processes"],
     )

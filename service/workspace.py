@@ -15,9 +15,8 @@ from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
-from wrenchbook.service.jobs.attempt import Progress, attempt_folder, read_progress
-from wrenchbook.service.jobs.record_outcome import notes_of
-from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
+from wrenchbook.service.jobs.attempt import Attempt, attempt_folder, notes_of
+from wrenchbook.service.jobs.waiting import Polls
 from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError, OpenJob
 from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.catalogue import Catalogue
@@ -81,7 +80,7 @@ class Workspace:
         self.fields = FieldStore(settings.folder / "fields")
         self.shapes = DeformedSurfaces(self.fields)
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
-        self._polls = Polls(self.ledger)
+        self.polls = Polls(self.ledger)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._compliance_requested: dict[str, tuple[str, int]] = {}
 
@@ -160,11 +159,8 @@ class Workspace:
     def rows_being_built(self, name: str, table: ServedTable, on_thin: str) -> str:
         """Return how many rows a table will have more in a moment, in words; "" if none.
 
-        Raises
-        ------
-        TableBehindError
-            If there are some, no solve can answer in their place, and the table has no rows or
-            the request takes no estimate.
+        Raises TableBehindError if there are some, no solve can answer in their place, and the
+        table has no rows or the request takes no estimate.
         """
         component, count = self.library[name], self.pending_rows(name, table)
         if not count:
@@ -183,13 +179,7 @@ class Workspace:
         return found[0] if found else None
 
     async def newest(self, name: str, seconds: float) -> ServedTable:
-        """Return the table once it holds all rows there are now, or after `seconds` as it is.
-
-        Raises
-        ------
-        UnknownComponentError
-            If there is no such component.
-        """
+        """Return the table once it holds all rows there are now, or after `seconds` as it is."""
         self.tables.surrogate(name)  # a name that is unknown ends here
         await self.caught_up(name, seconds)
         return self.surrogate(name)
@@ -206,13 +196,8 @@ class Workspace:
     def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
         """Return a component's deformed surface under a wrench (6,), N and N·m.
 
-        It reads files: nothing for an event loop.
-
-        Raises
-        ------
-        UnknownComponentError, NoFieldsError, TooFarError
-            If there is no such component, if no row has a surface, or the wrench is far beyond
-            the load range.
+        It reads files: nothing for an event loop. Raises NoFieldsError if no row has a surface, and
+        TooFarError if the wrench is far beyond the load range.
         """
         table = self.surrogate(name)
         component, solver = self.library[name], self.solver_error(name)
@@ -236,22 +221,10 @@ class Workspace:
     ) -> tuple[Design, list[JobRecord]]:
         """Design one round of solves on all rows there are, and accept them.
 
-        Parameters
-        ----------
-        tolerance : Tolerance or None, m and rad
-            The component's own if None.
-        need : Need, optional
-            What a scene needs of the table, with its own tolerance; the fill then follows its plan.
-        for_joint : bool
-            Whether a joint will invert the table: see `next_wrenches`.
-
-        Raises
-        ------
-        NoSetupError
-            If the component has no finite-element setup.
-        TableBehindError
-            If the table does not hold all rows yet: a design on an older one would pay
-            for what is known.
+        The tolerance is the component's if None. With `need`, what a scene needs of the table, the
+        fill follows its plan; see `next_wrenches` of `for_joint`. Raises NoSetupError, and
+        TableBehindError if the table does not hold all rows yet: a design on an older one would
+        pay for what is known.
         """
         self.submission.solvable(name)
         # First what is open, then what is known: a solve that ends between the two is in both.
@@ -268,31 +241,11 @@ class Workspace:
         # A design separates by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
 
-    async def wait(self, job_id: int, seconds: float) -> JobRecord:
-        """Return the job once it has ended, or as it is after ``seconds``."""
-        return (await self.wait_all([job_id], seconds))[0]
-
-    async def wait_all(self, job_ids: list[int], seconds: float) -> list[JobRecord]:
-        """Return the jobs once all have ended, or as they are after ``seconds``."""
-        return await self._polls.wait_all(job_ids, seconds)
-
-    def let_go(self) -> None:
-        """Return from all waits with the jobs as they are: the server stops. For the loop."""
-        self._polls.stop()
-
-    def why_waiting(self, job: JobRecord) -> Waiting | None:
-        """Return why a job waits and for how long it may; None if it does not wait."""
-        if job.status != "waiting":
-            return None
-        return why_waiting(self.ledger, job, self.settings.solvers, self.tables.trouble())
-
-    def progress(self, job: JobRecord) -> Progress | None:
-        """Return the progress of a running job; None before its solver's first report."""
-        return read_progress(self.attempt_folder(job))
-
     def notes(self, job: JobRecord) -> list[str]:
         """Return the solver's notes on the answer of a done job."""
-        return notes_of(job, self.attempt_folder(job)) if job.status == "done" else []
+        if job.status != "done":
+            return []
+        return notes_of(Attempt.of(job, self.attempt_folder(job)))
 
     def attempt_folder(self, job: JobRecord) -> Path:
         """Return the folder of a job's latest attempt."""
@@ -349,7 +302,5 @@ class Workspace:
 
     def _on_commit(self) -> None:
         """Wake the callers that wait for a job; for the watcher's thread."""
-        loop = self._loop
-        if loop is None or loop.is_closed():
-            return
-        loop.call_soon_threadsafe(self._polls.notify)
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self.polls.notify)

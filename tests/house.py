@@ -7,12 +7,12 @@ public face, not the tests. What each figure means:
 * upward imports: imports against a ``layers`` contract of pyproject.toml, also over several steps;
 * circles: groups of modules that import each other, directly or over others, in whatever place of
   the file the import stands;
-* length of a function: from ``def`` to its last line, docstring, comments and blanks included;
+* helpers with one caller: private functions and methods whose name stands once more in their file;
+* forwarders: functions whose body is one call with their own parameters, in order;
+* files with one importer: modules that a single module imports, packages' faces apart;
+* forms of a row: classes with fields for a wrench and for its displacement;
 * duplicates: ten or more lines of code in a row that are the same in two places, token by token,
-  once comments, docstrings, imports and layout are taken away;
-* stated docstrings: of the public functions, methods and dataclasses whose annotations mention an
-  array, those whose docstring states a shape and also a unit, ``dimensionless`` or ``indices``. A
-  dataclass or a function counts once however many arrays it has: one of them stated is enough.
+  once comments, docstrings, imports and layout are taken away.
 """
 
 from __future__ import annotations
@@ -77,7 +77,6 @@ OLD_WORDS = frozenset(
         "warden",
     ]
 )
-SMALL_FILE = 40  # lines
 ROOMS = ("fea", "surrogate", "service")
 COUNTED = (
     "surrogate",
@@ -88,18 +87,12 @@ COUNTED = (
     "service/client",
 )
 """Rooms whose size `make house` tells: those through which an answer goes."""
-LONGEST_FUNCTION = 45
 DUPLICATE_LINES = 10
 
-# The annotations that say array in this code: numpy's own and the rooms' names for them.
-ARRAYS = {"ndarray", "NDArray", "ArrayLike", "Array", "Floats", "Vector", "Indices", "Mask"}
-SHAPE = re.compile(r"\b[Ss]hapes?\b|\((?:\w+, ?)+\w*\)")
-UNIT = re.compile(
-    r"(?<![\w'-])(?:N|N·m|m|mm|m\^[234]|rad|deg|Pa|J|kg|s|ms|µs|Hz|N/m|1/m|SI)(?![\w-])"
-    r"|dimensionless|[Uu]nitless|\bindices\b|\bindex\b|\bradians\b"
-)
-
 Function = ast.FunctionDef | ast.AsyncFunctionDef
+FORWARDING = ast.Return | ast.Expr
+WRENCH_FIELDS = {"wrench", "wrenches", "inputs"}
+DISPLACEMENT_FIELDS = {"displacement", "displacements", "outputs"}
 Place = tuple[str, int]
 
 
@@ -185,19 +178,69 @@ def upward_imports() -> list[str]:
     return sorted(found)
 
 
-def functions() -> Iterator[tuple[str, int]]:
-    """Yield each function as ``path:line name`` and its length in lines."""
+def helpers_with_one_caller(among: Iterable[Source]) -> list[str]:
+    """Return private functions named at one place beside their own, as ``path:line name``."""
+    found = []
+    for source in among:
+        names = Counter(
+            node.id if isinstance(node, ast.Name) else node.attr
+            for node in ast.walk(source.tree)
+            if isinstance(node, ast.Name | ast.Attribute)
+        )
+        found += [
+            f"{source.path}:{node.lineno} {node.name}"
+            for node in ast.walk(source.tree)
+            if isinstance(node, Function)
+            and re.match(r"_(?!_)", node.name)
+            and names[node.name] == 1
+        ]
+    return found
+
+
+def forwarders(among: Iterable[Source]) -> list[str]:
+    """Return functions that only call another with their own parameters, as ``path:line name``."""
+    found = []
+    for source in among:
+        for node in ast.walk(source.tree):
+            if not isinstance(node, Function):
+                continue
+            is_documented = ast.get_docstring(node) is not None
+            body = node.body[1:] if is_documented else node.body
+            call = body[0].value if len(body) == 1 and isinstance(body[0], FORWARDING) else None
+            call = call.value if isinstance(call, ast.Await) else call
+            if not isinstance(call, ast.Call):
+                continue
+            own = [arg.arg for arg in (*node.args.args, *node.args.kwonlyargs)]
+            own = [name for name in own if name not in ("self", "cls")]
+            passed = [*call.args, *(keyword.value for keyword in call.keywords)]
+            if own and own == [arg.id if isinstance(arg, ast.Name) else "" for arg in passed]:
+                found.append(f"{source.path}:{node.lineno} {node.name}")
+    return found
+
+
+def row_forms(among: Iterable[Source]) -> list[str]:
+    """Return the classes that hold a wrench and its displacement, as ``path:line name``."""
+    found = []
+    for source in among:
+        for node in ast.walk(source.tree):
+            if isinstance(node, ast.ClassDef):
+                fields = {
+                    item.target.id
+                    for item in node.body
+                    if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)
+                }
+                if fields & WRENCH_FIELDS and fields & DISPLACEMENT_FIELDS:
+                    found.append(f"{source.path}:{node.lineno} {node.name}")
+    return found
+
+
+def functions() -> Iterator[int]:
+    """Yield the length of each function in lines, from ``def`` to its last line."""
     for source in sources():
         for node in ast.walk(source.tree):
             if isinstance(node, Function):
                 assert node.end_lineno is not None
-                where = f"{source.path}:{node.lineno} {node.name}"
-                yield where, node.end_lineno - node.lineno + 1
-
-
-def long_functions() -> list[tuple[str, int]]:
-    """Return the functions that are longer than allowed, the longest first."""
-    return sorted((one for one in functions() if one[1] > LONGEST_FUNCTION), key=lambda f: -f[1])
+                yield node.end_lineno - node.lineno + 1
 
 
 def duplicates(among: Iterable[Source]) -> list[tuple[Place, Place, int]]:
@@ -248,41 +291,6 @@ def _code_lines(source: Source) -> list[tuple[int, str]]:
     return [(number, " ".join(tokens)) for number, tokens in sorted(lines.items())]
 
 
-def array_docstrings(among: Iterable[Source]) -> dict[str, bool]:
-    """Return the public names with arrays, and whether their docstring states shape and unit."""
-    found = {}
-    for source in among:
-        for name, node in _public(source.tree.body):
-            if _annotations(node) & ARRAYS:
-                text = ast.get_docstring(node) or ""
-                stated = bool(SHAPE.search(text) and UNIT.search(text))
-                found[f"{source.path}:{node.lineno} {name}"] = stated
-    return found
-
-
-def _public(
-    body: list[ast.stmt], prefix: str = ""
-) -> Iterator[tuple[str, Function | ast.ClassDef]]:
-    for node in body:
-        if not isinstance(node, Function | ast.ClassDef) or node.name.startswith("_"):
-            continue
-        yield prefix + node.name, node
-        if isinstance(node, ast.ClassDef):
-            yield from _public(node.body, f"{node.name}.")
-
-
-def _annotations(node: Function | ast.ClassDef) -> set[str]:
-    """Return the names in a function's annotations, or in those of a class's own fields."""
-    if isinstance(node, ast.ClassDef):
-        parts = [one.annotation for one in node.body if isinstance(one, ast.AnnAssign)]
-    else:
-        every = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-        parts = [one.annotation for one in every] + [node.returns]
-    nodes = [inner for part in parts if part is not None for inner in ast.walk(part)]
-    names = {one.id for one in nodes if isinstance(one, ast.Name)}
-    return names | {one.attr for one in nodes if isinstance(one, ast.Attribute)}
-
-
 def old_words(among: Iterable[Source]) -> Counter[str]:
     """Return how often names that the code binds contain each of `OLD_WORDS`."""
     found: Counter[str] = Counter()
@@ -316,8 +324,8 @@ def repeated_classes(among: Iterable[Source]) -> list[str]:
     return [f"{count:4d} {name}" for name, count in sorted(names.items()) if count > 1]
 
 
-def small_files() -> list[str]:
-    """Return files of fewer than `SMALL_FILE` lines that one module imports: they belong there."""
+def files_with_one_importer() -> list[str]:
+    """Return the modules that a single module imports, with their lines."""
     importers: dict[str, set[str]] = defaultdict(set)
     for name, others in imports().items():
         for other in others:
@@ -325,8 +333,8 @@ def small_files() -> list[str]:
     found = []
     for source in sources():
         name = f"wrenchbook.{source.path.removesuffix('.py').replace('/', '.')}"
-        lines = len(source.text.splitlines())
-        if lines < SMALL_FILE and len(importers[name]) == 1:
+        if len(importers[name]) == 1 and not source.path.endswith("__init__.py"):
+            lines = len(source.text.splitlines())
             found.append(f"{lines:4d} {source.path}, imported by {min(importers[name])}")
     return found
 
@@ -355,37 +363,30 @@ def _size_lines() -> list[str]:
 
 def report() -> str:
     """Lay out all figures."""
-    lengths = sorted(length for _, length in functions())
-    long, same, stated = long_functions(), duplicates(sources()), array_docstrings(sources())
-    rooms = Counter(source.room for source in sources())
-    share = sum(stated.values()) / len(stated)
-    lines = [f"{count:4d} files in {room}" for room, count in sorted(rooms.items())]
+    lengths = sorted(functions())
+    same, words = duplicates(sources()), old_words(sources())
+    packages = Counter(source.path.partition("/")[0] for source in sources())
+    lines = [f"{count:4d} files in {package}" for package, count in sorted(packages.items())]
     lines += _size_lines()
     lines += _list("circles", [" <-> ".join(circle) for circle in circles(imports())])
     lines += _list("upward imports", upward_imports())
     lines += [
         f"{len(lengths)} functions: median {statistics.median(lengths):g} lines, "
-        f"90 % within {lengths[int(0.9 * len(lengths))]}"
+        f"90 % within {lengths[int(0.9 * len(lengths))]}, longest {lengths[-1]}"
     ]
-    lines += _list(
-        f"functions over {LONGEST_FUNCTION} lines", [f"{size:4d} {name}" for name, size in long]
-    )
     lines += _list(
         f"duplicates of {DUPLICATE_LINES} lines or more",
         [f"{size:4d} {a[0]}:{a[1]} = {b[0]}:{b[1]}" for a, b, size in same],
     )
-    lines += _list(
-        f"public docstrings with arrays that state shape and unit: {share:.0%} of {len(stated)}; "
-        "without",
-        [name for name, is_stated in stated.items() if not is_stated],
-    )
-    words = old_words(sources())
+    lines += _list("helpers with one caller", helpers_with_one_caller(sources()))
+    lines += _list("forwarders", forwarders(sources()))
+    lines += _list("files with one importer", files_with_one_importer())
+    lines += _list("forms of a row", row_forms(sources()))
     lines += _list(
         f"words in names that are to go ({sum(words.values())} times)",
         [f"{count:4d} {word}" for word, count in words.most_common()],
     )
     lines += _list("class names of several files", repeated_classes(sources()))
-    lines += _list(f"files under {SMALL_FILE} lines with one importer", small_files())
     whole = sum(len(source.text.splitlines()) for source in sources())
     lines += [f"product Python: {whole} lines in {len(sources())} files"]
     return "\n".join(lines)

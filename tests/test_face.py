@@ -47,7 +47,7 @@ def test_a_name_that_is_not_there_is_answered_with_those_that_are():
 
 def test_a_child_process_runs_our_rooms_though_strangers_come_first_on_the_path(tmp_path: Path):
     run = run_beside_strangers(
-        child_command("wrenchbook.fea.check", str(SHIPPED / "bar")), tmp_path
+        child_command("wrenchbook.fea.check", "--json", str(SHIPPED / "bar")), tmp_path
     )
     assert run.returncode == 0, run.stderr
     assert '"ok": true' in run.stdout

@@ -64,14 +64,26 @@ def test_the_lines_of_a_room_hold_those_of_its_own_rooms():
     assert found["service/client"] == (0, 0)
 
 
-def test_a_docstring_with_a_shape_but_no_unit_does_not_state_its_array():
+def test_a_helper_is_counted_if_its_name_stands_once_more_in_its_file():
+    text = "def _once(): ...\ndef _twice(): ...\nclass A:\n    def _own(self): ...\n"
+    calls = "_once()\n_twice()\n_twice()\nA()._own()\n"
+    found = house.helpers_with_one_caller([source("first.py", text + calls)])
+    assert found == ["first.py:1 _once", "first.py:4 _own"]
+
+
+def test_a_forwarder_passes_its_own_parameters_on_and_does_nothing_else():
     text = '''
-def bare(load: Floats) -> None:
-    """Take loads, shape (n, 6)."""
-def stated(load: Floats) -> None:
-    """Take loads, shape (n, 6), N and N·m."""
-def number(load: float) -> None:
-    """Take a number."""
+def forwards(a, b):
+    """Do it."""
+    return other(a, b=b)
+def swaps(a, b):
+    return other(b, a)
+def none():
+    return other()
 '''
-    found = house.array_docstrings([source("loads.py", text)])
-    assert found == {"loads.py:2 bare": False, "loads.py:4 stated": True}
+    assert house.forwarders([source("first.py", text)]) == ["first.py:2 forwards"]
+
+
+def test_a_form_of_a_row_has_fields_for_wrench_and_displacement():
+    text = "class Row:\n    wrench: int\n    displacement: int\nclass Load:\n    wrench: int\n"
+    assert house.row_forms([source("first.py", text)]) == ["first.py:1 Row"]

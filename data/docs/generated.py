@@ -1,12 +1,15 @@
 """Markdown of the reference that the program itself describes: its HTTP calls and its commands."""
 
 import json
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 import typer
 import typer.cli
 
+from wrenchbook.service.cli.local import PROGRAMS
 from wrenchbook.service.cli.main import app as program
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings
@@ -19,6 +22,11 @@ def cli() -> str:
     for one in command.commands.values():
         one.short_help = (one.help or "").partition("\n\n")[0]  # not cut at 45 characters
     text = typer.cli.get_docs_for_click(obj=command, ctx=context, name="wrenchbook")
+    for name, (module, _) in PROGRAMS.items():  # typer does not know their arguments
+        words = [sys.executable, "-m", f"wrenchbook.fea.check.{module}", "--help"]
+        shown = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+        heading = f"## `wrenchbook {name}`"
+        text = text.replace(f"{heading}\n", f"{heading}\n\n```text\n{shown}```\n", 1)
     return "\n" + text.partition("\n")[2]
 
 

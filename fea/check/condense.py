@@ -19,11 +19,15 @@ _SHOWN = 5  # frequencies that are printed; the file has all
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the file and print its first frequencies; return 1 if the part cannot be condensed."""
-    parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.check.condense")
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--modes", type=int, default=10)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = argparse.ArgumentParser(
+        prog="wrenchbook condense",
+        description="Write stiffness and mass of frames and modes (Craig-Bampton) as npz.",
+    )
+    add = parser.add_argument
+    add("--json", action="store_true", help="one line of JSON instead of text")
+    add("--modes", type=int, default=10, help="modes with all frames held (default 10)")
+    add("folder", type=Path, help="folder of the component bundle")
+    add("out", type=Path, help="the file to write, .npz")
     options = parser.parse_args(arguments)
     try:
         found = vars(Solver(read_bundle(options.folder)).craig_bampton(options.modes))

@@ -16,10 +16,21 @@ from wrenchbook.fea.spec.problems import BundleError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the study and print it; return 1 if a mesh cannot be made or solved."""
-    parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.check.converge")
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--finer", type=Path, action="append", default=[])
-    parser.add_argument("folder", type=Path)
+    parser = argparse.ArgumentParser(
+        prog="wrenchbook converge",
+        description="Solve a part on finer meshes: order, limit, and the error of its own mesh.",
+    )
+    add = parser.add_argument
+    add("--json", action="store_true", help="one line of JSON instead of text")
+    add(
+        "--finer",
+        type=Path,
+        action="append",
+        default=[],
+        help="a finer mesh with the same groups; once or twice, the finest last",
+    )
+    add("--plot", type=Path, help="write errors over cell sizes as a page, .html")
+    add("folder", type=Path, help="folder of the component bundle")
     options = parser.parse_args(arguments)
     try:
         bundle = read_bundle(options.folder)
@@ -30,8 +41,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(words if options.json else message)
         return 1
     found = json.loads(file.read_text(encoding="utf-8"))
+    if options.plot is not None:
+        write_plot(found, options.plot)
     print(json.dumps({"file": str(file)} | found) if options.json else _as_text(file, found))
     return 0
+
+
+def write_plot(study: dict[str, Any], page: Path) -> None:
+    """Draw each response's distance to its limit, or to the finest mesh, over the cells' size."""
+    import plotly.graph_objects as go
+
+    figure = go.Figure()
+    for i, name in enumerate(study["outputs"]):
+        values = [row[i] for row in study["values"]]
+        limit = study["extrapolated"][i]
+        end, known = (values[-1], values[:-1]) if limit is None else (limit, values)
+        errors = [100 * abs(value / end - 1) for value in known]
+        sizes = [1e3 * size for size in study["sizes"][: len(known)]]
+        figure.add_scatter(x=sizes, y=errors, name=name, mode="lines+markers")
+    figure.update_xaxes(type="log", title="cell size, mm")
+    figure.update_yaxes(type="log", title="off its limit, or the finest mesh, %")
+    figure.write_html(page, include_plotlyjs=True)
 
 
 def _as_text(file: Path, found: dict[str, Any]) -> str:

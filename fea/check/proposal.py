@@ -288,13 +288,18 @@ def _name(text: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the proposal and print what is open; return 0 if its check finds no problem."""
-    parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.check.proposal")
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--unit", choices=tuple(UNITS))
-    parser.add_argument("--case")
-    parser.add_argument("deck", type=Path)
-    parser.add_argument("folder", type=Path)
+    parser = argparse.ArgumentParser(
+        prog="wrenchbook new",
+        description="Propose a component for an input deck, check it, and print what is open.",
+    )
+    add = parser.add_argument
+    add("--json", action="store_true", help="one line of JSON instead of text")
+    add("--unit", choices=tuple(UNITS), help="length unit; by default guessed from the constants")
+    add("--case", help="step, load case or subcase to take over; by default the last")
+    add("deck", type=Path, help="Abaqus or CalculiX (.inp), Nastran (.bdf), Ansys (.cdb)")
+    add("folder", type=Path, nargs="?", help="folder to write; by default the deck's name")
     options = parser.parse_args(arguments)
+    options.folder = options.folder or Path(options.deck.stem)
     try:
         found = propose(options.deck, options.folder, options.unit, options.case)
     except BundleError as error:

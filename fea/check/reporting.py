@@ -265,13 +265,18 @@ def _entry(problem: BundleProblem) -> dict[str, str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the report on a folder, as one line of JSON or as text; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m wrenchbook.fea.check", exit_on_error=False)
-    parser.add_argument("--text", action="store_true", help="for people instead of programs")
-    parser.add_argument("--mass", type=float, help="kg on the interface")
-    parser.add_argument("--inertia", type=_numbers, help="kg·m^2: xx,yy,zz or six, .. xy,xz,yz")
-    parser.add_argument("--centre", type=_numbers, help="m: the mass's centre from the interface")
-    parser.add_argument("--nonlinear", action="store_true", help="stresses of a nonlinear solve")
-    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser = argparse.ArgumentParser(
+        prog="wrenchbook check",
+        description="Check a component bundle: mesh, groups, supports, cost of a solve.",
+        exit_on_error=False,
+    )
+    add = parser.add_argument
+    add("--json", action="store_true", help="one line of JSON instead of text")
+    add("--mass", type=float, help="mass at the interface, kg, for the natural frequency")
+    add("--inertia", type=_numbers, help="its inertia about its centre, kg·m^2: xx,yy,zz or six")
+    add("--centre", type=_numbers, help="its centre from the interface point, m: x,y,z")
+    add("--nonlinear", action="store_true", help="nonlinear solves for the stresses over the range")
+    add("folder", type=Path, metavar="FOLDER", help="folder of the component bundle")
     try:
         options = parser.parse_args(arguments)
         riding = _riding(options)
@@ -281,7 +286,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{parser.format_usage()}{error}")
         return 2
     summary = report(options.folder, riding, options.nonlinear)
-    print(as_text(summary) if options.text else json.dumps(summary))
+    print(json.dumps(summary) if options.json else as_text(summary))
     return 0 if summary["ok"] else 1
 
 

@@ -41,7 +41,7 @@ async def answer_or_submit_many(workspace: Workspace, name: str, batch: BatchQue
     if batch.on_thin == "wait":
         waited = {one.job.id for one in outcome.jobs if one.job and not one.job.is_final}
         if waited:
-            await workspace.wait_all(sorted(waited), batch.wait_s)
+            await workspace.polls.wait_all(sorted(waited), batch.wait_s)
             await run_in_threadpool(_look_again, workspace, batch, outcome)
     return outcome
 

@@ -261,7 +261,7 @@ async def _submitted(workspace: Workspace, query: Query, outcome: Outcome) -> Ou
     else:
         job = await run_in_threadpool(_own_job, workspace, query, outcome.component)
         if query.wait_s and not job.is_final:
-            job = await workspace.wait(job.id, query.wait_s)
+            (job,) = await workspace.polls.wait_all([job.id], query.wait_s)
         placed = Placed(job, own=True)
     outcome.unsolved, outcome.job = True, placed.job
     if placed.job is None or not placed.own:

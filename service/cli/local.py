@@ -11,7 +11,6 @@ import typer
 from rich.text import Text
 
 from wrenchbook.service.cli.connect import AsJson, print_json
-from wrenchbook.service.cli.convergence import converge
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.files.program import run_child, usable_cores
@@ -25,12 +24,6 @@ DEFAULT_DATA = Path("wrenchbook-data")
 Host = Annotated[str, typer.Option(help="address to listen on")]
 AccessLog = Annotated[
     bool, typer.Option("--access-log", help="a line a request; queries take no fast path then")
-]
-OpenTelemetry = Annotated[
-    bool,
-    typer.Option(
-        "--opentelemetry", help="trace requests, as OTEL_* variables say; no fast path then"
-    ),
 ]
 AllowHost = Annotated[
     str | None, typer.Option(help="further names of this server, with commas: a proxy's, say")
@@ -97,7 +90,6 @@ def serve(
     log_level: Level = "info",
     log_format: Form = "text",
     access_log: AccessLog = False,
-    opentelemetry: OpenTelemetry = False,
     allow_host: AllowHost = None,
     allow_origin: AllowOrigin = None,
     first_key: FirstKey = False,
@@ -119,16 +111,13 @@ def serve(
 
 def _serve(**options: Any) -> None:
     """Serve by the settings found."""
-    from wrenchbook.service.http.instrumentation import MissingExtraError, tracing_packages
-    from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
+    from wrenchbook.service.jobs.solver_pool import EngineSettingsError, check_engine
     from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 
     try:
         check_engine(options["engine"], options["scheduler"])
-        if options["opentelemetry"]:
-            tracing_packages()
-    except (EngineSettingsError, MissingExtraError) as error:
+    except EngineSettingsError as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(Path(options["data"]))
     if options["first_key"]:
@@ -204,66 +193,31 @@ def demo(
     raise typer.Exit(1 if figures["failed"] else 0)
 
 
-def check(
-    bundle: Annotated[Path, typer.Argument(help="folder of the component bundle")],
-    as_json: AsJson = False,
-    mass: Annotated[
-        float | None, typer.Option(help="mass at the interface, kg, for the natural frequency")
-    ] = None,
-    inertia: Annotated[
-        str | None,
-        typer.Option(help="its inertia about its centre, kg·m²: xx,yy,zz or xx,yy,zz,xy,xz,yz"),
-    ] = None,
-    centre: Annotated[
-        str | None, typer.Option(help="its centre from the interface point, m: x,y,z")
-    ] = None,
-    nonlinear: Annotated[
-        bool,
-        typer.Option("--nonlinear", help="nonlinear solves for the stresses over the load range"),
-    ] = False,
-) -> None:
-    """Check a component bundle before it is uploaded: mesh, groups, supports, cost of a solve."""
-    options = {"mass": mass, "inertia": inertia, "centre": centre}
-    carried = [f"--{name}={value}" for name, value in options.items() if value is not None]
-    flags = [*(() if as_json else ("--text",)), *(("--nonlinear",) if nonlinear else ())]
-    raise typer.Exit(run_child("wrenchbook.fea.check", *flags, *carried, "--", str(bundle)))
+# Programs with an argument parser of their own: this process never imports the finite elements.
+PROGRAMS = {
+    "new": ("proposal", "Propose a component for an input deck, check it, and print what is open."),
+    "check": (
+        "__main__",
+        "Check a component bundle before its upload: mesh, supports, cost.",
+    ),
+    "converge": ("converge", "Solve a part on finer meshes: order, limit, error of its own mesh."),
+    "condense": (
+        "condense",
+        "Write stiffness and mass of frames and modes (Craig-Bampton).",
+    ),
+}
 
 
-def new(
-    deck: Annotated[
-        Path, typer.Argument(help="Abaqus or CalculiX (.inp), Nastran (.bdf), Ansys (.cdb)")
-    ],
-    folder: Annotated[
-        Path | None, typer.Argument(help="folder to write; by default the deck's name")
-    ] = None,
-    unit: Annotated[
-        Literal["m", "dm", "cm", "mm", "um", "in", "ft"] | None,
-        typer.Option(help="the deck's length unit; by default guessed from its constants"),
-    ] = None,
-    case: Annotated[
-        str | None,
-        typer.Option(help="step, load case or subcase to take over; by default the last"),
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Propose a component for an input deck, check it, and print what is left to decide."""
-    flags = [*(["--json"] if as_json else []), *([f"--unit={unit}"] if unit else [])]
-    flags += [f"--case={case}"] if case is not None else []
-    places = str(deck), str(folder or deck.stem)
-    raise typer.Exit(run_child("wrenchbook.fea.check.proposal", *flags, "--", *places))
+def add_programs(app: typer.Typer) -> None:
+    """Add the commands of `PROGRAMS`, which get their arguments as they are."""
+    passed_on = {"ignore_unknown_options": True, "allow_extra_args": True}
+    for name, (_, summary) in PROGRAMS.items():
+        app.command(name, help=summary, add_help_option=False, context_settings=passed_on)(_run)
 
 
-def condense(
-    bundle: Annotated[Path, typer.Argument(help="folder of the component bundle")],
-    out: Annotated[Path, typer.Argument(help="the file to write, .npz")],
-    modes: Annotated[int, typer.Option(help="modes with all frames held")] = 10,
-    as_json: AsJson = False,
-) -> None:
-    """Write the part as stiffness and mass of its frames and modes (Craig-Bampton), as npz."""
-    flags = [f"--modes={modes}", *(["--json"] if as_json else [])]
-    raise typer.Exit(
-        run_child("wrenchbook.fea.check.condense", *flags, "--", str(bundle), str(out))
-    )
+def _run(ctx: typer.Context) -> None:
+    module, _ = PROGRAMS[str(ctx.info_name)]
+    raise typer.Exit(run_child(f"wrenchbook.fea.check.{module}", *ctx.args))
 
 
-LOCAL_COMMANDS = (serve, work, demo, new, check, converge, condense)
+LOCAL_COMMANDS = (serve, work, demo)

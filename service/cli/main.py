@@ -28,7 +28,7 @@ from wrenchbook.service.cli.connect import (
 from wrenchbook.service.cli.jobs import jobs
 from wrenchbook.service.cli.joint import joint, stiffness
 from wrenchbook.service.cli.keys import keys
-from wrenchbook.service.cli.local import LOCAL_COMMANDS
+from wrenchbook.service.cli.local import LOCAL_COMMANDS, add_programs
 from wrenchbook.service.cli.ops import OPS_COMMANDS
 from wrenchbook.service.cli.recording import RECORDING_COMMANDS
 from wrenchbook.service.cli.screen import Screen
@@ -82,6 +82,7 @@ for named, table_command in TABLE_COMMANDS.items():
     app.command(named)(table_command)
 for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, *OPS_COMMANDS, jobs):
     app.command()(command)
+add_programs(app)
 for command in (joint, stiffness):
     app.command(cls=NumbersCommand)(command)
 app.add_typer(keys, name="keys")

@@ -14,7 +14,6 @@ from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import IO
 
 
 def child_command(module: str, *arguments: str) -> list[str]:
@@ -22,14 +21,13 @@ def child_command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
-def run_child(module: str, *arguments: str, stdout: IO[str] | None = None) -> int:
+def run_child(module: str, *arguments: str) -> int:
     """Run a module in a process of its own, which a SIGTERM of this one ends too.
 
     Returns its exit status. For a program that does nothing else meanwhile.
     """
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    words = child_command(module, *arguments)
-    return subprocess.run(words, check=False, stdout=stdout).returncode
+    return subprocess.run(child_command(module, *arguments), check=False).returncode
 
 
 def usable_cores() -> int:

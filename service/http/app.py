@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -151,6 +152,8 @@ def _with_routes(app: Application, settings: Settings) -> Application:
     openapi.install(app)
     logged = settings.access_log
     app.observed = instrumentation.RequestObserver(app.permitted, app.state.counts, logged=logged)
-    if not instrumentation.set_up(app, logged=logged, traced=settings.opentelemetry):
+    if logged:
+        instrumentation.access_log.setLevel(logging.INFO)
+    else:
         app.fast_path = FastPath(app.state)
     return app

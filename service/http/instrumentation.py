@@ -1,18 +1,15 @@
-"""Request ids, request metrics, the access log, and OpenTelemetry of the web application."""
+"""Request ids, request metrics and the access log of the web application."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import re
 import secrets
-from collections.abc import Callable, Iterable
-from importlib import import_module
+from collections.abc import Iterable
 from time import perf_counter
-from typing import Any, Final
+from typing import Final
 
-from fastapi import FastAPI
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from wrenchbook.service.http.access.headers import sending
@@ -27,12 +24,6 @@ HEADER: Final = b"x-request-id"
 NO_ROUTE: Final = "none"  # no call of the API, or refused before the router
 _ID: Final = re.compile(rb"[\x21-\x7e]{1,128}")
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
-# Environment variables that name the destination of traces (OpenTelemetry specification).
-_DESTINATIONS: Final = (
-    "OTEL_EXPORTER_OTLP_ENDPOINT",
-    "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT",
-    "OTEL_TRACES_EXPORTER",
-)
 _STOPPING: Final = HttpProblemError(
     503,
     "stopping",
@@ -41,10 +32,6 @@ _STOPPING: Final = HttpProblemError(
     "seconds: an import is loaded as a whole or not at all, and rows are never loaded twice.",
     headers={"Retry-After": "5"},  # s: a start takes three
 )
-
-
-class MissingExtraError(RuntimeError):
-    """The OpenTelemetry packages are not installed."""
 
 
 class RequestObserver:
@@ -115,58 +102,3 @@ def _log_access(scope: Scope, status: int, seconds: float) -> None:
     path = scope["raw_path"].decode("latin-1")  # as it was sent: a decoded one may hold a line end
     target = path.partition("?")[0] + ("?" + query if query else "")
     access_log.info('%s "%s %s" %d %.1f ms', host, scope["method"], target, status, 1e3 * seconds)
-
-
-def is_tracing_configured() -> bool:
-    """Return whether the environment names a destination of OpenTelemetry traces."""
-    if os.environ.get("OTEL_SDK_DISABLED", "").lower() == "true":
-        return False
-    return any(os.environ.get(name, "none") not in ("", "none") for name in _DESTINATIONS)
-
-
-def tracing_packages() -> tuple[Callable[[], None], Any]:
-    """Return OpenTelemetry's set-up by OTEL_* variables, and its instrumentor of FastAPI.
-
-    Raises
-    ------
-    MissingExtraError
-        If they are not installed.
-    """
-    try:
-        auto = import_module("opentelemetry.instrumentation.auto_instrumentation")
-        of_fastapi = import_module("opentelemetry.instrumentation.fastapi")
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{error}: tracing needs an extra, pip install 'wrenchbook[opentelemetry]'"
-        ) from error
-    return auto.initialize, of_fastapi.FastAPIInstrumentor
-
-
-def _trace(app: FastAPI, *, required: bool) -> bool:
-    """Trace the requests of an application by OpenTelemetry; return whether that was possible."""
-    try:
-        initialize, instrumentor = tracing_packages()
-    except MissingExtraError as error:
-        if required:
-            raise
-        log.warning("OTEL_* variables are set, but requests are not traced. %s", error)
-        return False
-    initialize()
-    instrumentor.instrument_app(app)
-    return True
-
-
-def set_up(app: FastAPI, *, logged: bool, traced: bool) -> bool:
-    """Log the requests of an application one by one, or trace them by OpenTelemetry.
-
-    They are traced if `traced` or OTEL_* variables say so. Return whether either is done: such
-    requests take no fast path.
-
-    Raises
-    ------
-    MissingExtraError
-        If `traced` and the OpenTelemetry packages are not installed.
-    """
-    if logged:
-        access_log.setLevel(logging.INFO)
-    return ((traced or is_tracing_configured()) and _trace(app, required=traced)) or logged

@@ -1,8 +1,9 @@
-"""The folder of one attempt: the only thing dispatcher, engine and solver share.
+"""Attempts: one solve of a job, its folder, and the interface of the engines that run attempts.
 
-``spec.json`` is what to solve, ``lock`` is locked by the solver as long as it lives, ``log.txt``
-is what it printed, ``progress.json`` how far it is, ``result.json`` how it ended. Both JSON
-files of the solver appear whole or not at all.
+The folder is the only thing dispatcher, engine and solver share. ``spec.json`` is the attempt,
+``lock`` is locked by the solver as long as it lives, ``log.txt`` is what it printed,
+``progress.json`` how far it is, ``result.json`` how it ended. Both JSON files of the solver appear
+whole or not at all.
 """
 
 from __future__ import annotations
@@ -14,30 +15,60 @@ import stat
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.redact import redact
 
+if TYPE_CHECKING:  # solvers need no ledger
+    from wrenchbook.service.ledger import JobRecord
+
 SPEC, LOCK, LOG = "spec.json", "lock", "log.txt"
 PROGRESS, OUTCOME = "progress.json", "result.json"
 DECK = "deck"  # what an outside solver was given and wrote
-_KEPT = {SPEC, LOCK, LOG, OUTCOME, DECK}
+_QUESTION: Final = ("job", "attempt", "component", "fingerprint", "wrench")
+_SOLVE: Final = (*_QUESTION, "bundle", "estimate", "task", "priority", "deadline", "memory")
 
 
 class BadOutcomeError(Exception):
     """The result.json cannot be read, or answers another question than this attempt's."""
 
 
-@dataclass(frozen=True)
-class Spec:
-    """What one attempt solves: a wrench (N, N·m) on the component in the folder `bundle`.
+@dataclass
+class Attempt:
+    """One attempt, from its claim to its solver: a wrench (N, N·m) on a component.
 
-    With `estimate` the solver also estimates its own error, once a set-up.
+    Attributes
+    ----------
+    job, attempt : int
+        Number of the job, and which of its attempts this is.
+    bundle : str
+        The component's folder on this machine.
+    estimate : bool
+        Whether the solver also estimates its own error, once a set-up.
+    folder : Path
+        The attempt's folder on this machine, absolute.
+    task : str
+        The task key: unique to an attempt of a job of a data directory, and in the ledger before
+        the engine gets it. Two submissions of one key are one attempt.
+    priority : int
+        Higher ones go first where an engine has a queue of its own.
+    deadline : float or None
+        Seconds from the solver's first instruction after which the attempt fails as ``deadline``.
+    memory : int or None
+        Bytes a solve of this component takes, as the check of its bundle estimates them (right to a
+        factor of two); None if no check has been stored.
+    cores : int
+        Cores of a solver; its libraries use as many threads.
+    taken, witnessed, adopted, leaving, began : bool
+        Of its dispatcher: whether an engine has taken it, its solver has lived in this dispatcher's
+        time, another dispatcher started it, its answer is not needed any more, a solver was seen.
+    died : float or None
+        When it was first seen dead, monotonic seconds.
     """
 
     job: int
@@ -47,6 +78,35 @@ class Spec:
     fingerprint: str
     wrench: tuple[float, ...]
     estimate: bool = False
+    folder: Path = Path()
+    task: str = ""
+    priority: int = 0
+    deadline: float | None = None
+    memory: int | None = None
+    cores: int = 1
+    taken: bool = field(default=False, compare=False)
+    witnessed: bool = field(default=True, compare=False)
+    adopted: bool = field(default=False, compare=False)
+    leaving: bool = field(default=False, compare=False)
+    began: bool = field(default=False, compare=False)
+    died: float | None = field(default=None, compare=False)
+
+    @classmethod
+    def of(cls, job: JobRecord, folder: Path) -> Attempt:
+        """Return the latest attempt of a job, with its folder; where the component lies is open."""
+        task = job.task or f"{job.id}-{job.attempt}"
+        question = job.id, job.attempt, job.component, "", job.fingerprint, job.wrench
+        return cls(*question, folder=folder, task=task, priority=job.priority)
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Job and attempt."""
+        return self.job, self.attempt
+
+    @property
+    def question(self) -> dict[str, Any]:
+        """The fields that identify an answer: neither paths nor the estimate flag."""
+        return {name: getattr(self, name) for name in _QUESTION} | {"wrench": list(self.wrench)}
 
 
 @dataclass(frozen=True)
@@ -62,22 +122,22 @@ def attempt_folder(jobs_folder: Path, job: int, attempt: int) -> Path:
     return jobs_folder / str(job) / str(attempt)
 
 
-def prepare(folder: Path, spec: Spec) -> None:
+def prepare(attempt: Attempt) -> None:
     """Make the attempt's folder with its spec.json.
 
     A folder of that number can only be left over from a ledger that is gone; it is moved aside.
     """
+    folder = attempt.folder
     if folder.exists():
         folder.rename(folder.with_name(f"{folder.name}.old-{time.time_ns()}"))
     folder.mkdir(parents=True)
-    write_whole(folder / SPEC, asdict(spec))
+    write_whole(folder / SPEC, {name: getattr(attempt, name) for name in _SOLVE})
 
 
-def read_spec(folder: Path) -> Spec:
-    """Return the spec of an attempt."""
+def read_attempt(folder: Path) -> Attempt:
+    """Return the attempt of a folder; raises OSError, ValueError, TypeError, KeyError without."""
     fields = json.loads((folder / SPEC).read_bytes())
-    fields["wrench"] = tuple(fields["wrench"])
-    return Spec(**fields)
+    return Attempt(**fields | {"wrench": tuple(fields["wrench"])}, folder=folder)
 
 
 def read_progress(folder: Path) -> Progress | None:
@@ -122,27 +182,25 @@ def last_words(folder: Path) -> str:
     return lines[-1] if lines else ""
 
 
-def write_outcome(
-    folder: Path, spec: Spec, outcome: Mapping[str, Any], *, durable: bool = True
-) -> None:
+def write_outcome(attempt: Attempt, outcome: Mapping[str, Any], *, durable: bool = True) -> None:
     """Write result.json to disk for good; its appearance means that the solver has ended.
 
     It repeats the question, so that it is not taken for the answer to another wrench.
     """
-    whole = {**outcome, "asked": _question(spec)}
-    write_whole(folder / OUTCOME, {**whole, "digest": _digest(whole)}, durable=durable)
+    content = {**outcome, "asked": attempt.question}
+    signed = {**content, "digest": _digest(content)}
+    write_whole(attempt.folder / OUTCOME, signed, durable=durable)
 
 
-def read_outcome(folder: Path, spec: Spec) -> dict[str, Any] | None:
-    """Return how the attempt of this spec ended; None if it has not.
+def read_outcome(attempt: Attempt) -> dict[str, Any] | None:
+    """Return how an attempt ended; None if it has not.
 
-    Raises
-    ------
-    BadOutcomeError
-        If the file is not byte for byte what `write_outcome` wrote, or answers another spec.
+    Raises `BadOutcomeError` if the file is not byte for byte what `write_outcome` wrote, or answers
+    another question.
     """
+    path = attempt.folder / OUTCOME
     try:
-        outcome = json.loads((folder / OUTCOME).read_bytes())
+        outcome = json.loads(path.read_bytes())
         digest = outcome.pop("digest")
         if digest != _digest(outcome):
             raise ValueError("its checksum is wrong: the file is damaged")
@@ -150,16 +208,25 @@ def read_outcome(folder: Path, spec: Spec) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
-        raise BadOutcomeError(f"{folder / OUTCOME} cannot be read: {error!r}") from error
-    if answered != _question(spec):
-        raise BadOutcomeError(f"{folder / OUTCOME} answers {answered}, not {_question(spec)}")
+        raise BadOutcomeError(f"{path} cannot be read: {error!r}") from error
+    if answered != attempt.question:
+        raise BadOutcomeError(f"{path} answers {answered}, not {attempt.question}")
     return outcome
+
+
+def notes_of(attempt: Attempt) -> list[str]:
+    """Return the solver's notes on its answer; often none."""
+    try:
+        notes = (read_outcome(attempt) or {}).get("notes")
+    except BadOutcomeError:
+        return []
+    return [str(note) for note in notes] if isinstance(notes, list) else []
 
 
 def tidy(folder: Path) -> None:
     """Leave of a done attempt only its spec, log and outcome, and an outside solver's files."""
     for entry in folder.iterdir():
-        if entry.name in _KEPT:
+        if entry.name in (SPEC, LOCK, LOG, OUTCOME, DECK):
             continue
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry, ignore_errors=True)
@@ -181,18 +248,10 @@ def _digest(content: Mapping[str, Any]) -> str:
     return blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _question(spec: Spec) -> dict[str, Any]:
-    """Return the fields that identify an answer: not paths, nor the estimate flag."""
-    fields = asdict(spec) | {"wrench": list(spec.wrench)}
-    del fields["bundle"], fields["estimate"]
-    return fields
-
-
 MOST_BYTES: Final = 1 << 30  # of all files together; a deck's solver may leave any number
 _MOST_TEXT: Final = 8 << 20
 _PIECE: Final = 1 << 18
 _TEXTS: Final = (".txt", ".json", ".log")
-_LEFT_OUT: Final = "LEFT_OUT.txt"
 
 
 def zipped(folder: Path) -> IO[bytes]:
@@ -201,21 +260,22 @@ def zipped(folder: Path) -> IO[bytes]:
     Links and whatever else is no plain file are left out: a deck's command may have made them, to
     anything on the machine. Texts lose the paths of the machine.
     """
-    file = tempfile.SpooledTemporaryFile(_MOST_TEXT)  # noqa: SIM115 (closed by the reader)
-    left, missing = MOST_BYTES, []
+    file: Any = tempfile.SpooledTemporaryFile(_MOST_TEXT)  # noqa: SIM115 (closed by the reader)
+    room, missing = MOST_BYTES, []
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in _files(folder):
-            inside = path.relative_to(folder).as_posix()
-            size = _put(archive, path, inside, left)
+        for path in sorted(folder.rglob("*")):  # it does not follow links
+            if path.is_dir() and not path.is_symlink():
+                continue
+            name = path.relative_to(folder).as_posix()
+            size = _put(archive, path, name, room)
+            room -= size or 0
             if size is None:
-                missing.append(inside)
-            else:
-                left -= size
+                missing.append(name)
         if missing:
             header = "links, files that are gone, or too large to be sent:"
-            archive.writestr(_LEFT_OUT, "\n".join([header, *sorted(missing)]))
+            archive.writestr("LEFT_OUT.txt", "\n".join([header, *sorted(missing)]))
     file.seek(0)
-    return file  # pyright: ignore[reportReturnType]
+    return file
 
 
 def pieces_of(file: IO[bytes]) -> Iterator[bytes]:
@@ -225,16 +285,7 @@ def pieces_of(file: IO[bytes]) -> Iterator[bytes]:
             yield piece
 
 
-def _files(folder: Path) -> list[Path]:
-    """Return all that is in a folder and no folder; links to folders are not followed."""
-    found = []
-    for where, folders, names in os.walk(folder, followlinks=False):
-        links = [name for name in folders if (Path(where) / name).is_symlink()]
-        found += [Path(where) / name for name in (*names, *links)]
-    return sorted(found)
-
-
-def _put(archive: zipfile.ZipFile, path: Path, inside: str, left: int) -> int | None:
+def _put(archive: zipfile.ZipFile, path: Path, name: str, room: int) -> int | None:
     """Put a file into the zip and return its size; None if it is left out."""
     try:
         # Opened first and looked at then: between the two it could become a link.
@@ -242,15 +293,114 @@ def _put(archive: zipfile.ZipFile, path: Path, inside: str, left: int) -> int | 
     except OSError:
         return None
     with open(descriptor, "rb") as file:  # noqa: PTH123 (a descriptor)
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode) or found.st_size > left:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode) or status.st_size > room:
             return None
-        if path.suffix in _TEXTS and found.st_size <= _MOST_TEXT:
-            archive.writestr(inside, redact(file.read().decode(errors="replace")))
-            return found.st_size
-        with archive.open(inside, "w", force_zip64=True) as target:
+        if path.suffix in _TEXTS and status.st_size <= _MOST_TEXT:
+            archive.writestr(name, redact(file.read().decode(errors="replace")))
+            return status.st_size
+        with archive.open(name, "w", force_zip64=True) as target:
             size = 0
-            while (piece := file.read(_PIECE)) and size <= left:
+            while (piece := file.read(_PIECE)) and size <= room:
                 target.write(piece)
                 size += len(piece)
         return size
+
+
+State = Literal["submitted", "running", "finished", "lost"]
+ALIVE: tuple[State, ...] = ("submitted", "running")
+
+Listener = Callable[[str], None]
+"""Gets the task key of an attempt whose state may have changed; called from any thread."""
+
+
+class EngineError(Exception):
+    """The engine cannot take an attempt now; the job should wait and be tried again."""
+
+
+class Engine(Protocol):
+    """Runs attempts; the ledger decides. Several threads may call it, one at a time.
+
+    An engine that ends an attempt itself, at its deadline for example, writes the ``result.json``
+    in the solver's stead, once the solver is dead. The cause of a solver's death, as far as the
+    engine knows it, is the last line of the attempt's log.
+    """
+
+    @property
+    def name(self) -> str:
+        """Its name in the ledger: only dispatchers with this engine take its attempts over."""
+        ...
+
+    @property
+    def slots(self) -> int:
+        """How many attempts it takes at the same time; may change as workers come and go."""
+        ...
+
+    @property
+    def trouble(self) -> str | None:
+        """What keeps it from running attempts at present, in words; None if nothing does."""
+        ...
+
+    def submit(self, attempt: Attempt) -> None:
+        """Start or queue the attempt, without waiting for it.
+
+        Raises OSError or `EngineError` if it could not be taken; nothing runs then.
+        """
+        ...
+
+    def attach(self, attempt: Attempt) -> None:
+        """Take over an attempt of another dispatcher, which has died, on an engine of this name.
+
+        If nothing of the task is known any more, `poll` returns ``lost`` or the engine submits it
+        again under the same key.
+        """
+        ...
+
+    def poll(self, attempt: Attempt) -> State:
+        """Return the attempt's state, without waiting for any other machine.
+
+        ``submitted`` until a solver works on it, then ``running``. ``finished`` once its folder
+        holds a result.json and the other artifacts. ``lost`` is final: no solver lives that could
+        still write one there. A death of workers, scheduler or machines is no state: the engine
+        runs the attempt again.
+        """
+        ...
+
+    def cancel(self, attempt: Attempt) -> None:
+        """Have the attempt's solver end soon; `poll` shows when it counts as ended. Repeatable.
+
+        The attempt may be one that was neither submitted nor attached here: it was cancelled while
+        no dispatcher lived, and its task key is all there is.
+        """
+        ...
+
+    def forget(self, attempt: Attempt) -> None:
+        """Drop what is kept of an attempt that is settled, or that another dispatcher has."""
+        ...
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call the listener when an attempt's state may have changed; returns what ends that."""
+        ...
+
+    def close(self) -> None:
+        """Release the engine's resources; running attempts go on."""
+        ...
+
+
+class Listeners:
+    """The listeners of an engine."""
+
+    _listeners: tuple[Listener, ...] = ()
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call the listener when an attempt's state may have changed; returns what ends that."""
+        self._listeners = (*self._listeners, listener)
+
+        def stop() -> None:
+            self._listeners = tuple(each for each in self._listeners if each is not listener)
+
+        return stop
+
+    def _report(self, task: str) -> None:
+        for listener in self._listeners:
+            listener(task)

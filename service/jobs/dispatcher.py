@@ -3,19 +3,33 @@
 import contextlib
 import functools
 import logging
+import os
+import secrets
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from wrenchbook.service.fields.store import FieldStore
-from wrenchbook.service.jobs.attempt import LOG, last_words, prepare, solver_began, solver_seconds
-from wrenchbook.service.jobs.engines.engine import ALIVE, Engine
-from wrenchbook.service.jobs.lease import BEAT_SECONDS, Lease, Recovery
-from wrenchbook.service.jobs.record_outcome import component_missing, settle
-from wrenchbook.service.jobs.supervised import SupervisedAttempt, attempt_of, completed
-from wrenchbook.service.ledger import Change, JobRecord, Ledger, StaleAttemptError
+from wrenchbook.service.files import lock as flock
+from wrenchbook.service.jobs.attempt import (
+    ALIVE,
+    LOG,
+    Attempt,
+    BadOutcomeError,
+    Engine,
+    attempt_folder,
+    last_words,
+    prepare,
+    read_outcome,
+    solver_began,
+    solver_seconds,
+    tidy,
+)
+from wrenchbook.service.ledger import Beat, Change, JobRecord, Ledger, StaleAttemptError
+from wrenchbook.service.library.component import estimate_of
 from wrenchbook.service.tables.solver_errors import SolverErrors
 
 _log = logging.getLogger(__name__)
@@ -30,7 +44,71 @@ TROUBLE_SECONDS = 1.0  # before trying again what failed: a full disk, no more p
 OUTLIVE_SECONDS = 1.0
 START_AGAIN_SECONDS = 5.0  # before the next attempt of a job whose solver could not even begin
 STOP_SECONDS = 15.0  # how long `stop` waits for solvers to end
-MOST_CLAIMED = 100  # in one transaction, which takes a few milliseconds then
+MAX_CLAIMED = 100  # in one transaction, which takes a few milliseconds then
+ORPHANS = 200  # cancelled jobs examined at start-up for solvers that still run
+# A dispatcher never takes over attempts of another engine: it cannot see whether they live. But
+# if no dispatcher of that engine comes back within a minute, the job waits again, for any engine.
+ABANDONED_SECONDS = 60.0
+BEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts to look after
+# Four beats missed. With a look a second, a lease that is lost is found within ten seconds.
+LEASE_SECONDS = 8.0
+
+# Times the estimated seconds: a load may take 4 times the iterations of a usual one, the estimate
+# is right to a factor of two, and a machine may be slower or busier by as much again and more.
+DEADLINE_MARGIN = 100.0
+MIN_DEADLINE = 3600.0  # s: a solve of seconds on a machine that is hardly there
+# s, where no check has estimated anything: solves take hours, none is known to have taken a day.
+UNKNOWN_DEADLINE = 24 * 3600.0
+
+
+class Lease:
+    """The name under which a dispatcher owns running jobs, for as long as it lives.
+
+    All dispatchers of a data directory keep their lock files in `folder`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.name = f"{os.getpid()}-{secrets.token_hex(4)}"
+        self._folder = folder
+        self._lock = flock.take(self._file(self.name))
+        self._seen: dict[str, tuple[int, float]] = {}
+
+    def is_lost(self, owner: str, engine: str, beat: Beat | None) -> bool:
+        """Return whether an owner of attempts has died, or does not look after them any more.
+
+        A file that is not locked proves it at once; all dispatchers of `local` have theirs here.
+        Otherwise the heartbeat does, by whether it has changed while this dispatcher looked on: no
+        clock of another one is trusted. An owner without a heartbeat has ended its lease.
+        """
+        file = self._file(owner)
+        there = file.exists()
+        if there and not flock.is_locked(file):
+            return True
+        if not there and (engine == "local" or beat is None):
+            return True
+        now, number = time.monotonic(), -1 if beat is None else beat.beat
+        seen = self._seen.get(owner)
+        if seen is None or seen[0] != number:
+            self._seen[owner] = number, now
+            return False
+        return now - seen[1] > LEASE_SECONDS
+
+    def remove(self, owner: str) -> None:
+        """Remove the lock file of a dispatcher that is dead; one that is merely late keeps it."""
+        self._seen.pop(owner, None)
+        if not flock.is_locked(self._file(owner)):
+            self._file(owner).unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Release the lease: other dispatchers may take over its jobs."""
+        if self._lock is not None:
+            self._file(self.name).unlink(missing_ok=True)
+            os.close(self._lock)
+            self._lock = None
+
+    def _file(self, name: str) -> Path:
+        return self._folder / f"{name}.lock"
 
 
 class Dispatcher:
@@ -40,22 +118,11 @@ class Dispatcher:
     after the jobs it claimed, and takes over those of one of the same engine that died, whose
     solvers may well be still running.
 
-    Parameters
-    ----------
-    ledger : Ledger
-        Where jobs come from and rows go to.
-    engine : Engine
-        Where solvers run; `stop` does not close it.
-    bundles : callable
-        Gives the folder of a component by its name; what it raises fails the job.
-    jobs_folder : path
-        Holds the attempts' folders, ``<job>/<attempt>``, and ``owners``.
-    fields : FieldStore, optional
-        Where deformed surfaces are kept.
-    errors : SolverErrors, optional
-        Where estimates of the solver's own error are kept; without it none are made.
-    deadline : float, optional
-        Seconds a solve may take; by default what the component's check makes of it.
+    `bundles` gives the folder of a component by its name; what it raises fails the job. The jobs
+    folder holds the attempts' folders, ``<job>/<attempt>``, and ``owners``. `fields` keeps deformed
+    surfaces and `errors` estimates of the solver's own error, if there are any. `deadline` is the
+    seconds a solve may take, by default what the component's check makes of it. `stop` does not
+    close the engine.
     """
 
     def __init__(
@@ -78,15 +145,16 @@ class Dispatcher:
         self._fields, self._errors = fields, errors
         self._deadline = deadline
         self._lease: Lease | None = None
-        self._runs: dict[tuple[int, int], SupervisedAttempt] = {}
-        self._pressing: dict[tuple[int, int], SupervisedAttempt] = {}
-        self._tasks: dict[str, SupervisedAttempt] = {}
+        self._attempts: dict[tuple[int, int], Attempt] = {}
+        # Polled often: their end may come without an event, or something is due soon.
+        self._pressing: dict[tuple[int, int], Attempt] = {}
+        self._tasks: dict[str, Attempt] = {}
         self._begun: dict[tuple[int, int], float] = {}
-        self._heard: deque[str] = deque()
+        self._abandoned: dict[tuple[int, int], float] = {}
+        self._reported: deque[str] = deque()
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
-        self._recovery = Recovery(ledger, engine, self._take_over)
 
     @property
     def trouble(self) -> str | None:
@@ -110,12 +178,8 @@ class Dispatcher:
     def stop(self, *, keep_solvers: bool = False) -> None:
         """End; every job is then done, failed, cancelled or waiting again.
 
-        Parameters
-        ----------
-        keep_solvers : bool
-            Leave the solvers running and their jobs with them: the next dispatcher on this
-            jobs folder goes on with them. Otherwise they are ended, which may take the
-            engine's grace.
+        With `keep_solvers` the solvers go on and their jobs with them: the next dispatcher on this
+        jobs folder takes them over. Otherwise they are ended, which may take the engine's grace.
         """
         if self._thread is None:
             return
@@ -125,14 +189,18 @@ class Dispatcher:
         self._thread = None
         try:
             if not keep_solvers:
-                self._end_runs()
+                self._end_attempts()
         finally:
             for end in self._ends:
                 end()
             # What could not be settled is left to the next dispatcher.
-            for one in (self._runs, self._pressing, self._tasks, self._begun):
-                one.clear()
-            self._close_lease()
+            for record in (self._attempts, self._pressing, self._tasks, self._begun):
+                record.clear()
+            if self._lease is not None:
+                with contextlib.suppress(Exception):  # it ends all the same
+                    self._ledger.end_lease(self._lease.name)
+                self._lease.close()
+                self._lease = None
 
     def _on_change(self, change: Change) -> None:
         if threading.current_thread() is not self._thread:
@@ -140,7 +208,7 @@ class Dispatcher:
             self._wake.set()
 
     def _on_end(self, task: str) -> None:
-        self._heard.append(task)
+        self._reported.append(task)
         self._wake.set()
 
     # -- the loop ---------------------------------------------------------------------------
@@ -168,31 +236,36 @@ class Dispatcher:
             self._sweep(lease)
             self._next_sweep = now + RECOVER_SECONDS
         if self._changed or now >= self._next_look:
-            self._read_changes(lease)
+            self._changed = False
+            version = self._ledger.version()
+            if version != self._seen:
+                self._seen, self._may_claim = version, True
+                self._leave_unwanted(lease)
             self._next_look = now + LOOK_SECONDS
-        while self._heard:
-            run = self._tasks.get(self._heard.popleft())
-            if run is not None:
-                self._look(run)
-        for run in list(self._pressing.values()):
-            self._look(run)
+        while self._reported:
+            attempt = self._tasks.get(self._reported.popleft())
+            if attempt is not None:
+                self._look(attempt)
+        for attempt in list(self._pressing.values()):
+            self._look(attempt)
         if self._begun:
             self._beat(lease)
-        while self._may_claim and (free := self._engine.slots - self._busy()) > 0:
-            self._claim(lease, min(free, MOST_CLAIMED))
-
-    def _busy(self) -> int:
-        return len(self._runs) - sum(run.died is not None for run in self._pressing.values())
+        while self._may_claim:
+            busy = [each for each in self._attempts.values() if each.died is None]
+            if (free := self._engine.slots - len(busy)) <= 0:
+                break
+            self._claim(lease, min(free, MAX_CLAIMED))
 
     def _sweep(self, lease: Lease) -> None:
         if not self._orphans_stopped:
-            for job in self._recovery.orphans():
-                self._stop_orphan(job)
+            for job in self._ledger.jobs(status="cancelled", limit=ORPHANS):
+                if job.attempt and job.engine == self._engine.name:
+                    self._stop_orphan(job)
             self._orphans_stopped = True
-        self._recovery.adopt_lost(lease)
-        for run in list(self._runs.values()):
-            self._look(run)
-        if self._runs and time.monotonic() >= self._next_beat:
+        self._adopt_lost(lease)
+        for attempt in list(self._attempts.values()):
+            self._look(attempt)
+        if self._attempts and time.monotonic() >= self._next_beat:
             self._beat(lease)
         self._may_claim = True  # a job that had to wait may be due
 
@@ -201,136 +274,235 @@ class Dispatcher:
         self._begun.clear()
         self._next_beat = time.monotonic() + BEAT_SECONDS
 
-    def _read_changes(self, lease: Lease) -> None:
-        self._changed = False
-        version = self._ledger.version()
-        if version != self._seen:
-            self._seen, self._may_claim = version, True
-            if self._runs:
-                self._leave_unwanted(lease)
-
     def _leave_unwanted(self, lease: Lease) -> None:
-        mine = self._ledger.attempts_of(lease.name)
-        for run in [one for one in self._runs.values() if one.key not in mine]:
-            if run.leaving:
+        mine = self._ledger.attempts_of(lease.name) if self._attempts else {}
+        for attempt in [each for each in self._attempts.values() if each.key not in mine]:
+            if attempt.leaving:
                 continue
-            job = self._ledger.job(run.job.id)
-            if job.status == "running" and job.attempt == run.job.attempt:
+            job = self._ledger.job(attempt.job)
+            if job.status == "running" and job.attempt == attempt.attempt:
                 _log.warning("job %d is looked after by %s: this one was late", job.id, job.owner)
-                self._drop(run)
+                self._drop(attempt)
             else:
-                run.leaving = True
-                self._pressing[run.key] = run
-                self._engine.cancel(run.attempt)
-
-    # -- attempts ---------------------------------------------------------------------------
-
-    def _add(self, run: SupervisedAttempt) -> None:
-        self._runs[run.key] = self._tasks[run.attempt.task] = run
-        if run.is_pressing:
-            self._pressing[run.key] = run
-
-    def _drop(self, run: SupervisedAttempt) -> None:
-        self._engine.forget(run.attempt)
-        del self._runs[run.key]
-        for kept in (self._pressing, self._begun):
-            kept.pop(run.key, None)
-        self._tasks.pop(run.attempt.task, None)
-        self._may_claim = True
-
-    def _take_over(self, job: JobRecord) -> None:
-        attempt = attempt_of(job, self._jobs_folder)
-        with contextlib.suppress(Exception):  # without it the attempt may still be found
-            attempt = completed(attempt, job, self._bundles(job.component), self._deadline)
-        self._engine.attach(attempt)
-        alive = self._engine.poll(attempt) in ALIVE
-        self._add(SupervisedAttempt(job, attempt, taken=True, witnessed=alive, adopted=True))
+                attempt.leaving = True
+                self._pressing[attempt.key] = attempt
+                self._engine.cancel(attempt)
 
     def _stop_orphan(self, job: JobRecord) -> None:
-        attempt = attempt_of(job, self._jobs_folder)
+        attempt = self._attempt_of(job)
         self._engine.cancel(attempt)
         if self._engine.poll(attempt) in ALIVE:
-            self._add(SupervisedAttempt(job, attempt, adopted=True, leaving=True))
+            attempt.adopted = attempt.leaving = True
+            self._add(attempt)
         else:
             self._engine.forget(attempt)
 
-    def _look(self, run: SupervisedAttempt) -> None:
-        state = self._engine.poll(run.attempt)
-        if state == "running" and not run.began:
-            seconds = solver_seconds(run.folder) or 0.0
-            run.began, self._begun[run.key] = True, time.time() - seconds
-        if self._unstarted and solver_began(run.folder):
+    def _adopt_lost(self, lease: Lease) -> None:
+        """Take over what dead dispatchers of this engine left; give up what another engine's did.
+
+        What is not adopted because the ledger cannot be written now is found again.
+        """
+        others = [job for job in self._ledger.running() if job.owner != lease.name]
+        beats = self._ledger.leases() if others else {}
+        lost = {
+            job.owner
+            for job in others
+            if job.owner and lease.is_lost(job.owner, job.engine or "local", beats.get(job.owner))
+        }
+        foreign: list[JobRecord] = []
+        for job in others:
+            if job.owner is None or job.owner not in lost:
+                continue
+            if job.engine != self._engine.name:
+                foreign.append(job)
+            elif adopted := self._ledger.adopt(job.id, job.attempt, job.owner, lease.name):
+                _log.info("job %d attempt %d taken over from %s", job.id, job.attempt, job.owner)
+                attempt = self._attempt_of(adopted)
+                with contextlib.suppress(Exception):  # without it the attempt may still be found
+                    self._complete(attempt, self._bundles(job.component))
+                self._engine.attach(attempt)
+                attempt.taken = attempt.adopted = True
+                attempt.witnessed = self._engine.poll(attempt) in ALIVE
+                self._add(attempt)
+        self._give_up_abandoned(foreign)
+        for owner in lost - {job.owner for job in foreign}:
+            lease.remove(owner)
+            self._ledger.end_lease(owner)
+
+    def _give_up_abandoned(self, jobs: list[JobRecord]) -> None:
+        now = time.monotonic()
+        keys = [(job.id, job.attempt) for job in jobs]
+        self._abandoned = {key: self._abandoned.get(key, now) for key in keys}
+        for job in jobs:
+            if now - self._abandoned[job.id, job.attempt] > ABANDONED_SECONDS:
+                _log.warning(
+                    "job %d waits again: no dispatcher supervises attempt %d on engine %s any more",
+                    job.id, job.attempt, job.engine,
+                )  # fmt: skip
+                with contextlib.suppress(StaleAttemptError):
+                    self._ledger.release(job.id, job.attempt)
+
+    # -- attempts ---------------------------------------------------------------------------
+
+    def _attempt_of(self, job: JobRecord) -> Attempt:
+        return Attempt.of(job, attempt_folder(self._jobs_folder, job.id, job.attempt))
+
+    def _complete(self, attempt: Attempt, bundle: Path) -> None:
+        """Add where the component lies and what a solve of it needs."""
+        check = estimate_of(bundle)
+        memory, seconds = check.get("memory_bytes"), check.get("nonlinear_seconds")
+        deadline = UNKNOWN_DEADLINE
+        if isinstance(memory, int) and isinstance(seconds, int | float):
+            attempt.memory, deadline = memory, max(MIN_DEADLINE, DEADLINE_MARGIN * seconds)
+        attempt.deadline = deadline if self._deadline is None else self._deadline
+        attempt.bundle = str(bundle.absolute())
+
+    def _add(self, attempt: Attempt) -> None:
+        self._attempts[attempt.key] = self._tasks[attempt.task] = attempt
+        if attempt.adopted:
+            self._pressing[attempt.key] = attempt
+
+    def _drop(self, attempt: Attempt) -> None:
+        self._engine.forget(attempt)
+        del self._attempts[attempt.key]
+        self._pressing.pop(attempt.key, None)
+        self._begun.pop(attempt.key, None)
+        self._tasks.pop(attempt.task, None)
+        self._may_claim = True
+
+    def _look(self, attempt: Attempt) -> None:
+        state = self._engine.poll(attempt)
+        if state == "running" and not attempt.began:
+            seconds = solver_seconds(attempt.folder) or 0.0
+            attempt.began, self._begun[attempt.key] = True, time.time() - seconds
+        if self._unstarted and solver_began(attempt.folder):
             self._unstarted = None
         if state in ALIVE:
             return
-        if not run.leaving:
-            if run.died is None and state == "lost" and run.counts:
-                run.died = time.monotonic()
-                self._pressing[run.key] = run
+        if not attempt.leaving:
+            # Whether a solver that left nothing has died by itself, for all that is known.
+            counts = attempt.witnessed and (attempt.began or solver_began(attempt.folder))
+            if attempt.died is None and state == "lost" and counts:
+                attempt.died = time.monotonic()
+                self._pressing[attempt.key] = attempt
                 self._may_claim = True
-            if run.died is not None and time.monotonic() - run.died < OUTLIVE_SECONDS:
+            if attempt.died is not None and time.monotonic() - attempt.died < OUTLIVE_SECONDS:
                 return
+            died = self._ledger.release
+            if counts:
+                died = functools.partial(self._ledger.lose, cause=last_words(attempt.folder))
+            elif attempt.witnessed and attempt.taken:
+                died = functools.partial(self._ledger.release, delay=START_AGAIN_SECONDS)
+                if state == "lost":
+                    cause = last_words(attempt.folder) or "it printed nothing"
+                    log = attempt.folder / LOG
+                    self._unstarted = f"solvers end before they begin: {cause}. See {log}"
+                    _log.error("job %d: %s", attempt.job, self._unstarted)
             with contextlib.suppress(StaleAttemptError):
-                died = self._died(run)
-                self._settle(run, died)
-        self._drop(run)
+                settle(self._ledger, attempt, died, self._fields, self._errors)
+        self._drop(attempt)
 
-    def _settle(
-        self, run: SupervisedAttempt, died: Callable[[int, int], JobRecord] | None = None
-    ) -> None:
-        kept = {"fields": self._fields, "errors": self._errors}
-        settle(self._ledger, run.job, run.folder, died=died, **kept)
-
-    def _died(self, run: SupervisedAttempt) -> Callable[[int, int], JobRecord]:
-        if run.counts:
-            return functools.partial(self._ledger.lose, cause=last_words(run.folder))
-        if not run.witnessed or not run.taken:
-            return self._ledger.release
-        words = last_words(run.folder) or "it printed nothing"
-        self._unstarted = f"solvers end before they begin: {words}. See {run.folder / LOG}"
-        _log.error("job %d: %s", run.job.id, self._unstarted)
-        return functools.partial(self._ledger.release, delay=START_AGAIN_SECONDS)
-
-    def _claim(self, lease: Lease, most: int) -> None:
-        jobs = self._ledger.claim_many(lease.name, self._engine.name, most)
-        self._may_claim = len(jobs) == most
+    def _claim(self, lease: Lease, limit: int) -> None:
+        jobs = self._ledger.claim_many(lease.name, self._engine.name, limit)
+        self._may_claim = len(jobs) == limit
         # Known from here on: whatever fails below, the next look finds attempts without a
         # solver and gives them back.
-        runs = [SupervisedAttempt(job, attempt_of(job, self._jobs_folder)) for job in jobs]
-        for run in runs:
-            self._add(run)
-        for run in runs:
-            self._submit(run)
+        attempts = [self._attempt_of(job) for job in jobs]
+        for attempt in attempts:
+            self._add(attempt)
+        for attempt in attempts:
+            try:
+                bundle = self._bundles(attempt.component)
+            except Exception as error:
+                missing = {
+                    "kind": "component_missing",
+                    "message": f"there is no component {attempt.component} to solve any more: "
+                    f"{error}",
+                    "remedy": "add the component again and retry the job, or leave it",
+                }
+                self._ledger.fail(*attempt.key, missing)
+                self._drop(attempt)
+                continue
+            self._complete(attempt, bundle)
+            setup = attempt.component, attempt.fingerprint
+            attempt.estimate = self._errors is not None and self._errors.claim(*setup)
+            prepare(attempt)
+            self._engine.submit(attempt)
+            attempt.taken = True
 
-    def _submit(self, run: SupervisedAttempt) -> None:
-        try:
-            bundle = self._bundles(run.job.component)
-        except Exception as error:
-            self._ledger.fail(*run.key, component_missing(run.job, error))
-            self._drop(run)
-            return
-        named = run.job.component, run.job.fingerprint
-        estimate = self._errors is not None and self._errors.claim(*named)
-        run.attempt = completed(run.attempt, run.job, bundle, self._deadline, estimate=estimate)
-        prepare(run.folder, run.attempt.spec)
-        self._engine.submit(run.attempt)
-        run.taken = True
-
-    def _end_runs(self) -> None:
+    def _end_attempts(self) -> None:
         deadline = time.monotonic() + STOP_SECONDS
-        for run in self._runs.values():
-            self._engine.cancel(run.attempt)
-        for run in self._runs.values():
-            while self._engine.poll(run.attempt) in ALIVE and time.monotonic() < deadline:
+        for attempt in self._attempts.values():
+            self._engine.cancel(attempt)
+        for attempt in self._attempts.values():
+            while self._engine.poll(attempt) in ALIVE and time.monotonic() < deadline:
                 self._wake.clear()
                 self._wake.wait(LOOK_SECONDS)
-            if not run.leaving and self._engine.poll(run.attempt) not in ALIVE:
+            if not attempt.leaving and self._engine.poll(attempt) not in ALIVE:
                 with contextlib.suppress(StaleAttemptError):
-                    self._settle(run)
+                    settle(self._ledger, attempt, None, self._fields, self._errors)
 
-    def _close_lease(self) -> None:
-        if self._lease is not None:
-            with contextlib.suppress(Exception):  # it dies all the same
-                self._ledger.end_lease(self._lease.name)
-            self._lease.close()
-            self._lease = None
+
+def settle(
+    ledger: Ledger,
+    attempt: Attempt,
+    died: Callable[[int, int], object] | None = None,
+    fields: FieldStore | None = None,
+    errors: SolverErrors | None = None,
+) -> None:
+    """Record in the ledger how an attempt ended, in whose folder no solver works any more.
+
+    Safe to repeat. `died` is the ledger's call for a solver that left no outcome, `Ledger.release`
+    by default. Raises `StaleAttemptError` if the job has gone on without this attempt.
+    """
+    try:
+        outcome = read_outcome(attempt)
+    except BadOutcomeError as error:
+        _log.warning("taken for a lost attempt: %s", error)
+        outcome = None
+    status = None if outcome is None else outcome.get("status")
+    setup, seconds = (attempt.component, attempt.fingerprint), solver_seconds(attempt.folder)
+    if errors is not None:  # before the row too: the table's version with the row then has it
+        errors.settle(*setup, (outcome or {}).get("solver_error"))
+    if outcome is None:
+        (died or ledger.release)(*attempt.key)
+    elif status == "done":
+        if fields is not None:  # without its row it does no harm, and is found by its wrench
+            fields.take(attempt.folder, *setup, attempt.wrench)
+        try:
+            ledger.commit(
+                *attempt.key,
+                outcome["displacement"],
+                compliance=outcome.get("compliance"),
+                curvature=outcome.get("curvature"),
+                origin=_origin(attempt, outcome),
+                seconds=seconds,
+            )
+        except (ValueError, TypeError, KeyError) as error:
+            ledger.fail(*attempt.key, _bad_answer(error))
+            return
+        with contextlib.suppress(OSError):
+            tidy(attempt.folder)
+    elif status == "failed":
+        error = outcome.get("error")
+        if isinstance(error, dict) and {"kind", "message", "remedy"} <= error.keys():
+            error = {name: str(error[name]) for name in ("kind", "message", "remedy")}
+        else:
+            error = _bad_answer(ValueError(f"failed without a reason: {error!r}"))
+        ledger.fail(*attempt.key, error, seconds)
+    else:
+        ledger.release(*attempt.key)
+
+
+def _origin(attempt: Attempt, outcome: dict[str, Any]) -> str:
+    """Return the job of a row, with version and code digest of the program that solved it."""
+    program, job = outcome.get("program"), f"job {attempt.job}"
+    return f"{job}, wrenchbook {program}" if isinstance(program, str) else job
+
+
+def _bad_answer(error: Exception) -> dict[str, str]:
+    return {
+        "kind": "bad_answer",
+        "message": f"the solver's answer is not usable: {error!r}",
+        "remedy": "see result.json and log.txt in the attempt's folder",
+    }

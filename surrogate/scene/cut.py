@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 from ..answer import METHODS, allowed_by
 from ..kernel.binding import PackedTable
@@ -23,20 +22,14 @@ Arrays = dict[str, NDArray[Any]]
 _METHOD, _REFERENCE, _EXACT = 0, 1, 4
 _BY_KRIGING, _BY_MISSED = 4, 2  # bits of the reference
 
-SAMPLE = 2048  # places of the box tried first: what is nearest at one needs no linear programme
-PROGRAMMES = 200  # linear programmes solved: a second; beyond that every possible row is kept
-AT_ONCE = 1_000_000  # differences of loads at once: 8 MB
-ROOM = 1e-9  # squared half ranges: rows that tie by rounding both count as nearest
-
 
 def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
     """Return the packed file of a table cut to a scene, as pieces of bytes.
 
     It answers by the table's default method. Left out are groups whose outputs the scene does not
-    read, rows and axes whose loads cannot occur, and neighbourhoods of a kriging that no wrench of
-    the scene is in. ``scene/range`` and ``scene/ends`` (2, n) are the scene's loads, N and N·m, the
-    latter with room for rounding; ``scene/varying`` (n), which have more than one value;
-    ``scene/slopes`` (n), by which loads derivatives are known.
+    read, and rows and axes whose loads cannot occur. ``scene/range`` and ``scene/ends`` (2, n) are
+    the scene's loads, N and N·m, the latter with room for rounding; ``scene/varying`` (n), which
+    have more than one value; ``scene/slopes`` (n), by which loads derivatives are known.
 
     Parameters
     ----------
@@ -134,41 +127,20 @@ def _cut_rows(own: Arrays, need: Need) -> Arrays:
 
 
 def _cut_kriging(own: Arrays, name: str, need: Need) -> Arrays:
-    """Return a kriging without the neighbourhoods that no wrench of the scene is in."""
-    whole = {key: array for key, array in own.items() if key.startswith(name)}
-    found = {key: array for key, array in whole.items() if "/share" not in key}
-    low, high = _box(own, name, need)
-    shares = [
+    """Return a kriging without the factors of outputs that the scene does not read."""
+    found = {
+        key: array for key, array in own.items() if key.startswith(name) and "/share" not in key
+    }
+    factors = [
         f"{name}share{number}/"
         for number in range(int(own[f"{name}shares"][0]))
         if own[f"{name}share{number}/outputs"][list(need.outputs)].any()
     ] or [f"{name}share0/"]
-    found[f"{name}shares"] = np.array([len(shares)], dtype=np.int32)
-    for number, share in enumerate(shares):
-        arrays = {key[len(share) :]: array for key, array in own.items() if key.startswith(share)}
-        anchors = np.flatnonzero(np.isfinite(arrays["least"]))
-        points, rates = own[f"{name}x"].T[anchors], arrays.get("own_rates", own[f"{name}rates"])
-        anchors = anchors[nearest_anywhere(points, rates, low, high)]
-        found |= {f"{name}share{number}/{key}": one for key, one in _cut_share(arrays, anchors)}
+    found[f"{name}shares"] = np.array([len(factors)], dtype=np.int32)
+    for number, factor in enumerate(factors):
+        arrays = {key: array for key, array in own.items() if key.startswith(factor)}
+        found |= {f"{name}share{number}/{key[len(factor) :]}": one for key, one in arrays.items()}
     return found
-
-
-def _box(own: Arrays, name: str, need: Need) -> tuple[Floats, Floats]:
-    """Return the scene's ends in half ranges, (6,) each, with room for rounding."""
-    room = np.where(need.varying, need.slack, 0.0)
-    centre, rate = own[f"{name}centre"], own[f"{name}rate"]
-    return (need.span.low - room - centre) * rate, (need.span.high + room - centre) * rate
-
-
-def _cut_share(arrays: Arrays, anchors: NDArray[np.intp]) -> list[tuple[str, NDArray[Any]]]:
-    """Return one factor's arrays with the neighbourhoods of some rows."""
-    around = arrays["number"][anchors]
-    number, least = np.zeros_like(arrays["number"]), np.full(len(arrays["least"]), np.inf)
-    number[anchors], least[anchors] = np.arange(len(anchors)), arrays["least"][anchors]
-    own = {name: arrays[name][around] for name in ("places", "panels", "unsettled")}
-    own |= {"number": number, "least": least}
-    own["penalty"] = np.where(np.isfinite(least), 0.0, np.inf)
-    return list((arrays | own).items())
 
 
 def _cut_axes(own: Arrays, loaded: Mask) -> Arrays:
@@ -237,63 +209,3 @@ def _kept(first: NDArray[Any], kept: Mask) -> Mask:
 def _fewer(first: NDArray[Any], kept: Mask) -> NDArray[Any]:
     """Return how many entries before each part are left out."""
     return _first(np.where(kept, 0, np.diff(first)))[:-1]
-
-
-def nearest_anywhere(points: Floats, rates: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:
-    """Return which points are nearest to some place of a box, shape (n,).
-
-    An error bar comes from the neighbourhood of the nearest row. The difference of two rows'
-    squared distances is linear in the loads, so this is a question of linear programming.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 6), dimensionless
-    rates : ndarray, shape (6,), dimensionless
-        Inverse squared lengths: what squared differences are weighted by.
-    low, high : ndarray, shape (6,), dimensionless
-    """
-    squares, box = (points**2) @ rates, (low, high)
-    possible = np.zeros(len(points), dtype=bool)
-    for rows in np.array_split(np.arange(len(points)), 1 + points.size * len(points) // AT_ONCE):
-        tilt, lift = _differences(points, rates, squares, rows)
-        least = lift + np.minimum(tilt * low, tilt * high).sum(axis=2)
-        possible[rows] = ~(least > ROOM).any(axis=1)  # no other one is nearer everywhere
-    open_ = np.flatnonzero(possible & ~_sampled(points, rates, low, high))
-    if len(open_) <= PROGRAMMES:
-        for row in open_:
-            tilt, lift = _differences(points, rates, squares, np.array([row]))
-            possible[row] = _feasible(tilt[0], ROOM - lift[0], *box)
-    return possible
-
-
-def _differences(
-    points: Floats, rates: Floats, squares: Floats, rows: NDArray[np.intp]
-) -> tuple[Floats, Floats]:
-    """Return tilt (k, n, 6) and lift (k, n): the squared distance of k rows less that of each.
-
-    At a place x it is tilt x + lift.
-    """
-    tilt = -2 * rates * (points[rows, None] - points[None])
-    return tilt, squares[rows, None] - squares[None]
-
-
-def _sampled(points: Floats, rates: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:
-    """Return which points are nearest to one of some places of the box, shape (n,)."""
-    at = np.random.default_rng(0).uniform(size=(SAMPLE, len(low))) * (high - low) + low
-    roots = np.sqrt(rates)
-    found = np.zeros(len(points), dtype=bool)
-    squares = (points**2) @ rates
-    found[np.argmin(squares - 2 * (at * roots) @ (points * roots).T, axis=1)] = True
-    return found
-
-
-def _feasible(tilt: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
-    """Return whether some place of a box has `tilt` (n, 6) times it at most `upper` (n,)."""
-    vary = np.flatnonzero(high > low)
-    fixed = np.flatnonzero(high <= low)
-    upper = upper - tilt[:, fixed] @ low[fixed]
-    if not len(vary):
-        return bool((upper >= 0).all())
-    bounds = np.column_stack((low[vary], high[vary]))
-    found = linprog(np.zeros(len(vary)), A_ub=tilt[:, vary], b_ub=upper, bounds=bounds)
-    return found.status != 2  # 2: infeasible; whatever else it says, the row is kept

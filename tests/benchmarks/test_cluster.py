@@ -16,9 +16,8 @@ from tests.service.engines.cluster import Cluster
 from tests.until import until
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome
-from wrenchbook.service.jobs.engines.dask import DaskEngine
-from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
+from wrenchbook.service.jobs.attempt import ALIVE, Attempt, prepare, read_outcome
+from wrenchbook.service.jobs.dask import DaskEngine
 
 SOLVES = 12  # of plate_thin, a side and a turn
 TURNS = 2
@@ -36,10 +35,10 @@ def attempts(folder, bundle, wrenches, name, component="plate_thin", fingerprint
     """Attempts of wrenches, each with its folder."""
     found = []
     for number, wrench in enumerate(wrenches, 1):
-        spec = Spec(number, 1, component, str(bundle), fingerprint, tuple(wrench))
+        spec = number, 1, component, str(bundle), fingerprint, tuple(wrench)
         place = folder / name / str(number)
-        prepare(place, spec)
-        found.append(Attempt(f"{name}-{number}", place, spec))
+        found.append(Attempt(*spec, folder=place, task=f"{name}-{number}"))
+        prepare(found[-1])
     return found
 
 
@@ -84,7 +83,7 @@ def test_two_workers_solve_faster_than_one(tmp_path, cluster):
             asked = attempts(tmp_path, bundle, wrenches[2:], named, fingerprint=fingerprint)
             times[workers].append(seconds_of(engine, asked))
             for one in asked:
-                assert read_outcome(one.folder, one.spec)["status"] == "done"
+                assert read_outcome(one)["status"] == "done"
             while len(cluster.workers) > 1:
                 worker = cluster.workers.pop()
                 worker.terminate()

@@ -15,7 +15,7 @@ import pytest
 from tests.building import BuildingWorkspace
 from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.workspace import Settings
 from wrenchbook.surrogate.table.rows import Tolerance

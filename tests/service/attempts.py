@@ -1,13 +1,16 @@
 """Attempts as a dispatcher hands them to an engine."""
 
-from wrenchbook.service.jobs.attempt import read_spec
-from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
+from dataclasses import replace
+
+from wrenchbook.service.jobs.attempt import ALIVE, Attempt, read_attempt
 
 
 def asked(folder, **needs):
     """The attempt in a folder; nothing is known of one whose folder was never made."""
-    spec = read_spec(folder) if folder.exists() else None
-    return Attempt(f"task-{folder.name}", folder, spec, **needs)
+    if not folder.exists():
+        return Attempt(0, 0, "", "", "", (), folder=folder, task=f"task-{folder.name}", **needs)
+    known = read_attempt(folder)
+    return replace(known, task=f"task-{folder.name}", **needs)
 
 
 def ended(engine, folder):

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 from wrenchbook.service.ledger import Ledger
 
 data = Path(sys.argv[1])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tests.service.attempts import asked, ended
 from tests.until import until
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 engine = LocalEngine(1)
 for folder in map(Path, sys.argv[1:]):

@@ -74,8 +74,8 @@ class SimulatedEngine:
                     self._changed.wait(wait)
                     continue
                 attempt = heapq.heappop(self._due)[2]
-            answer = [load * 1e-6 for load in attempt.spec.wrench]
-            write_outcome(attempt.folder, attempt.spec, {"status": "done", "displacement": answer})
+            answer = [load * 1e-6 for load in attempt.wrench]
+            write_outcome(attempt, {"status": "done", "displacement": answer})
             if self._states.get(attempt.task) == "running":
                 self._states[attempt.task] = "finished"
             for heard in tuple(self._listeners):

@@ -105,7 +105,7 @@ def leaks(spec, report):
 
 def answers_and_dies(spec, report):
     """Dies after its outcome is on the disk and before it has told anybody."""
-    write_outcome(Path.cwd(), spec, {"status": "done", "displacement": displacement(spec.wrench)})
+    write_outcome(spec, {"status": "done", "displacement": displacement(spec.wrench)})
     dies(spec, report)
 
 

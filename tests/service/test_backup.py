@@ -333,7 +333,7 @@ def test_a_backup_that_cannot_be_written_is_told_and_leaves_nothing(folder, tmp_
 
 
 def test_a_directory_whose_jobs_are_being_run_is_not_restored_into(backup, tmp_path):
-    from wrenchbook.service.jobs.lease import Lease
+    from wrenchbook.service.jobs.dispatcher import Lease
 
     lease = Lease(tmp_path / "busy" / "jobs" / "owners")
     with pytest.raises(BackupError, match="stop it first"):

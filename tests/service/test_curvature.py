@@ -15,9 +15,9 @@ from tests.service.test_durable_tables import Site
 from wrenchbook.service.formats import UnitError, layout, write_hdf5
 from wrenchbook.service.formats.columns import columns_of
 from wrenchbook.service.formats.options import Options
-from wrenchbook.service.jobs import solve_attempt
-from wrenchbook.service.jobs.attempt import prepare, read_outcome, write_outcome
-from wrenchbook.service.jobs.record_outcome import settle, spec_of
+from wrenchbook.service.jobs import solver
+from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome, write_outcome
+from wrenchbook.service.jobs.dispatcher import settle
 from wrenchbook.service.ledger import About, Ledger, NewRow, packed_columns
 from wrenchbook.service.ledger.packing import row_values
 from wrenchbook.service.library.component import Component
@@ -106,10 +106,10 @@ def test_rows_are_packed_by_columns_as_one_by_one():
 )
 def test_a_solver_leaves_it_with_its_outcome_or_null(ledger, tmp_path, left, expected):
     ledger.accept("bar", "f1", ROW.wrench)
-    spec = spec_of(ledger.claim("me"), "/anywhere")
-    prepare(tmp_path / "a", spec)
-    solve_attempt.main(tmp_path / "a", lambda spec, report: outcome_of(left))
-    outcome = read_outcome(tmp_path / "a", spec)
+    attempt = Attempt.of(ledger.claim("me"), tmp_path / "a")
+    prepare(attempt)
+    solver.run_attempt(tmp_path / "a", lambda spec, report: outcome_of(left))
+    outcome = read_outcome(attempt)
     assert outcome is not None
     assert outcome["curvature"] == expected
 
@@ -118,10 +118,11 @@ def test_a_solver_leaves_it_with_its_outcome_or_null(ledger, tmp_path, left, exp
 def test_the_outcome_of_a_job_becomes_a_row_with_it(ledger, tmp_path, thirds, status):
     ledger.accept("bar", "f1", ROW.wrench)
     job = ledger.claim("me")
-    prepare(tmp_path / "a", spec_of(job))
+    attempt = Attempt.of(job, tmp_path / "a")
+    prepare(attempt)
     answer = {"status": "done", **outcome_of(list(thirds))}
-    write_outcome(tmp_path / "a", spec_of(job, "/anywhere"), answer)
-    settle(ledger, job, tmp_path / "a")
+    write_outcome(attempt, answer)
+    settle(ledger, attempt)
     assert ledger.job(job.id).status == status
     assert [row.curvature for row in ledger.rows("bar")] == [thirds] * (status == "done")
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.until import until
-from wrenchbook.service.jobs.attempt import attempt_folder
+from wrenchbook.service.jobs.attempt import EngineError, attempt_folder
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.engines.engine import EngineError
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 
 HERE = Path(__file__).parent
@@ -170,7 +169,7 @@ def test_a_dispatcher_killed_right_after_its_solver_has_not_seen_it_die(bench, m
     for attempt in range(1, 6):
         dispatcher = bench.start("endless")
         os.kill(bench.solver_pid(job, attempt), signal.SIGKILL)
-        until(lambda d=dispatcher: [run for run in d._runs.values() if run.died])
+        until(lambda d=dispatcher: [each for each in d._attempts.values() if each.died])
         dispatcher.stop(keep_solvers=True)
         assert bench.ledger.job(job.id).lost == 0
     bench.start("quick")
@@ -183,7 +182,7 @@ def test_a_solver_seen_alive_by_the_dispatcher_that_took_it_over_dies_by_itself(
     pid = bench.solver_pid(job)
     first.stop(keep_solvers=True)
     second = bench.start("endless")
-    until(lambda: second._runs)
+    until(lambda: second._attempts)
     os.kill(pid, signal.SIGKILL)
     until(lambda: bench.ledger.job(job.id).lost == 1)
 

@@ -14,8 +14,7 @@ from tests.service.simulated import SimulatedEngine
 from tests.until import until
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.jobs.attempt import LOCK, attempt_folder
-from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.lease import Lease
+from wrenchbook.service.jobs.dispatcher import Dispatcher, Lease
 from wrenchbook.service.ledger import Beat, Ledger
 
 HERE = Path(__file__).parent
@@ -79,7 +78,7 @@ def test_an_owner_whose_lock_is_free_is_lost_at_once_whatever_its_heartbeat(tmp_
 
 def test_a_lease_whose_heartbeat_stands_still_is_lost_within_ten_seconds(tmp_path, monkeypatch):
     now = [0.0]
-    monkeypatch.setattr("wrenchbook.service.jobs.lease.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.time.monotonic", lambda: now[0])
     mine = Lease(tmp_path)
     assert not mine.is_lost("elsewhere", "far", beat(1))
     now[0] = 7.0
@@ -91,7 +90,7 @@ def test_a_lease_whose_heartbeat_stands_still_is_lost_within_ten_seconds(tmp_pat
 
 def test_a_heartbeat_that_goes_on_is_life_whatever_the_clocks_say(tmp_path, monkeypatch):
     now = [0.0]
-    monkeypatch.setattr("wrenchbook.service.jobs.lease.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.time.monotonic", lambda: now[0])
     mine = Lease(tmp_path)
     for number in range(1, 20):
         now[0] += 7.0
@@ -142,7 +141,7 @@ def test_a_dispatcher_of_another_engine_never_takes_an_attempt_over(bench):
 
 
 def test_an_attempt_whose_engine_nobody_serves_any_more_waits_again(bench, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.jobs.lease.ABANDONED_SECONDS", 0.3)
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.ABANDONED_SECONDS", 0.3)
     first, _ = bench.start("far", seconds=None)
     job = bench.accept()
     bench.until(job, status="running")
@@ -171,7 +170,7 @@ def test_a_dispatcher_that_was_late_lets_go_of_its_attempt_without_ending_it(ben
     owner = bench.until(job, status="running").owner
     bench.ledger.adopt(job.id, 1, owner, "another dispatcher, long ago")
     dispatcher = bench.started[0][0]
-    until(lambda: not dispatcher._runs)
+    until(lambda: not dispatcher._attempts)
     assert engine.cancelled == []
 
 

@@ -1,9 +1,11 @@
 """Every way an attempt can end, as the ledger hears it."""
 
+from dataclasses import replace
+
 import pytest
 
-from wrenchbook.service.jobs.attempt import prepare, write_outcome
-from wrenchbook.service.jobs.record_outcome import settle, spec_of
+from wrenchbook.service.jobs.attempt import Attempt, prepare, write_outcome
+from wrenchbook.service.jobs.dispatcher import settle
 from wrenchbook.service.ledger import Ledger, StaleAttemptError
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -19,10 +21,11 @@ def ledger(tmp_path):
 
 def ended(ledger, folder, outcome=None):
     job = ledger.claim("me")
-    prepare(folder, spec_of(job))
+    attempt = Attempt.of(job, folder)
+    prepare(attempt)
     if outcome is not None:
-        write_outcome(folder, spec_of(job, "/anywhere"), outcome)
-    settle(ledger, job, folder, died=ledger.lose)
+        write_outcome(replace(attempt, bundle="/anywhere"), outcome)
+    settle(ledger, attempt, ledger.lose)
     return ledger.job(job.id)
 
 
@@ -46,10 +49,11 @@ def test_a_solved_row_names_the_code_that_solved_it_where_its_outcome_does(
 
 def test_settling_twice_makes_one_row(ledger, tmp_path):
     job = ledger.claim("me")
-    prepare(tmp_path / "a", spec_of(job))
-    write_outcome(tmp_path / "a", spec_of(job), {"status": "done", "displacement": [1e-6] * 6})
+    attempt = Attempt.of(job, tmp_path / "a")
+    prepare(attempt)
+    write_outcome(attempt, {"status": "done", "displacement": [1e-6] * 6})
     for _ in range(2):
-        settle(ledger, job, tmp_path / "a", died=ledger.lose)
+        settle(ledger, attempt, ledger.lose)
     assert len(ledger.rows("bar")) == 1
 
 
@@ -78,8 +82,9 @@ def test_a_solver_that_left_nothing_has_died(ledger, tmp_path):
 
 def test_an_attempt_nobody_says_has_died_is_given_back(ledger, tmp_path):
     job = ledger.claim("me")
-    prepare(tmp_path / "a", spec_of(job))
-    settle(ledger, job, tmp_path / "a")
+    attempt = Attempt.of(job, tmp_path / "a")
+    prepare(attempt)
+    settle(ledger, attempt)
     waiting = ledger.job(job.id)
     assert (waiting.status, waiting.lost) == ("waiting", 0)
 
@@ -91,9 +96,10 @@ def test_a_solver_that_was_asked_to_end_is_given_back(ledger, tmp_path):
 
 def test_an_attempt_the_job_has_left_behind_is_refused(ledger, tmp_path):
     job = ledger.claim("me")
-    prepare(tmp_path / "a", spec_of(job))
-    write_outcome(tmp_path / "a", spec_of(job), {"status": "done", "displacement": [0] * 6})
+    attempt = Attempt.of(job, tmp_path / "a")
+    prepare(attempt)
+    write_outcome(attempt, {"status": "done", "displacement": [0] * 6})
     ledger.cancel(job.id)
     with pytest.raises(StaleAttemptError):
-        settle(ledger, job, tmp_path / "a", died=ledger.lose)
+        settle(ledger, attempt, ledger.lose)
     assert ledger.rows("bar") == []

@@ -239,7 +239,7 @@ def test_jobs_that_a_damaged_ledger_still_tells_are_in_the_new_one(folder):
 
 
 def test_a_damaged_ledger_in_use_is_not_replaced(folder):
-    from wrenchbook.service.jobs.lease import Lease
+    from wrenchbook.service.jobs.dispatcher import Lease
 
     overwrite(folder / "ledger.sqlite", 4096, 8192)
     before = (folder / "ledger.sqlite").read_bytes()

@@ -1,6 +1,7 @@
 """A deck's solver as an engine runs it: its files stay with the attempt, and it ends with it."""
 
 import subprocess
+from dataclasses import replace
 
 import pytest
 
@@ -8,8 +9,8 @@ from tests.fea.decks import SOFT, WRENCH, component
 from tests.service.attempts import asked, ended
 from tests.until import until
 from wrenchbook.fea.deck import solving
-from wrenchbook.service.jobs.attempt import DECK, Spec, prepare, read_outcome, tidy
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.attempt import DECK, Attempt, prepare, read_outcome, tidy
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 ENDLESS = (
     "open('pid.part', 'w').write(str(os.getpid()))\nos.rename('pid.part', 'pid')\ntime.sleep(60)"
@@ -21,9 +22,9 @@ def submitted(tmp_path, script):
     (tmp_path / "bundle").mkdir()
     bundle = component(tmp_path / "bundle", script)
     write_table(tmp_path / "bundle", bundle)
-    spec = Spec(3, 1, "scripted", str(tmp_path / "bundle"), bundle.fingerprint, tuple(WRENCH))
+    spec = Attempt(3, 1, "scripted", str(tmp_path / "bundle"), bundle.fingerprint, tuple(WRENCH))
     folder = tmp_path / "jobs" / "3" / "1"
-    prepare(folder, spec)
+    prepare(replace(spec, folder=folder))
     engine = LocalEngine(1, grace=60.0)  # a solver on a slow disk is not killed
     engine.submit(asked(folder))
     return engine, folder, spec
@@ -47,7 +48,7 @@ def alive(pid):
 def test_the_folder_of_a_deck_stays_with_the_attempt_and_an_unknown_compliance_is_null(tmp_path):
     engine, folder, spec = submitted(tmp_path, SOFT)
     until(lambda: ended(engine, folder))
-    outcome = read_outcome(folder, spec)
+    outcome = read_outcome(replace(spec, folder=folder))
     assert outcome["status"] == "done", outcome
     assert outcome["displacement"] == pytest.approx([1e-6 * load for load in WRENCH])
     assert outcome["compliance"] is None
@@ -60,7 +61,7 @@ def test_the_folder_of_a_deck_stays_with_the_attempt_and_an_unknown_compliance_i
 def test_a_failed_deck_is_told_by_its_kind_and_remedy(tmp_path):
     engine, folder, spec = submitted(tmp_path, "print('no licence'); sys.exit(2)")
     until(lambda: ended(engine, folder))
-    error = read_outcome(folder, spec)["error"]
+    error = read_outcome(replace(spec, folder=folder))["error"]
     assert error["kind"] == "solver_failed"
     assert "no licence" in error["message"]
     assert "deck/wrench" in error["remedy"]
@@ -73,5 +74,5 @@ def test_a_cancelled_attempt_ends_the_decks_solver(tmp_path):
     assert alive(pid)
     engine.cancel(asked(folder))
     until(lambda: ended(engine, folder))
-    assert read_outcome(folder, spec) == {"status": "cancelled"}
+    assert read_outcome(replace(spec, folder=folder)) == {"status": "cancelled"}
     until(lambda: not alive(pid))

@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,14 +11,19 @@ import pytest
 from tests.service.attempts import asked, ended
 from tests.until import until
 from wrenchbook.service.files import lock as flock
-from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome, read_progress
-from wrenchbook.service.jobs.engines import open_engine
-from wrenchbook.service.jobs.engines.engine import ALIVE, EngineError
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.attempt import (
+    ALIVE,
+    Attempt,
+    EngineError,
+    prepare,
+    read_outcome,
+    read_progress,
+)
+from wrenchbook.service.jobs.solver_pool import LocalEngine, open_engine
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
-SPEC = Spec(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
+SPEC = Attempt(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
 
 
 def engine_with(solver, **options):
@@ -27,7 +33,7 @@ def engine_with(solver, **options):
 
 def attempt(tmp_path):
     folder = tmp_path / "jobs" / "1" / "1"
-    prepare(folder, SPEC)
+    prepare(replace(SPEC, folder=folder))
     return folder
 
 
@@ -44,7 +50,7 @@ def test_a_submitted_attempt_is_running_at_once_and_then_finished(tmp_path):
     assert 0 <= read_progress(folder).fraction < 1
     until(lambda: ended(engine, folder))
     assert engine.poll(asked(folder)) == "finished"
-    outcome = read_outcome(folder, SPEC)
+    outcome = read_outcome(replace(SPEC, folder=folder))
     assert outcome["displacement"] == [1e-6, 2e-6, 3e-6, 0, 0, 0]
 
 
@@ -69,7 +75,7 @@ def test_another_engine_can_look_after_a_solver_it_did_not_start(tmp_path):
     solver_pid(folder)
     other.cancel(asked(folder))
     until(lambda: ended(other, folder))
-    assert read_outcome(folder, SPEC) == {"status": "cancelled"}
+    assert read_outcome(replace(SPEC, folder=folder)) == {"status": "cancelled"}
 
 
 def test_cancelling_before_the_solver_has_begun_ends_it_as_well(tmp_path):
@@ -103,7 +109,7 @@ def test_solvers_use_one_thread_each_low_priority_and_a_session_of_their_own(tmp
     folder, engine = attempt(tmp_path), engine_with("describe")
     engine.submit(asked(folder))
     until(lambda: ended(engine, folder))
-    seen = read_outcome(folder, SPEC)["seen"]
+    seen = read_outcome(replace(SPEC, folder=folder))["seen"]
     assert seen["threads"] == os.environ.get("OPENBLAS_NUM_THREADS", "1")
     assert seen["niceness"] > os.getpriority(os.PRIO_PROCESS, 0)
     assert seen["session"] == seen["pid"] != os.getsid(0)

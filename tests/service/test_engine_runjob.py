@@ -3,47 +3,48 @@
 import json
 import sys
 import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from wrenchbook.service.jobs import solve_attempt as runjob
+from wrenchbook.service.jobs import solver as runjob
 from wrenchbook.service.jobs.attempt import (
+    Attempt,
     BadOutcomeError,
     Progress,
-    Spec,
     prepare,
+    read_attempt,
     read_outcome,
     read_progress,
-    read_spec,
     tidy,
     write_outcome,
 )
 
-SPEC = Spec(4, 2, "bar", "/bundles/bar", "f1", (1.0, -2.5, 0.1, 0.0, 0.0, 1e-300))
+SPEC = Attempt(4, 2, "bar", "/bundles/bar", "f1", (1.0, -2.5, 0.1, 0.0, 0.0, 1e-300))
 
 
 @pytest.fixture
 def folder(tmp_path):
-    prepare(tmp_path / "4" / "2", SPEC)
+    prepare(replace(SPEC, folder=tmp_path / "4" / "2"))
     return tmp_path / "4" / "2"
 
 
 def error_of(folder):
-    outcome = read_outcome(folder, SPEC)
+    outcome = read_outcome(replace(SPEC, folder=folder))
     assert outcome["status"] == "failed"
     return outcome["error"]
 
 
 def test_the_spec_is_read_as_it_was_written(folder):
-    assert read_spec(folder) == SPEC
+    assert read_attempt(folder) == replace(SPEC, folder=folder)
 
 
 def test_a_solve_that_succeeds_leaves_its_numbers_bit_for_bit(folder):
     displacement = np.array([1 / 3, -2e-9, 0.1, np.pi, 5e-324, 0])
     answer = {"displacement": displacement, "compliance": np.eye(6) / 3, "unknowns": np.int64(7)}
-    assert runjob.main(folder, lambda spec, report: answer) == 0
-    outcome = read_outcome(folder, SPEC)
+    assert runjob.run_attempt(folder, lambda spec, report: answer) == 0
+    outcome = read_outcome(replace(SPEC, folder=folder))
     assert outcome["status"] == "done"
     assert outcome["displacement"] == displacement.tolist()
     assert outcome["compliance"] == (np.eye(6) / 3).tolist()
@@ -58,7 +59,7 @@ def test_a_named_failure_keeps_kind_message_and_remedy(folder, capsys):
     def solve(spec, report):
         raise MechanismError("three rigid motions are free")
 
-    assert runjob.main(folder, solve) == 1
+    assert runjob.run_attempt(folder, solve) == 1
     assert error_of(folder) == {
         "kind": "mechanism",
         "message": "three rigid motions are free",
@@ -79,7 +80,7 @@ def test_any_other_exception_is_a_failure_too(folder, error, kind, message):
     def solve(spec, report):
         raise error
 
-    assert runjob.main(folder, solve) == 1
+    assert runjob.run_attempt(folder, solve) == 1
     assert (error_of(folder)["kind"], error_of(folder)["message"]) == (kind, message)
     assert error_of(folder)["remedy"]
 
@@ -88,7 +89,7 @@ def test_any_other_exception_is_a_failure_too(folder, error, kind, message):
     "displacement", [[0.0, 0, 0, 0, 0, float("nan")], np.full(6, np.inf), [1, 2, 3], None, 3.0]
 )
 def test_an_answer_that_is_not_six_finite_numbers_is_a_failure(folder, displacement):
-    assert runjob.main(folder, lambda spec, report: {"displacement": displacement}) == 1
+    assert runjob.run_attempt(folder, lambda spec, report: {"displacement": displacement}) == 1
     assert error_of(folder)["kind"] == "bad_answer"
 
 
@@ -99,8 +100,8 @@ def test_numbers_that_are_not_finite_never_reach_the_file(folder):
         "work": float("inf"),
         "history": ((0.5, 1, float("nan")), (1.0, 2, 1e-9)),
     }
-    assert runjob.main(folder, lambda spec, report: answer) == 0
-    outcome = read_outcome(folder, SPEC)
+    assert runjob.run_attempt(folder, lambda spec, report: answer) == 0
+    outcome = read_outcome(replace(SPEC, folder=folder))
     assert (outcome["compliance"], outcome["work"]) == (None, None)
     assert outcome["history"] == [[0.5, 1, None], [1.0, 2, 1e-9]]
 
@@ -115,7 +116,7 @@ def test_progress_is_written_at_most_five_times_a_second(folder):
         return {"displacement": [0.0] * 6}
 
     assert read_progress(folder) is None
-    runjob.main(folder, solve)
+    runjob.run_attempt(folder, solve)
     assert written[0] == Progress(0.0, "step 0")
     assert len(set(written)) <= 3
 
@@ -124,14 +125,14 @@ def test_a_cancelled_solve_says_so(folder):
     def solve(spec, report):
         raise runjob.Cancelled
 
-    assert runjob.main(folder, solve) == runjob.CANCELLED
-    assert read_outcome(folder, SPEC) == {"status": "cancelled"}
+    assert runjob.run_attempt(folder, solve) == runjob.CANCELLED
+    assert read_outcome(replace(SPEC, folder=folder)) == {"status": "cancelled"}
 
 
 @pytest.mark.parametrize("name", ["no_colon", "no.such.module:solve", "json:no_such_function"])
 def test_a_solver_that_cannot_be_found_is_named(folder, monkeypatch, name):
     monkeypatch.setenv("WRENCHBOOK_SOLVE", name)
-    assert runjob.main(folder) == 1
+    assert runjob.run_attempt(folder) == 1
     assert error_of(folder)["kind"] == "no_solver"
     assert name in error_of(folder)["message"]
 
@@ -142,7 +143,7 @@ def embedded(monkeypatch, fingerprint, fields=None):
         displacement=np.arange(6.0), compliance=np.eye(6), curvature=None, strain_energy=1.0,
         work=2.0, seconds=0.1, unknowns=30, history=(), notes=("a note",),
     )  # fmt: skip
-    bundle = types.SimpleNamespace(fingerprint=fingerprint)
+    bundle = types.SimpleNamespace(fingerprint=fingerprint, deck="solved by another program")
     reading = types.SimpleNamespace(read_bundle=lambda folder: bundle)
 
     def solve(bundle, wrench, progress, folder, on_fields):
@@ -158,8 +159,8 @@ def embedded(monkeypatch, fingerprint, fields=None):
 
 def test_the_embedded_solver_gives_all_numbers_of_its_solution(folder, monkeypatch):
     embedded(monkeypatch, "f1")
-    assert runjob.main(folder) == 0
-    outcome = read_outcome(folder, SPEC)
+    assert runjob.run_attempt(folder) == 0
+    outcome = read_outcome(replace(SPEC, folder=folder))
     assert outcome["displacement"] == [0, 1, 2, 3, 4, 5]
     assert (outcome["work"], outcome["unknowns"], outcome["history"]) == (2.0, 30, [])
 
@@ -173,38 +174,38 @@ def test_a_surface_that_cannot_be_kept_costs_the_answer_nothing(folder, monkeypa
         largest_at=(0.0, 0.0, 0.0), largest_region="all",
     )  # fmt: skip
     embedded(monkeypatch, "f1", fields)
-    assert runjob.main(folder) == 0
-    assert read_outcome(folder, SPEC)["status"] == "done"
+    assert runjob.run_attempt(folder) == 0
+    assert read_outcome(replace(SPEC, folder=folder))["status"] == "done"
     assert "displacement has numbers that are not finite" in capsys.readouterr().err
     assert not list(folder.glob("*.fields"))
 
 
 def test_a_component_that_changed_since_the_job_was_accepted_is_not_solved(folder, monkeypatch):
     embedded(monkeypatch, "f2")
-    assert runjob.main(folder) == 1
+    assert runjob.run_attempt(folder) == 1
     assert error_of(folder)["kind"] == "component_changed"
     assert "ask for the wrench again" in error_of(folder)["remedy"]
 
 
 def test_an_outcome_of_another_attempt_or_a_torn_one_is_not_taken(folder):
-    runjob.main(folder, lambda spec, report: {"displacement": [0.0] * 6})
+    runjob.run_attempt(folder, lambda spec, report: {"displacement": [0.0] * 6})
     with pytest.raises(BadOutcomeError, match="answers"):
-        read_outcome(folder, Spec(4, 3, "bar", "/bundles/bar", "f1", SPEC.wrench))
+        read_outcome(replace(SPEC, attempt=3, folder=folder))
     (folder / "result.json").write_text('{"status": "done", "displ')
     with pytest.raises(BadOutcomeError, match="cannot be read"):
-        read_outcome(folder, SPEC)
+        read_outcome(replace(SPEC, folder=folder))
 
 
 def test_an_outcome_does_not_depend_on_where_the_component_is(folder):
-    runjob.main(folder, lambda spec, report: {"displacement": [0.0] * 6})
-    moved = Spec(4, 2, "bar", "/elsewhere/bar", "f1", SPEC.wrench)
-    assert read_outcome(folder, moved)["status"] == "done"
+    runjob.run_attempt(folder, lambda spec, report: {"displacement": [0.0] * 6})
+    moved = Attempt(4, 2, "bar", "/elsewhere/bar", "f1", SPEC.wrench)
+    assert read_outcome(replace(moved, folder=folder))["status"] == "done"
 
 
 def test_a_folder_left_by_a_ledger_that_is_gone_is_moved_aside(folder):
-    runjob.main(folder, lambda spec, report: {"displacement": [0.0] * 6})
-    prepare(folder, SPEC)
-    assert read_outcome(folder, SPEC) is None
+    runjob.run_attempt(folder, lambda spec, report: {"displacement": [0.0] * 6})
+    prepare(replace(SPEC, folder=folder))
+    assert read_outcome(replace(SPEC, folder=folder)) is None
     assert len(list(folder.parent.glob("2.old-*/result.json"))) == 1
 
 
@@ -213,7 +214,7 @@ def test_a_done_attempt_is_left_with_spec_log_and_outcome(folder):
     (folder / "progress.json").write_text("{}")
     (folder / "mesh").mkdir()
     (folder / "mesh" / "big.vtu").write_text("...")
-    runjob.main(folder, lambda spec, report: {"displacement": [0.0] * 6})
+    runjob.run_attempt(folder, lambda spec, report: {"displacement": [0.0] * 6})
     tidy(folder)
     assert {entry.name for entry in folder.iterdir()} == {"spec.json", "log.txt", "result.json"}
     assert json.loads((folder / "spec.json").read_text())["component"] == "bar"
@@ -222,17 +223,17 @@ def test_a_done_attempt_is_left_with_spec_log_and_outcome(folder):
 def test_an_answer_with_a_flipped_bit_is_no_answer(tmp_path):
     """One damaged digit between solver and ledger would have been a wrong row for good."""
     answer = {"status": "done", "displacement": [1.25e-6, 0.1, -3.0, 0.0, 1e-300, 7.0]}
-    prepare(tmp_path / "a", SPEC)
-    write_outcome(tmp_path / "a", SPEC, answer)
+    prepare(replace(SPEC, folder=tmp_path / "a"))
+    write_outcome(replace(SPEC, folder=tmp_path / "a"), answer)
     path = tmp_path / "a" / "result.json"
     whole = path.read_bytes()
-    assert read_outcome(tmp_path / "a", SPEC) == answer
+    assert read_outcome(replace(SPEC, folder=tmp_path / "a")) == answer
     for place in range(len(whole)):
         for bit in (1, 4):
             damaged = bytearray(whole)
             damaged[place] ^= bit
             path.write_bytes(damaged)
             try:
-                assert read_outcome(tmp_path / "a", SPEC) == answer
+                assert read_outcome(replace(SPEC, folder=tmp_path / "a")) == answer
             except BadOutcomeError:
                 continue

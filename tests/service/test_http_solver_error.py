@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ from tests.service.test_runjob_evidence import BUNDLE
 from wrenchbook.service.answering.one import answered
 from wrenchbook.service.answering.queries import Query
 from wrenchbook.service.cli.render import answer_table, own_error_lines
-from wrenchbook.service.jobs import solve_attempt
-from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome
+from wrenchbook.service.jobs import solver
+from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome
 from wrenchbook.service.ledger import Ledger, LedgerFullError
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.mapped import ServedTable
@@ -178,17 +179,17 @@ def test_a_measured_table_has_no_mesh_part(client):
 def test_an_attempt_estimates_only_if_it_is_asked_to(tmp_path, monkeypatch):
     from wrenchbook.fea.bundle.read import read_bundle
 
-    monkeypatch.delenv(solve_attempt.SOLVE_VARIABLE, raising=False)
+    monkeypatch.delenv(solver.SOLVE_VARIABLE, raising=False)
     bundle = tmp_path / "block"
     bundle.mkdir()
     (bundle / "component.toml").write_text(BUNDLE.format(height=0.1, across=2, poisson=0.3))
     fingerprint = read_bundle(bundle).fingerprint
     found = []
     for number, estimate in enumerate((False, True)):
-        spec = Spec(number, 1, "block", str(bundle), fingerprint, (1.0,) * 6, estimate)
-        prepare(tmp_path / str(number), spec)
-        assert solve_attempt.main(tmp_path / str(number)) == solve_attempt.DONE
-        found.append(read_outcome(tmp_path / str(number), Spec(*list(vars(spec).values())[:-1])))
+        spec = Attempt(number, 1, "block", str(bundle), fingerprint, (1.0,) * 6, estimate)
+        prepare(replace(spec, folder=tmp_path / str(number)))
+        assert solver.run_attempt(tmp_path / str(number)) == solver.DONE
+        found.append(read_outcome(replace(spec, folder=tmp_path / str(number), estimate=False)))
     assert "solver_error" not in found[0]
     assert np.shape(found[1]["solver_error"]["mesh"]) == (6, 6)
     assert found[0]["displacement"] == found[1]["displacement"]

@@ -3,14 +3,11 @@
 import io
 import json
 import logging
-import sys
-from types import ModuleType
 
 import pytest
 from starlette.testclient import TestClient
 
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.http.instrumentation import MissingExtraError
 from wrenchbook.service.ops.logs import JsonLines, TextLines, add_request_id
 from wrenchbook.service.workspace import Settings
 
@@ -104,73 +101,3 @@ def test_a_line_end_in_a_path_makes_no_line_of_the_access_log(folder, stand_in, 
 def test_a_server_without_the_option_logs_no_request(http, lines):
     http.get("/v1/jobs")
     assert [one for one in lines() if one["logger"] == "wrenchbook.access"] == []
-
-
-@pytest.fixture
-def opentelemetry(monkeypatch):
-    """Stubs of the extra's two modules, and what was called of them."""
-    called = []
-
-    class FastAPIInstrumentor:
-        @staticmethod
-        def instrument_app(app):
-            called.append(app)
-
-    auto = ModuleType("opentelemetry.instrumentation.auto_instrumentation")
-    auto.initialize = lambda: called.append("initialize")
-    of_fastapi = ModuleType("opentelemetry.instrumentation.fastapi")
-    of_fastapi.FastAPIInstrumentor = FastAPIInstrumentor
-    for module in (ModuleType("opentelemetry.instrumentation"), auto, of_fastapi):
-        monkeypatch.setitem(sys.modules, module.__name__, module)
-    return called
-
-
-@pytest.mark.parametrize("by_option", [True, False])
-def test_requests_are_traced_by_option_or_by_the_environment(
-    folder, opentelemetry, monkeypatch, by_option
-):
-    if not by_option:
-        monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "http://collector:4318")
-    app = create_app(Settings(folder, solvers=0, opentelemetry=by_option))
-    assert opentelemetry == ["initialize", app]
-    assert app.fast_path is None  # the fast path has no spans
-
-
-def test_with_traces_a_displacement_passes_through_the_instrumented_framework(
-    folder, opentelemetry, stand_in
-):
-    seen = []
-    app = create_app(Settings(folder, solvers=0, opentelemetry=True))
-
-    @app.middleware("http")
-    async def note(request, call_next):
-        seen.append(request.url.path)
-        return await call_next(request)
-
-    with TestClient(app) as client:
-        assert client.post(CALL, json=QUERY).status_code == 200
-    assert seen == [CALL]
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("OTEL_TRACES_EXPORTER", "none"), ("OTEL_SERVICE_NAME", "lab")]
-)
-def test_nothing_is_traced_unless_a_destination_is_named(
-    folder, opentelemetry, monkeypatch, name, value
-):
-    monkeypatch.setenv(name, value)
-    app = create_app(Settings(folder, solvers=0))
-    assert opentelemetry == []
-    assert app.fast_path is not None
-
-
-def test_traces_without_the_extra_are_refused_with_the_command_that_installs_it(
-    folder, monkeypatch, lines
-):
-    monkeypatch.setitem(sys.modules, "opentelemetry.instrumentation.fastapi", None)
-    monkeypatch.setitem(sys.modules, "opentelemetry.instrumentation.auto_instrumentation", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'wrenchbook\[opentelemetry\]'"):
-        create_app(Settings(folder, solvers=0, opentelemetry=True))
-    monkeypatch.setenv("OTEL_TRACES_EXPORTER", "otlp")
-    create_app(Settings(folder, solvers=0))
-    assert any("requests are not traced" in one["message"] for one in lines())

@@ -1,6 +1,7 @@
 """What a solver keeps of a component gives the same rows, and only ever that component's."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +12,13 @@ from tests.service.attempts import asked
 from tests.service.test_engine_deck import write_table
 from tests.service.test_runjob_evidence import BUNDLE
 from tests.service.test_warm_solver import until
+from wrenchbook.fea import component
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.fields.record import GEOMETRY, ROW
-from wrenchbook.service.jobs import kept_component, solve_attempt
-from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome, read_spec
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs import solver
+from wrenchbook.service.jobs.attempt import Attempt, prepare, read_attempt, read_outcome
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 LOAD = np.array([2e3, 1e3, 1e3, 50.0, 50.0, 50.0])
 
@@ -45,11 +47,11 @@ class Site:
         self.attempts += 1
         folder = self.folder / "jobs" / str(self.attempts)
         wanted = fingerprint or read_bundle(bundle).fingerprint
-        spec = Spec(self.attempts, 1, "block", str(bundle), wanted, tuple(map(float, wrench)))
-        prepare(folder, spec)
+        spec = Attempt(self.attempts, 1, "block", str(bundle), wanted, tuple(map(float, wrench)))
+        prepare(replace(spec, folder=folder))
         engine.submit(asked(folder))
         until(lambda: engine.poll(asked(folder)) == "finished", seconds=60)
-        outcome = read_outcome(folder, read_spec(folder))
+        outcome = read_outcome(read_attempt(folder))
         outcome.pop("seconds", None)
         if outcome["status"] == "done":  # its surface and stresses too
             for name in (GEOMETRY, ROW):
@@ -166,15 +168,16 @@ def test_an_edit_while_the_component_is_built_is_refused(tmp_path, monkeypatch):
     """What was hashed is read again to be built: in between it may have become another."""
     site = Site(tmp_path)
     bundle = site.block()
-    spec = Spec(1, 1, "block", str(bundle), read_bundle(bundle).fingerprint, tuple(wrenches(1)[0]))
-    build = kept_component.build
+    fingerprint, wrench = read_bundle(bundle).fingerprint, tuple(wrenches(1)[0])
+    attempt = Attempt(1, 1, "block", str(bundle), fingerprint, wrench, folder=tmp_path)
+    build = component.build
 
     def edited(read):
         site.block(height=0.2)
         return build(read)
 
-    monkeypatch.setattr(kept_component, "build", edited)
-    kept = kept_component.KeptComponent()
-    with pytest.raises(solve_attempt.SolveRefusedError, match="has changed"):
-        kept.solve(spec, lambda *_: None, tmp_path)
+    monkeypatch.setattr(component, "build", edited)
+    kept = solver.ComponentSolver()
+    with pytest.raises(solver.SolveRefusedError, match="has changed"):
+        kept.solve(attempt, lambda *_: None)
     assert kept.ready is None

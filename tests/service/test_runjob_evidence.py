@@ -1,13 +1,14 @@
 """What a failed attempt of the embedded solver leaves in its folder, and what its log tells."""
 
 import json
+from dataclasses import replace
 
 import meshio
 import pytest
 
 from wrenchbook.fea.bundle.read import read_bundle
-from wrenchbook.service.jobs import solve_attempt as runjob
-from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome
+from wrenchbook.service.jobs import solver as runjob
+from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome
 
 BUNDLE = """
 name = "block"
@@ -41,10 +42,10 @@ def attempt(folder, wrench, **changes):
     bundle = folder / "block"
     bundle.mkdir()
     (bundle / "component.toml").write_text(BUNDLE.format(**options), encoding="utf-8")
-    spec = Spec(1, 1, "block", str(bundle), read_bundle(bundle).fingerprint, wrench)
-    prepare(folder / "1" / "1", spec)
-    code = runjob.main(folder / "1" / "1")
-    return code, read_outcome(folder / "1" / "1", spec), folder / "1" / "1"
+    spec = Attempt(1, 1, "block", str(bundle), read_bundle(bundle).fingerprint, wrench)
+    prepare(replace(spec, folder=folder / "1" / "1"))
+    code = runjob.run_attempt(folder / "1" / "1")
+    return code, read_outcome(replace(spec, folder=folder / "1" / "1")), folder / "1" / "1"
 
 
 def test_a_part_that_buckles_leaves_its_history_and_last_state(tmp_path):

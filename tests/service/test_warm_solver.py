@@ -11,10 +11,9 @@ import pytest
 
 from tests.service.attempts import asked, ended
 from tests.until import until
-from wrenchbook.service.jobs import solve_attempt
-from wrenchbook.service.jobs.attempt import Spec, prepare, read_outcome, read_spec
-from wrenchbook.service.jobs.engines.engine import ALIVE
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs import solver
+from wrenchbook.service.jobs.attempt import ALIVE, Attempt, prepare, read_attempt, read_outcome
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
@@ -37,7 +36,7 @@ class Site:
     def prepare(self, number, attempt=1):
         folder = self.folder / str(number) / str(attempt)
         wrench = (float(number), 2.0, 3.0, 0.0, 0.0, 0.0)
-        prepare(folder, Spec(number, attempt, "bar", "/nowhere", "f1", wrench))
+        prepare(Attempt(number, attempt, "bar", "/nowhere", "f1", wrench, folder=folder))
         return folder
 
     def solved(self, engine, number, attempt=1, **needs):
@@ -59,7 +58,7 @@ def site(tmp_path, monkeypatch):
 
 
 def outcome_in(folder):
-    return read_outcome(folder, read_spec(folder))
+    return read_outcome(read_attempt(folder))
 
 
 def pid_at(folder):
@@ -115,7 +114,7 @@ def test_a_solver_killed_between_attempts_costs_none(site):
 
 
 def test_a_solver_stopped_between_attempts_is_replaced(site, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.jobs.engines.solver_pool.TAKEN_SECONDS", 0.3)
+    monkeypatch.setattr("wrenchbook.service.jobs.solver_pool.TAKEN_SECONDS", 0.3)
     engine = site.engine()
     first = site.seen(engine, 1)["pid"]
     os.kill(first, signal.SIGSTOP)
@@ -243,8 +242,8 @@ def test_a_solver_that_waits_for_work_ends_when_its_server_is_killed(site):
 
 
 def test_an_outcome_waits_for_room_on_a_full_disk(tmp_path, monkeypatch):
-    prepare(tmp_path / "1", Spec(1, 1, "bar", "/nowhere", "f1", (1.0,) * 6))
-    write, refused = solve_attempt.write_outcome, []
+    prepare(Attempt(1, 1, "bar", "/nowhere", "f1", (1.0,) * 6, folder=tmp_path / "1"))
+    write, refused = solver.write_outcome, []
 
     def full(*arguments):
         if len(refused) < 2:
@@ -252,8 +251,8 @@ def test_an_outcome_waits_for_room_on_a_full_disk(tmp_path, monkeypatch):
             raise OSError(28, "No space left on device")
         write(*arguments)
 
-    monkeypatch.setattr(solve_attempt, "write_outcome", full)
-    monkeypatch.setattr(solve_attempt, "_AGAIN_SECONDS", 0.01)
-    assert solve_attempt.main(tmp_path / "1", lambda *_: {"displacement": [0.0] * 6}) == 0
+    monkeypatch.setattr(solver, "write_outcome", full)
+    monkeypatch.setattr(solver, "_AGAIN_SECONDS", 0.01)
+    assert solver.run_attempt(tmp_path / "1", lambda *_: {"displacement": [0.0] * 6}) == 0
     assert outcome_in(tmp_path / "1")["status"] == "done"
     assert len(refused) == 2

@@ -14,7 +14,7 @@ SHIPPED = Path(__file__).parents[3] / "data" / "components"
 
 def test_the_command_reports_a_good_bundle_and_ends_with_0():
     done = subprocess.run(
-        [sys.executable, "-m", "wrenchbook.fea.check", str(SHIPPED / "plate_thin")],
+        [sys.executable, "-m", "wrenchbook.fea.check", "--json", str(SHIPPED / "plate_thin")],
         capture_output=True,
         text=True,
         check=False,

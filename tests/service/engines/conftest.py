@@ -12,10 +12,9 @@ import pytest
 from tests.service.engines.cluster import SOURCES, TESTS, Cluster
 from tests.until import until
 from wrenchbook.service.files.lock import is_locked
-from wrenchbook.service.jobs.attempt import LOCK, Spec, prepare, read_outcome
-from wrenchbook.service.jobs.engines.dask import DaskEngine
-from wrenchbook.service.jobs.engines.engine import ALIVE, Attempt
-from wrenchbook.service.jobs.engines.local import LocalEngine
+from wrenchbook.service.jobs.attempt import ALIVE, LOCK, Attempt, prepare, read_outcome
+from wrenchbook.service.jobs.dask import DaskEngine
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 
 class Bench:
@@ -46,9 +45,11 @@ class Bench:
         folder = self.folder / "jobs" / str(number) / "1"
         starts = str(self.folder / f"starts-{number}")
         wrench = (1.0, 2.0, 3.0, 0.0, 0.0, 0.0)
-        spec = Spec(number, 1, solver, str(self.bundle), starts, wrench)
-        prepare(folder, spec)
-        return Attempt(f"{self._name}-{number}-1", folder, spec, **needs)
+        spec = number, 1, solver, str(self.bundle), starts, wrench
+        task = f"{self._name}-{number}-1"
+        attempt = Attempt(*spec, folder=folder, task=task, **needs)
+        prepare(attempt)
+        return attempt
 
     def started(self, solver, engine, **needs):
         """An attempt that a solver is at."""
@@ -63,15 +64,15 @@ class Bench:
         return engine.poll(attempt)
 
     def outcome(self, attempt):
-        return read_outcome(attempt.folder, attempt.spec)
+        return read_outcome(attempt)
 
     def starts(self, attempt):
-        starts = Path(attempt.spec.fingerprint)
+        starts = Path(attempt.fingerprint)
         return starts.read_text().count("start") if starts.exists() else 0
 
     def has_begun(self, attempt):
         """Whether a solver has counted its start; it is known by its pid before."""
-        return Path(attempt.spec.fingerprint).exists()
+        return Path(attempt.fingerprint).exists()
 
     def solver_folder(self, attempt):
         """The folder that the solver works in."""

@@ -7,13 +7,14 @@ import pytest
 
 from tests.until import until
 from wrenchbook.service.jobs.attempt import (
+    ALIVE,
     OUTCOME,
+    EngineError,
     last_words,
     read_progress,
     solver_began,
     write_outcome,
 )
-from wrenchbook.service.jobs.engines.engine import ALIVE, EngineError
 
 QUICK_SECONDS = 0.25  # what a dispatcher's thread may lose to a call, on a machine that is busy
 
@@ -205,7 +206,7 @@ def test_an_attempt_that_ended_while_nobody_looked_is_found_ended(bench):
 
 def test_an_outcome_that_is_there_already_is_not_asked_for_again(bench):
     engine, attempt = bench.engine(), bench.attempt("counted")
-    write_outcome(attempt.folder, attempt.spec, {"status": "done"})
+    write_outcome(attempt, {"status": "done"})
     engine.attach(attempt)
     assert engine.poll(attempt) == "finished"
 

@@ -5,8 +5,7 @@ import signal
 
 from tests.service.engines.cluster import kill
 from tests.until import until
-from wrenchbook.service.jobs.attempt import read_progress
-from wrenchbook.service.jobs.engines.engine import ALIVE
+from wrenchbook.service.jobs.attempt import ALIVE, read_progress
 
 
 def test_a_worker_that_dies_is_replaced_and_its_solver_is_found_alive(own, cluster):

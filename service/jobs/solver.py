@@ -1,0 +1,468 @@
+"""The solver: ``python -m wrenchbook.service.jobs.solver --line DESCRIPTOR``.
+
+The engine `local` starts it with one end of a socket pair, over which attempts come one after the
+other (`service.jobs.solver_pool`). The interpreter, what it imported and the component stay from
+one attempt to the next. It ends itself after the attempt at which the engine closed the socket or
+died, after an attempt that was cancelled or ran out of memory (what such an attempt left half done
+is used no more), when it has grown, and after a number of attempts.
+
+An attempt's ``result.json`` has its end: ``done`` with the numbers, ``failed`` with kind, message
+and remedy, or ``cancelled``. Only a solver that was killed leaves none.
+
+``WRENCHBOOK_SOLVE="package.module:function"`` names another solver than the embedded one: a
+function of an `Attempt` and a progress callback that returns a mapping with at least
+``displacement`` (6 numbers, m and rad), or raises. An exception with the attributes ``kind``
+and ``remedy`` is reported with them.
+"""
+
+import argparse
+import contextlib
+import errno
+import functools
+import hashlib
+import importlib
+import math
+import os
+import resource
+import signal
+import socket
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from wrenchbook.service.fields.record import leave
+from wrenchbook.service.files.program import solver_version
+from wrenchbook.service.jobs.attempt import (
+    PROGRESS,
+    Attempt,
+    Progress,
+    read_attempt,
+    write_outcome,
+    write_whole,
+)
+
+SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
+MARGIN_VARIABLE = "WRENCHBOOK_MEMORY_MARGIN"
+# Times the estimate of `wrenchbook check`: two for the estimate, which is right to a factor of two,
+# and two for address space, which is what the limit counts and of which part is never used.
+# Measured: shipped components take 0.2 GB of address space beyond the interpreter's, estimated
+# 0.25 to 0.31 GB.
+MEMORY_MARGIN = 4.0
+# An attempt leaves behind its component and nothing else; the memory of the solver itself swings by
+# 30 MB from one attempt to the next. More than one solve beyond the first attempt's is a leak.
+MIN_GROWTH = 256 << 20
+
+DONE, FAILED, CANCELLED = 0, 1, 143
+TAKEN, FREE, LEAVES = b"t", b"e", b"r"
+
+# Without work for so long it gives its memory back; starting again costs a second.
+IDLE_SECONDS = 300.0
+_MAX_PATH_BYTES = 1 << 16
+
+# An outcome waits so long for room on a full disk: until an operator notices and makes some.
+FULL_DISK_SECONDS = 3600.0
+_AGAIN_SECONDS = 1.0
+
+Report = Callable[[float, str], None]
+Solve = Callable[[Attempt, Report], Mapping[str, Any]]
+
+
+class SolveRefusedError(Exception):
+    """The attempt cannot be solved, for a reason that is not the solver's."""
+
+    def __init__(self, kind: str, message: str, remedy: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+        self.remedy = remedy
+
+
+class Cancelled(BaseException):
+    """The solver received SIGTERM."""
+
+
+class ComponentSolver:
+    """Solves attempts with the finite elements of this project, or with a deck's solver.
+
+    It keeps the last component with its mesh, order of elimination, first factor and linear
+    response. What is kept is used for exactly the bundle it was made from: every attempt reads the
+    bundle again, hashes its files, and compares. After an attempt that failed it is built again, so
+    that nothing a broken-off solve has touched is used again.
+
+    `ready` is the `fea.solve.Solver` that is kept, or None, `estimated` the bytes a solve of it
+    takes by the check's estimate, 0 without a component. `spoiled` tells whether memory ran out:
+    its state is then undefined.
+    """
+
+    def __init__(self) -> None:
+        self.spoiled = False
+        self.ready: Any = None
+        self.estimated = 0
+        self._key: tuple[str, str, bytes] | None = None
+        self._limited: tuple[int | None, int | None] = None, None
+
+    def solve(self, attempt: Attempt, report: Report) -> Mapping[str, Any]:
+        """Return the numbers of the outcome, the same bits whatever was solved before.
+
+        Raises `SolveRefusedError` if the component has changed, or memory ran out.
+        """
+        from wrenchbook.fea.bundle.read import read_bundle  # half a second, paid when needed
+
+        bundle = read_bundle(Path(attempt.bundle))
+        _require_same(attempt, bundle.fingerprint)
+        if bundle.deck is not None:
+            limit_memory(None)  # the outside solver would inherit it, and its needs are unknown
+            return _solved(bundle, attempt, report)
+        try:
+            self._limit(self.estimated or attempt.memory)
+            self._make_ready(bundle, attempt)
+            self._limit(self.estimated)
+            return _solved(self.ready, attempt, report)
+        except MemoryError as error:
+            self.spoiled = True
+            raise _out_of_memory(*self._limited) from error
+        except BaseException:
+            self._drop()
+            raise
+
+    def _make_ready(self, bundle: Any, attempt: Attempt) -> None:
+        from wrenchbook.fea.bundle.read import FILE_NAME, read_bundle
+        from wrenchbook.fea.check.cost import estimate
+        from wrenchbook.fea.component import build
+        from wrenchbook.fea.export.failure_record import keep
+        from wrenchbook.fea.failure import SolveFailed
+        from wrenchbook.fea.solve import Solver
+
+        # The fingerprint leaves out what changes no answer but may change a note (the load range).
+        text = hashlib.sha256((bundle.folder / FILE_NAME).read_bytes()).digest()
+        key = str(bundle.folder), bundle.fingerprint, text
+        if self.ready is not None and key == self._key:
+            return
+        self._drop()
+        component = build(bundle)
+        # What was hashed has been read once more since: an edit in between would stay here for all
+        # attempts to come.
+        _require_same(attempt, read_bundle(bundle.folder).fingerprint)
+        self.estimated = estimate(component)["memory_bytes"]
+        self._limit(self.estimated)
+        try:
+            self.ready, self._key = Solver(component), key
+        except SolveFailed as failure:
+            keep(attempt.folder, failure, component)
+            raise
+
+    def _limit(self, estimated: int | None) -> None:
+        self._limited = estimated, limit_memory(estimated)
+
+    def _drop(self) -> None:
+        self._key, self.ready, self.estimated = None, None, 0
+
+
+def _require_same(attempt: Attempt, fingerprint: str) -> None:
+    """Refuse to solve a component that is not the one the job was accepted for."""
+    if fingerprint != attempt.fingerprint:
+        raise SolveRefusedError(
+            "component_changed",
+            f"component {attempt.component} has changed since the job was accepted "
+            f"(fingerprint {attempt.fingerprint} then, {fingerprint} now)",
+            "ask for the wrench again: that makes a job for the component as it is now",
+        )
+
+
+def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
+    """Solve a bundle, or the solver made ready for it, and return the numbers of the outcome."""
+    from wrenchbook.fea.solve import solve
+
+    keep = functools.partial(_leave_fields, attempt)
+    folder = attempt.folder
+    solution = solve(ready, attempt.wrench, progress=report, folder=folder, on_fields=keep)
+    with contextlib.suppress(OSError):  # a full disk; the outcome holds them too
+        for note in solution.notes:
+            print(note)
+    tensors = ("displacement", "compliance", "curvature")
+    numbers = ("strain_energy", "work", "seconds", "unknowns", "history", "notes")
+    result = {name: getattr(solution, name) for name in (*tensors, *numbers)}
+    if attempt.estimate:
+        from wrenchbook.fea.accuracy.estimate import accuracy_or_why, unknown_of_deck
+        from wrenchbook.fea.spec.schema import Bundle
+
+        report(1.0, "estimating the error of the mesh")
+        # An answer is worth having without it, so an error here is a value and no exception.
+        is_deck = isinstance(ready, Bundle)
+        result["solver_error"] = unknown_of_deck(ready) if is_deck else accuracy_or_why(ready)
+    return result
+
+
+def _leave_fields(attempt: Attempt, fields: Any) -> None:
+    """Leave surface and stresses next to the outcome; an answer is worth having without them."""
+    try:
+        leave(attempt.folder, attempt.wrench, fields)
+    except (OSError, ValueError, MemoryError) as error:
+        with contextlib.suppress(OSError):  # on a full disk the log has no room either
+            print(f"the deformed surface was not kept: {error}", file=sys.stderr)
+
+
+def _out_of_memory(estimated: int | None, limit: int | None) -> SolveRefusedError:
+    if not estimated or not limit:
+        return SolveRefusedError(
+            "out_of_memory",
+            "the machine has no memory left for this solve",
+            "use fewer solvers at a time or a coarser mesh",
+        )
+    return SolveRefusedError(
+        "out_of_memory",
+        f"the solve needs more than the {limit / 1e9:.2g} GB it may take, "
+        f"{limit / estimated:.2g} times its estimate of {estimated / 1e9:.2g} GB",
+        "use a coarser mesh; or, if the machine has the memory, serve with a larger "
+        f"{MARGIN_VARIABLE} (now {limit / estimated:.2g})",
+    )
+
+
+def limit_memory(estimated: int | None) -> int | None:
+    """Hold this process to what it has now and a solve of that estimate with its margin, bytes.
+
+    None lifts the limit. Returns the bytes allowed beyond what there is; None if there is no limit.
+    """
+    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+    soft, allowed = hard, None
+    if estimated and sys.platform == "linux":  # elsewhere the limit is not heeded, or refused
+        text = os.environ.get(MARGIN_VARIABLE, str(MEMORY_MARGIN))
+        try:
+            margin = float(text)
+        except ValueError:
+            margin = 0.0
+        if not 0.0 < margin < math.inf:
+            message = f"{MARGIN_VARIABLE} is {text!r}, not a number above 0"
+            remedy = f"set {MARGIN_VARIABLE} to a number above 0, or unset it"
+            raise SolveRefusedError("bad_setting", message, remedy)
+        allowed = int(estimated * margin)
+        soft = _pages(0) + allowed
+        if hard != resource.RLIM_INFINITY:
+            soft = min(soft, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+    return allowed
+
+
+def _pages(index: int) -> int:
+    """Return the address space (0) or the memory (1) of this process, bytes."""
+    return int(Path("/proc/self/statm").read_text().split()[index]) * resource.getpagesize()
+
+
+def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
+    """Solve the attempt in `folder`, write its result.json, return DONE, FAILED or CANCELLED.
+
+    Without `solve` by the solver that ``WRENCHBOOK_SOLVE`` names, or the embedded one.
+    """
+    attempt = read_attempt(Path(folder))
+    try:
+        with _hearing_sigterm():
+            solver = solve or _named_solver() or ComponentSolver().solve
+            numbers = _checked(solver(attempt, _Reporter(attempt.folder)))
+        _write_patiently(attempt, {"status": "done", **numbers, "program": solver_version()})
+        return DONE
+    except Cancelled:
+        # Not durable: a slow disk must not outlast the engine's grace, and no number is lost.
+        write_outcome(attempt, {"status": "cancelled"}, durable=False)
+        return CANCELLED
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            traceback.print_exc()
+        _write_patiently(attempt, {"status": "failed", "error": _named(error)})
+        return FAILED
+
+
+def _write_patiently(attempt: Attempt, outcome: Mapping[str, Any]) -> None:
+    """Write the outcome once there is room for it: on a full disk it is all there is of hours."""
+    for _ in range(round(FULL_DISK_SECONDS / _AGAIN_SECONDS)):
+        try:
+            write_outcome(attempt, outcome)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise
+        time.sleep(_AGAIN_SECONDS)
+    write_outcome(attempt, outcome)
+
+
+class _Reporter:
+    """Writes progress.json, at most five times a second."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / PROGRESS
+        self._next = 0.0
+
+    def __call__(self, fraction: float, message: str) -> None:
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + 0.2
+        fraction = min(max(float(fraction), 0.0), 1.0) if math.isfinite(fraction) else 0.0
+        try:
+            write_whole(self._path, asdict(Progress(fraction, str(message))))
+        except OSError as error:
+            print(f"progress not written: {error}", file=sys.stderr)
+
+
+def _named_solver() -> Solve | None:
+    name = os.environ.get(SOLVE_VARIABLE)
+    if not name:
+        return None
+    try:
+        module, function = name.split(":")
+        return getattr(importlib.import_module(module), function)
+    except (ValueError, ImportError, AttributeError) as error:
+        raise SolveRefusedError(
+            "no_solver",
+            f"{SOLVE_VARIABLE}={name!r} names no function: {error}",
+            "set it to package.module:function, importable by the solvers, or unset it",
+        ) from error
+
+
+def _checked(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    outcome = {name: _plain(value) for name, value in numbers.items()}
+    displacement = outcome.get("displacement")
+    if not isinstance(displacement, list) or len(displacement) < 6 or None in displacement:
+        raise SolveRefusedError(
+            "bad_answer",
+            f"the solver gave no 6 finite numbers or more but {numbers.get('displacement')!r}",
+            "look at the component's mesh and supports; see log.txt",
+        )
+    compliance = outcome.get("compliance")
+    if compliance is not None and any(None in line for line in compliance):
+        outcome["compliance"] = None
+    if None in (outcome.get("curvature") or ()):
+        outcome["curvature"] = None
+    return outcome
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it: arrays as lists, numbers that are not finite as null."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {str(name): _plain(entry) for name, entry in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(entry) for entry in value]
+    return value
+
+
+def _named(error: Exception) -> dict[str, str]:
+    kind = getattr(error, "kind", None)
+    remedy = getattr(error, "remedy", None)
+    if kind is None and hasattr(error, "problems"):
+        kind, remedy = "bad_component", "correct the component's bundle and ask again"
+    if isinstance(error, MemoryError):
+        kind, remedy = "out_of_memory", "use fewer solvers at a time or a coarser mesh"
+    # A solver's own failure as text begins with its kind and ends in its remedy: each stands once.
+    message = str(getattr(error, "message", "") or error) or type(error).__name__
+    return {
+        "kind": str(kind or "internal_error"),
+        "message": message if kind else f"{type(error).__name__}: {message}",
+        "remedy": str(remedy or "see log.txt in the attempt's folder"),
+    }
+
+
+def _block_sigterm() -> None:
+    """Block SIGTERM until `run_attempt` unblocks it; it then raises `Cancelled`.
+
+    One that is pending was meant for the attempt before, and is discarded.
+    """
+
+    def cancel(signum: int, frame: object) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        raise Cancelled
+
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # discards what is pending
+    signal.signal(signal.SIGTERM, cancel)
+
+
+@contextlib.contextmanager
+def _hearing_sigterm() -> Iterator[None]:
+    """Let SIGTERM interrupt what is inside, if the command line has blocked it so far.
+
+    Outside it is blocked, so that it can neither come before it is caught nor tear the
+    writing of the outcome.
+    """
+    before = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def serve(line: socket.socket, lives: int) -> None:
+    """Solve what comes over the line until there is nothing, or it is time to be renewed."""
+    line.settimeout(IDLE_SECONDS)
+    solver = ComponentSolver()
+    component, usual = object(), 0  # what is kept, and the memory after its first attempt
+    stays = True
+    while stays:
+        try:
+            text, files, _, _ = socket.recv_fds(line, _MAX_PATH_BYTES, 2)
+        except OSError:  # a long time without work, or the server is gone
+            return
+        if not text or len(files) != 2:
+            return
+        for file in files:
+            # Programs that the solver starts must not keep the lock when the solver is gone.
+            os.set_inheritable(file, False)
+        lock, log = files
+        _print_to(log)
+        folder = Path(os.fsdecode(text))
+        os.chdir(folder)
+        _block_sigterm()
+        os.pwrite(lock, str(os.getpid()).encode(), 0)  # the solver has begun
+        try:
+            line.sendall(TAKEN)
+        except OSError:
+            stays = False
+        code = run_attempt(folder, None if os.environ.get(SOLVE_VARIABLE) else solver.solve)
+        lives -= 1
+        memory = _pages(1) if sys.platform == "linux" else 0
+        if solver.ready is not component:
+            component, usual = solver.ready, memory
+        grown = memory > usual + max(solver.estimated, MIN_GROWTH)
+        stays = stays and code != CANCELLED and lives > 0 and not (solver.spoiled or grown)
+        with contextlib.suppress(OSError):  # a full disk keeps what was printed
+            sys.stdout.flush()
+        _print_to(os.open(os.devnull, os.O_WRONLY))
+        os.chdir("/")
+        limit_memory(None)
+        os.close(lock)
+        try:
+            line.sendall(FREE if stays else LEAVES)
+        except OSError:
+            stays = False
+
+
+def _print_to(file: int) -> None:
+    """Send what is printed from here on to an open file, and close that descriptor."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    for descriptor in (1, 2):
+        os.dup2(file, descriptor)
+    os.close(file)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run as the program: lower the priority, solve what comes."""
+    _block_sigterm()
+    parser = argparse.ArgumentParser(prog="python -m wrenchbook.service.jobs.solver")
+    parser.add_argument("--line", type=int, required=True, help="open socket, the solver's end")
+    parser.add_argument("--lives", type=int, required=True, help="attempts before it ends")
+    parser.add_argument("--niceness", type=int, default=0)
+    options = parser.parse_args(arguments)
+    os.set_inheritable(options.line, False)
+    os.nice(options.niceness)
+    with socket.socket(fileno=options.line) as line:
+        serve(line, options.lives)
+
+
+if __name__ == "__main__":
+    main()

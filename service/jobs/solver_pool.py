@@ -1,0 +1,382 @@
+"""The engine that needs nothing installed: solvers as processes of this machine.
+
+A solver process lives on from one attempt to the next. It is started with one end of a socket pair.
+Over it come, for each attempt, its folder and two open files: the attempt's lock, taken, and its
+log. The solver answers with one letter when it has begun and one when it has ended; when the socket
+is closed, as it is when the server dies, it ends itself after its attempt (`service.jobs.solver`).
+"""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+
+from wrenchbook.service.files import lock as flock
+from wrenchbook.service.files.program import child_command, usable_cores
+from wrenchbook.service.jobs.attempt import (
+    LOCK,
+    LOG,
+    OUTCOME,
+    Attempt,
+    Engine,
+    EngineError,
+    Listeners,
+    State,
+    solver_began,
+    solver_seconds,
+    write_outcome,
+)
+
+# Several solvers share the cores, so each gets one; what the user has set is left alone.
+_ENVIRONMENT = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
+_ENVIRONMENT |= {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # readable logs
+
+# A start costs 0.6 s of processor time for the imports and 0.3 s for the first solve of a
+# component; shared by 200 attempts that is 1 % of the shortest solves, 0.4 s. What leaks too slowly
+# to be noticed is gone after as many.
+LIVES = 200
+# A solver that waits for work confirms an attempt at once. One that does not is stopped or
+# damaged, and another one is started in its place.
+TAKEN_SECONDS = 5.0
+ENDING_SECONDS = 2.0  # between an attempt's result.json and its solver's word that it is free
+
+
+class SolverProcess:
+    """A solver process, and the attempt that it is at."""
+
+    def __init__(
+        self,
+        process: subprocess.Popen[bytes],
+        line: socket.socket,
+        environment: Mapping[str, str],
+        attempt: Attempt | None,
+    ) -> None:
+        self.process = process
+        self.line = line
+        self.environment = environment
+        self.attempt = attempt
+        self.component: tuple[str, str] | None = None
+        self.has_taken = False
+        self.answered = threading.Event()  # or is gone
+        self.gone = threading.Event()
+
+    def hand(self, attempt: Attempt, lock: int, log: int) -> None:
+        """Send an attempt with its lock and its log; raises OSError if the solver is gone."""
+        self.has_taken = False
+        self.answered.clear()
+        self.component = attempt.bundle, attempt.fingerprint
+        socket.send_fds(self.line, [os.fsencode(attempt.folder.absolute())], [lock, log])
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the solver and what it started."""
+        if not self.gone.is_set():
+            signal_group(self.process.pid, number)
+
+
+class LocalEngine(Listeners):
+    """Runs attempts in processes that live on, each in a session of its own, at low priority.
+
+    A solver keeps the interpreter, what it imported, the component and its symbolic and first
+    factorisation for the next attempt. It lives on when the server is killed, until the attempt
+    it is at has ended, and holds the attempt's ``lock`` from before its first instruction until
+    then: the lock is taken here and handed over, so there is no moment in which an attempt that
+    will run looks like one whose solver died.
+
+    `slots` solvers work at a time, by default as many as this program has cores, and at most as
+    many wait for work. `environment` is added to the variables that solvers inherit, `niceness` to
+    theirs; whatever changes in the variables holds for the next attempt: a solver that was started
+    with others is renewed. `grace` seconds pass between SIGTERM and SIGKILL; after `lives` attempts
+    a solver is renewed.
+    """
+
+    name = "local"
+    trouble = None  # this machine is always there
+
+    def __init__(
+        self,
+        slots: int | None = None,
+        *,
+        environment: Mapping[str, str] | None = None,
+        niceness: int = 10,
+        grace: float = 5.0,
+        lives: int = LIVES,
+    ) -> None:
+        self.slots = slots or usable_cores()
+        self._environment = dict(environment or {})
+        self._grace = grace
+        self._options = "--niceness", str(niceness), "--lives", str(lives)
+        self._kill_after: dict[Path, float] = {}
+        self._began: dict[Path, float] = {}
+        self._overdue: set[Path] = set()
+        self._solvers: list[SolverProcess] = []  # those longest without work first
+        self._processes: set[int] = set()
+        self._changed = threading.Condition()
+
+    @property
+    def solvers(self) -> frozenset[int]:
+        """The pids of its solvers that have not ended, those that wait for work as well."""
+        with self._changed:
+            return frozenset(self._processes)
+
+    def submit(self, attempt: Attempt) -> None:
+        """Have a solver take the attempt: one that has its component, any other, or a new one."""
+        lock = flock.take(attempt.folder / LOCK)
+        if lock is None:
+            raise EngineError(f"a solver is at work in {attempt.folder} already")
+        environment = _ENVIRONMENT | dict(os.environ) | self._environment
+        try:
+            with (attempt.folder / LOG).open("ab") as log:
+                while (solver := self._reserve(attempt, environment)) is not None:
+                    with contextlib.suppress(OSError):
+                        solver.hand(attempt, lock, log.fileno())
+                        solver.answered.wait(TAKEN_SECONDS)
+                        if solver.has_taken:
+                            return
+                    # It must not begin late what another solver is at.
+                    with self._changed:
+                        solver.attempt = None
+                        self._drop(solver)
+                    solver.signal(signal.SIGKILL)
+                    solver.gone.wait()
+                self._start(attempt, lock, log.fileno(), environment)
+        finally:
+            os.close(lock)
+
+    def attach(self, attempt: Attempt) -> None:
+        """Do nothing: lock and files hold the whole state."""
+
+    def poll(self, attempt: Attempt) -> State:
+        """Return the attempt's state; see `Engine.poll`."""
+        folder = attempt.folder
+        if (folder / OUTCOME).exists():
+            return "finished"
+        if flock.is_locked(folder / LOCK):
+            self._end_if_due(attempt)
+            return "running" if solver_began(folder) else "submitted"
+        # The solver may have ended well between the two looks.
+        if (folder / OUTCOME).exists():
+            return "finished"
+        if folder in self._overdue:
+            error = {
+                "kind": "deadline",
+                "message": f"the solve took longer than its deadline of {attempt.deadline:.3g} s "
+                "and was ended",
+                "remedy": "see log.txt for how far it came; use a coarser mesh or a smaller load, "
+                "or retry the job when the machine has less to do",
+            }
+            write_outcome(attempt, {"status": "failed", "error": error})
+            return "finished"
+        return "lost"
+
+    def cancel(self, attempt: Attempt) -> None:
+        """Send SIGTERM to the solver and its children; SIGKILL once `grace` is over."""
+        if attempt.folder not in self._kill_after:
+            self._kill_after[attempt.folder] = time.monotonic() + self._grace
+            self._signal(attempt, signal.SIGTERM)
+
+    def forget(self, attempt: Attempt) -> None:
+        """Let go of what is kept of an attempt."""
+        self._kill_after.pop(attempt.folder, None)
+        self._began.pop(attempt.folder, None)
+        self._overdue.discard(attempt.folder)
+
+    def close(self) -> None:
+        """End the solvers that wait; those at work end after their attempt."""
+        self._kill_after.clear()
+        with self._changed:
+            for solver in list(self._solvers):
+                self._drop(solver)
+
+    def _end_if_due(self, attempt: Attempt) -> None:
+        folder, now = attempt.folder, time.monotonic()
+        if folder in self._kill_after:
+            late = now > self._kill_after[folder]
+            self._signal(attempt, signal.SIGKILL if late else signal.SIGTERM)
+        elif attempt.deadline is not None and solver_began(folder):
+            if folder not in self._began:
+                self._began[folder] = now - (solver_seconds(folder) or 0.0)
+            if now - self._began[folder] > attempt.deadline:
+                # Not SIGTERM: its outcome, "cancelled", would be tried again.
+                self._overdue.add(folder)
+                self._signal(attempt, signal.SIGKILL)
+
+    def _signal(self, attempt: Attempt, number: int) -> None:
+        lock = attempt.folder / LOCK
+        if not solver_began(attempt.folder):
+            return  # there is no process to signal yet: `poll` repeats it
+        with self._changed:
+            for solver in self._solvers:
+                if solver.attempt is not None and solver.attempt.folder == attempt.folder:
+                    solver.signal(number)
+                    return
+        # Another server's solver. Only while the file is locked is its pid surely the solver's.
+        with contextlib.suppress(OSError, ValueError):
+            pid = int(lock.read_text())
+            if flock.is_locked(lock):
+                signal_group(pid, number)
+
+    def _reserve(self, attempt: Attempt, environment: Mapping[str, str]) -> SolverProcess | None:
+        """Return a solver that waits for work, now reserved for the attempt; None if none does."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: not self._ending(), ENDING_SECONDS):
+                for solver in self._ending():
+                    solver.signal(signal.SIGKILL)  # stopped, most likely; its outcome is there
+                    self._drop(solver)
+            idle = [solver for solver in self._solvers if solver.attempt is None]
+            for solver in [solver for solver in idle if solver.environment != environment]:
+                idle.remove(solver)
+                self._drop(solver)
+            component = attempt.bundle, attempt.fingerprint
+            ready = [solver for solver in idle if solver.component == component]
+            # Another component's solver keeps what it has while there is room for one more.
+            if not ready and len(self._solvers) >= self.slots:
+                ready = idle
+            if not ready:
+                return None
+            ready[0].attempt = attempt
+            return ready[0]
+
+    def _ending(self) -> list[SolverProcess]:
+        """Return those that will wait for work in a moment, their outcome being there.
+
+        None if a solver waits already.
+        """
+        at_work = [(solver, solver.attempt) for solver in self._solvers if solver.attempt]
+        if len(at_work) < len(self._solvers):
+            return []
+        return [solver for solver, attempt in at_work if (attempt.folder / OUTCOME).exists()]
+
+    def _start(self, attempt: Attempt, lock: int, log: int, environment: Mapping[str, str]) -> None:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            line = "--line", str(theirs.fileno())
+            try:
+                process = subprocess.Popen(
+                    child_command("wrenchbook.service.jobs.solver", *line, *self._options),
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    pass_fds=(theirs.fileno(),),
+                    start_new_session=True,
+                )
+            except BaseException:
+                ours.close()
+                raise
+        solver = SolverProcess(process, ours, environment, attempt)
+        with self._changed:
+            self._solvers.append(solver)
+            self._processes.add(process.pid)
+        # Sent before the solver listens: one that cannot begin leaves the lock as it dies.
+        with contextlib.suppress(OSError):
+            solver.hand(attempt, lock, log)
+        threading.Thread(target=self._watch, args=(solver,), daemon=True).start()
+
+    def _watch(self, solver: SolverProcess) -> None:
+        """Follow one solver until it has ended, and reap it."""
+        with solver.line, contextlib.suppress(OSError):
+            while word := solver.line.recv(1):
+                if word == b"t":
+                    solver.has_taken = True
+                    solver.answered.set()
+                else:
+                    self._free(solver, stays=word == b"e")
+        solver.process.wait()
+        with self._changed:
+            attempt, solver.attempt = solver.attempt, None
+            self._processes.discard(solver.process.pid)
+            if solver in self._solvers:
+                self._solvers.remove(solver)
+            solver.gone.set()
+            solver.answered.set()
+            self._changed.notify_all()
+        if attempt is not None:
+            code = solver.process.returncode
+            if code < 0 and not (attempt.folder / OUTCOME).exists():
+                _add_cause(attempt.folder / LOG, -code)
+            self._report(attempt.task)
+
+    def _free(self, solver: SolverProcess, *, stays: bool) -> None:
+        with self._changed:
+            attempt, solver.attempt = solver.attempt, None
+            if stays and solver in self._solvers and len(self._solvers) <= self.slots:
+                self._solvers.remove(solver)
+                self._solvers.append(solver)  # those longest without work are first
+            else:
+                self._drop(solver)
+            self._changed.notify_all()
+        if attempt is not None:
+            self._report(attempt.task)
+
+    def _drop(self, solver: SolverProcess) -> None:
+        """Let a solver end once it has nothing to do."""
+        if solver in self._solvers:
+            self._solvers.remove(solver)
+        with contextlib.suppress(OSError):
+            solver.line.shutdown(socket.SHUT_RDWR)
+
+
+def signal_group(group: int, number: int) -> None:
+    """Send a signal to a process group, if there is one."""
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(group, number)
+
+
+def _add_cause(log: Path, number: int) -> None:
+    try:
+        name = signal.Signals(number).name
+    except ValueError:
+        name = f"signal {number}"
+    memory = "; often the machine has no memory left" if number == signal.SIGKILL else ""
+    with contextlib.suppress(OSError), log.open("a", encoding="utf-8") as file:
+        file.write(f"the solver was ended by {name}{memory}\n")
+
+
+class EngineSettingsError(ValueError):
+    """An engine cannot be opened with these settings; the message has the remedy."""
+
+
+_SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # that Dask connects to other machines by
+
+
+def open_engine(
+    name: str = "local", slots: int | None = None, *, scheduler: str | None = None
+) -> Engine:
+    """Return the engine ``local``, with so many slots, or ``dask``, of the scheduler at an address.
+
+    Raises `EngineSettingsError` if there is none of that name, or it lacks its scheduler or its
+    packages.
+    """
+    check_engine(name, scheduler)
+    if name == "local":
+        return LocalEngine(slots)
+    # Only a server with a cluster has Dask, and waits for its import.
+    from wrenchbook.service.jobs.dask import DaskEngine
+
+    return DaskEngine(scheduler or "")
+
+
+def check_engine(name: str, scheduler: str | None) -> None:
+    """Refuse, before anything is opened, settings that `open_engine` would refuse."""
+    why = None
+    if name not in ("local", "dask"):
+        why = f"there is no engine {name!r}; there are: local, dask"
+    elif name == "local":
+        why = scheduler and "the engine local has no scheduler; add --engine dask"
+    elif not scheduler:
+        why = "the engine dask needs --scheduler tcp://HOST:8786 (or tls://)"
+    elif "://" not in scheduler:
+        why = f"{scheduler!r} is no address; write tcp://{scheduler}"
+    elif scheduler.split("://")[0] not in _SCHEMES:
+        begins = " or ".join(f"{scheme}://" for scheme in _SCHEMES)
+        why = f"{scheduler!r} is no address of a Dask scheduler: it begins with {begins}"
+    elif find_spec("distributed") is None:
+        why = "the engine dask is not installed: pip install wrenchbook[cluster]"
+    if why:
+        raise EngineSettingsError(why)
