@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,13 @@ from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import Attempt, attempt_folder, notes_of
 from wrenchbook.service.jobs.waiting import Polls
-from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError, OpenJob
+from wrenchbook.service.ledger import (
+    JobRecord,
+    Ledger,
+    LedgerUnavailableError,
+    OpenJob,
+    RowChanges,
+)
 from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
@@ -28,14 +35,13 @@ from wrenchbook.service.settings import Settings
 from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.mapped import MappedTables, ServedTable, TableBehindError, row_table
-from wrenchbook.service.tables.rows import own_rows, table_rows
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
 from wrenchbook.surrogate.scene.plan import design_of, plan_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.row_index import RowIndex
-from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 log = logging.getLogger(__name__)
 
@@ -124,20 +130,17 @@ class Workspace:
 
     def row_table(self, name: str, seq: int) -> ServedTable:
         """Return a table of the row that a solve has just given, which answers its wrench."""
-        rows, newest = (
-            table_rows(self.library[name], (self.ledger.row(seq),)),
-            self.tables.surrogate(name),
-        )
-        return row_table(self.library[name], rows, self.solver_error(name), newest)
+        component, newest = self.library[name], self.tables.surrogate(name)
+        rows = Rows.from_records([asdict(self.ledger.row(seq))], component.space)
+        return row_table(component, rows, self.solver_error(name), newest)
 
     def unbuilt_rows(self, name: str, wrenches: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the numbers of rows at wrenches (k, 6), N and N·m, that no table holds yet, (k,).
 
         A row is at a wrench within 1e-6 of the range in each load; 0 where there is none.
         """
-        component, after = self.library[name], self.tables.surrogate(name).version
-        changes = self.ledger.row_changes(name, after, MOST_UNBUILT)
-        rows = table_rows(component, own_rows(component, changes.rows))
+        component = self.library[name]
+        rows = self._unbuilt(component, self.tables.surrogate(name).version).rows
         if not len(rows):
             return np.zeros(len(wrenches), dtype=np.int64)
         places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
@@ -147,11 +150,15 @@ class Workspace:
         """Return how many rows the next version adds to a table."""
         component = self.library[name]
         with suppress(LedgerUnavailableError):
-            changes = self.ledger.row_changes(name, table.version, MOST_UNBUILT)
+            changes = self._unbuilt(component, table.version)
             if changes.whole:
-                return len(own_rows(component, changes.rows))
+                return len(changes.rows)
             return self.ledger.count_new(name, component.fingerprint, table.version)
         return 0  # an answer needs no ledger
+
+    def _unbuilt(self, component: Component, after: int) -> RowChanges:
+        setup = {"space": component.space, "fingerprint": component.fingerprint}
+        return self.ledger.row_changes(component.name, after, MOST_UNBUILT, **setup)
 
     def rows_being_built(self, name: str, table: ServedTable, on_thin: str) -> str:
         """Return how many rows a table will have more in a moment, in words; "" if none.

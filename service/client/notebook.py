@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import MissingPackage
+from .errors import required
 
 # The names of a CSV export.
 WRENCH_COLUMNS = ("fx [N]", "fy [N]", "fz [N]", "mx [N*m]", "my [N*m]", "mz [N*m]")
@@ -37,20 +36,8 @@ def named_columns(names: Sequence[str], block: NDArray[np.float64]) -> dict[str,
 
 
 def require_pandas() -> Any:
-    """Return the module pandas.
-
-    Raises
-    ------
-    MissingPackage
-        If it is not installed.
-    """
-    try:
-        return importlib.import_module("pandas")
-    except ModuleNotFoundError as error:
-        raise MissingPackage(
-            "to_pandas needs the package 'pandas', which is not installed: pip install pandas",
-            name="pandas",
-        ) from error
+    """Return the module pandas, or raise MissingPackage."""
+    return required("pandas", "to_pandas", "pandas")
 
 
 def _text(cell: Any) -> str:

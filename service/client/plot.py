@@ -26,7 +26,6 @@ MissingPackage
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +33,7 @@ from numpy.typing import ArrayLike
 
 from ..contract import COVERAGE, LOADS, OUTPUTS
 from .deformed import DeformedShape
-from .errors import InvalidArgument, MissingPackage
+from .errors import InvalidArgument, required
 from .notebook import DISPLACEMENT_COLUMNS, WRENCH_COLUMNS
 from .replies import Displacements, Vector
 from .table import Table
@@ -177,14 +176,7 @@ def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Any = No
 
 
 def _pyplot() -> Any:
-    try:
-        return importlib.import_module("matplotlib.pyplot")
-    except ModuleNotFoundError as error:
-        raise MissingPackage(
-            "wrenchbook.plot needs the package 'matplotlib', which is not installed: "
-            "pip install 'wrenchbook[plot]'",
-            name="matplotlib",
-        ) from error
+    return required("matplotlib.pyplot", "wrenchbook.plot", "'wrenchbook[plot]'")
 
 
 def _index(name: str, names: tuple[str, ...]) -> int:

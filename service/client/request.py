@@ -1,7 +1,7 @@
 """The calls of a client, apart from the connection that sends them.
 
-A call is a generator: it yields a request, gets the response, and returns its result. `Connection`
-runs it on a blocking socket and `AsyncConnection` on asyncio streams, so each call is written once.
+A call is a generator: it yields a request, gets the response, and returns its result. `Client` runs
+it on a blocking socket and `AsyncClient` does so in a thread, so each call is written once.
 """
 
 from __future__ import annotations
@@ -23,48 +23,38 @@ BINARY = "application/octet-stream"
 
 @dataclass(slots=True)
 class Request:
-    """One request; the answer to it is a `Response`.
-
-    Parameters
-    ----------
-    method, path : str
-        HTTP method and the path below the server's address, quoted.
-    content : bytes, optional
-        Body; JSON unless `kind` names another content type.
-    query : dict, optional
-        Query parameters; those that are None are left out.
-    headers : dict, optional
-        Further header fields.
-    wait_s : float, optional
-        Seconds that the server may wait before it answers; added to the timeout.
-    repeatable : bool
-        Whether sending the request twice does no more than once. Any other is sent once, on a new
-        connection: the server may have closed a kept one.
-    retry : bool
-        Whether a server that refuses the connection is tried again, and one that is busy (503 with
-        Retry-After) if `repeatable`.
-    """
+    """One request; the answer to it is a `Response`."""
 
     method: str
-    path: str
-    content: bytes | None = None
+    path: str  # below the server's address, quoted
+    content: bytes | None = None  # JSON unless `kind` names another content type
     kind: str | None = None
-    query: dict[str, Any] | None = None
+    query: dict[str, Any] | None = None  # those that are None are left out
     headers: dict[str, str] | None = None
-    wait_s: float | None = None
+    wait_s: float | None = None  # that the server may wait before it answers; adds to the timeout
+    # Whether sending the request twice does no more than once. Any other is sent once, on a new
+    # connection: the server may have closed a kept one.
     repeatable: bool = True
+    # Whether a server that refuses the connection is tried again, and one that is busy (503 with
+    # Retry-After) if `repeatable`.
     retry: bool = True
+
+
+class Lines(Protocol):
+    """A response that is read line by line."""
+
+    def readline(self) -> bytes:
+        """Return the next line; empty at the end."""
+        ...
+
+    def close(self) -> None:
+        """Close the connection."""
+        ...
 
 
 @dataclass(slots=True)
 class Listen:
-    """A GET whose answer is read line by line: a stream with ``close()``.
-
-    Parameters
-    ----------
-    timeout : float
-        Seconds without a byte before TimeoutError.
-    """
+    """A GET whose answer is `Lines`; TimeoutError after `timeout` seconds without a byte."""
 
     path: str
     query: dict[str, Any]
@@ -76,7 +66,7 @@ class Listen:
 class NextLine:
     """The next line of a stream; empty at its end."""
 
-    stream: Any
+    stream: Lines
 
 
 @dataclass(slots=True)

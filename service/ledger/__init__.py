@@ -2,7 +2,7 @@
 
 from wrenchbook.service.ledger.imports import About, ImportRecord
 from wrenchbook.service.ledger.ledger import Ledger
-from wrenchbook.service.ledger.packing import PackedRow, packed, packed_columns, unpacked
+from wrenchbook.service.ledger.packing import packed, row_keys, unpacked
 from wrenchbook.service.ledger.records import (
     FINAL,
     STATUSES,
@@ -19,13 +19,14 @@ from wrenchbook.service.ledger.records import (
     LedgerFullError,
     LedgerRow,
     LedgerUnavailableError,
-    NewRow,
+    NotedRows,
     OpenJob,
     RowChanges,
     RowEdit,
     RowStatusError,
     StaleAttemptError,
     Status,
+    TableAt,
     UnknownImportError,
     UnknownJobError,
     UnknownRowError,
@@ -51,19 +52,19 @@ __all__ = [
     "LedgerFullError",
     "LedgerRow",
     "LedgerUnavailableError",
-    "NewRow",
+    "NotedRows",
     "OpenJob",
-    "PackedRow",
     "RowChanges",
     "RowEdit",
     "RowStatusError",
     "StaleAttemptError",
     "Status",
+    "TableAt",
     "UnknownImportError",
     "UnknownJobError",
     "UnknownRowError",
     "UnknownVersionError",
     "packed",
-    "packed_columns",
+    "row_keys",
     "unpacked",
 ]

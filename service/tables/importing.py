@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats import Options, ReadResult, read_untrusted
+from wrenchbook.service.formats import Options, ParsedTable, ReadResult, read_untrusted
 from wrenchbook.service.formats.rig import Rig
-from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
+from wrenchbook.service.ledger import About, Ledger, row_keys
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.mapped import ServedTable
-from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
+from wrenchbook.service.tables.rows import noted_rows
 from wrenchbook.surrogate.findings.find import MOST
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
@@ -68,10 +67,10 @@ def import_files(
     if not refused and request.dry_run:
         inserted, existing = _counted(ledger, component, read)
     elif not refused:
-        packed = packed_pieces(component, read.pieces())
+        rows_of_file = (noted_rows(component, piece) for piece in read.pieces())
         about = replace(about, format=report["format"], rig=options.rig)
         about = replace(about, findings=_with_keys(component, read))
-        inserted, existing, number = ledger.import_rows(component.name, packed, about)
+        inserted, existing, number = ledger.import_rows(component.name, rows_of_file, about)
     rows = report.pop("rows")
     good = rows.pop("good")
     return {
@@ -107,9 +106,8 @@ def _with_keys(component: Component, read: ReadResult) -> str:
     keys: dict[int, str] = {}
     for piece in read.pieces() if named else ():
         some = piece.take(np.isin(piece.row, named))
-        for block in packed_pieces(component, iter((some,))):
-            packed = (row[-2].hex() for row in block if isinstance(row[-2], bytes))
-            keys |= zip(some.row.tolist(), packed, strict=True)
+        for number, key in zip(some.row.tolist(), _keys(component, some), strict=True):
+            keys[number] = key.hex()
     return json.dumps(
         [{**one, "rows": [], "keys": [keys[k] for k in one["rows"]]} for one in findings]
     )
@@ -117,11 +115,13 @@ def _with_keys(component: Component, read: ReadResult) -> str:
 
 def _counted(ledger: Ledger, component: Component, read: ReadResult) -> tuple[int, int]:
     """Return how many rows would be new and how many are there already."""
-    keys: list[bytes] = []
-    for block in packed_pieces(component, read.pieces()):
-        keys += [row[-2] for row in block if isinstance(row[-2], bytes)]
+    keys = [key for piece in read.pieces() for key in _keys(component, piece)]
     known = ledger.known_rows(keys)
     return len(keys) - known, known
+
+
+def _keys(component: Component, piece: ParsedTable) -> list[bytes]:
+    return row_keys(component.name, noted_rows(component, piece))
 
 
 def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:
@@ -132,13 +132,6 @@ def copy_rows(ledger: Ledger, source: Component, target: Component, about: About
     ImportRunningError, LedgerUnavailableError
         If they cannot be written now; none is copied then.
     """
-    with ledger.table_at(source.name) as table:
-
-        def blocks() -> Iterator[list[PackedRow]]:
-            for lot in table.lots:
-                rows = export_rows(source.space, own_rows(source, lot), ())
-                columns = rows.wrench, rows.displacement, rows.uncertainty, rows.compliance
-                texts = rows.source, rows.fingerprint, rows.note
-                yield packed_columns(target.name, columns, texts, time.time(), rows.curvature)
-
-        return ledger.import_rows(target.name, blocks(), about)[0]
+    setup = {"space": source.space, "fingerprint": source.fingerprint}
+    with ledger.table_at(source.name, **setup) as table:
+        return ledger.import_rows(target.name, table.lots, about)[0]

@@ -58,15 +58,6 @@ class TableBehindError(Exception):
     """The table does not hold yet all rows that the ledger has; ask again."""
 
     @classmethod
-    def late(cls, name: str, why: str | None, seconds: float, more: str = "") -> TableBehindError:
-        """Return the error of a table that lacks the newest rows after so long."""
-        why = why or f"its newest rows are not in it after {seconds:g} s"
-        return cls(
-            f"the table of {name!r} is older than the ledger: {why}{more}. No solve was "
-            "queued; ask again in a while"
-        )
-
-    @classmethod
     def unbuilt(cls, name: str, why: str | None) -> TableBehindError:
         """Return the error of a table with rows that was never built since the start."""
         why = why or "it is being built for the first time since the start"
@@ -322,9 +313,13 @@ class MappedTables:
         """Return the table with all rows committed by now, or raise TableBehindError."""
         if self.catch_up(name, timeout):
             return self.surrogate(name)
-        ended = "; the process that builds tables has ended and is started again"
-        more = "" if self._state.is_taken() else ended
-        raise TableBehindError.late(name, self.faults().get(name), timeout, more)
+        why = self.faults().get(name, f"its newest rows are not in it after {timeout:g} s")
+        if not self._state.is_taken():
+            why += "; the process that builds tables has ended and is started again"
+        raise TableBehindError(
+            f"the table of {name!r} is older than the ledger: {why}. No solve was queued; ask "
+            "again in a while"
+        )
 
     def stamp(self) -> object:
         """Return a value that changes when there may be new tables; takes microseconds.
@@ -421,7 +416,7 @@ def row_table(
 
 
 def others_in_words(name: str, table: ServedTable) -> str:
-    """Return the number of rows of another setup and what to do; empty if nothing is to do."""
+    """Return how many rows belong to another setup and what to do; empty if nothing is to do."""
     if not table.other_wrenches:
         return ""
     return (

@@ -21,9 +21,8 @@ import scipy
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.program import code_digest
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow, RowEdit
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, RowEdit
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import own_rows, table_rows
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.format import SUFFIX, PackedTableError
@@ -190,9 +189,9 @@ class TableStore:
             rows, meta = content
             if (meta.last_seq, meta.fingerprint) == (version, component.fingerprint):
                 return rows
-        with self._ledger.table_at(component.name, version) as table:
-            parts = [table_rows(component, own_rows(component, lot)) for lot in table.lots]
-            return joined([Rows.empty(component.space), *parts])
+        setup = {"space": component.space, "fingerprint": component.fingerprint}
+        with self._ledger.table_at(component.name, version, **setup) as table:
+            return joined([Rows.empty(component.space), *(lot.rows for lot in table.lots)])
 
     def load(self, component: Component) -> tuple[Rows, int]:
         """Return the rows of a component's HDF5 file and the seq they go up to.
@@ -265,8 +264,7 @@ class TableStore:
     def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
         """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
         newest = self._ledger.last_seq(name)
-        lost = (new_row(rows, place) for place in range(len(rows)))
-        inserted, _ = self._ledger.insert_rows(name, "", lost, above=meta.last_seq)
+        inserted, _ = self._ledger.insert_rows(name, rows, "table file", above=meta.last_seq)
         if inserted:
             log.warning(
                 "%s: %d rows of the table file were missing in the ledger and are there again",
@@ -315,22 +313,6 @@ def setup_of(component: Component) -> str:
 
 def _short(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def new_row(rows: Rows, place: int) -> NewRow:
-    """Return a row of a table file as the ledger takes it."""
-    compliance, uncertainty = rows.compliance[place], rows.uncertainty[place]
-    curvature = rows.curvature[place]
-    return NewRow(
-        wrench=rows.wrench[place].tolist(),
-        displacement=rows.displacement[place].tolist(),
-        source=str(rows.source[place]),
-        compliance=compliance.tolist() if np.isfinite(compliance).all() else None,
-        uncertainty=uncertainty.tolist() if np.isfinite(uncertainty).any() else None,
-        origin="table file",
-        fingerprint=str(rows.fingerprint[place]),
-        curvature=curvature.tolist() if np.isfinite(curvature).any() else None,
-    )
 
 
 class InMemory(Protocol):

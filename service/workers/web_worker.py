@@ -101,13 +101,11 @@ class WebWorker(Server):
             task.add_done_callback(self._begun.discard)
 
     async def _begin(self, taken: socket.socket) -> None:
+        about = self.config, self.server_state, self.lifespan.state, self._loop
         try:
-            await self._loop.connect_accepted_socket(self._speak, taken)
+            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*about), taken)
         except OSError:
             taken.close()
-
-    def _speak(self) -> asyncio.Protocol:
-        return FastPathProtocol(self.config, self.server_state, self.lifespan.state, self._loop)
 
 
 def run(options: Mapping[str, Any], started: threading.Event, bound: socket.socket) -> None:

@@ -8,9 +8,9 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.following import wait_for_version
+from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.routes import components, table
-from wrenchbook.service.ledger import NewRow
 from wrenchbook.service.sandbox import SandboxBusyError
 from wrenchbook.service.tables import build as builds
 from wrenchbook.service.workspace import Settings
@@ -164,7 +164,7 @@ def solved(http, wrenches):
     rows = [
         NewRow(w.tolist(), (compliance @ w).tolist(), "fea", compliance.tolist()) for w in wrenches
     ]
-    assert workspace.ledger.insert_rows("plate_thin", fingerprint, rows) == (len(rows), 0)
+    assert insert(workspace.ledger, "plate_thin", fingerprint, rows) == (len(rows), 0)
     assert workspace.tables.catch_up("plate_thin", 20.0)
 
 
@@ -206,8 +206,8 @@ def test_57_solves_exported_and_imported_elsewhere_are_solves_with_their_tangent
         body = send(other, PLATE, exported, kind).json()
         assert body["inserted"] == 57
         wait_for_version(other, "plate_thin", body["table_version"])
-        first = http.app.state.workspace.ledger.rows("plate_thin")
-        second = other.app.state.workspace.ledger.rows("plate_thin")
+        first = stored(http.app.state.workspace.ledger, "plate_thin")
+        second = stored(other.app.state.workspace.ledger, "plate_thin")
         assert answers(other) == answers(http)
     for name in ("wrench", "displacement", "compliance", "uncertainty", "source", "fingerprint"):
         assert [getattr(row, name) for row in first] == [getattr(row, name) for row in second]

@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from tests.service.ledger_rows import insert
 from tests.service.test_durable_tables import RANGE, Site, new_rows
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
@@ -20,7 +21,7 @@ def open_tables(tmp_path):
         ledger, library = Ledger(tmp_path / "ledger.sqlite"), Library(tmp_path / "components")
         for name, count in rows.items():
             library.add_table_only(name=name, title=name, range={"force": RANGE, "moment": RANGE})
-            ledger.insert_rows(name, "", new_rows(count))
+            insert(ledger, name, "", new_rows(count))
         ledger.close()
         site = Site(tmp_path)
         site.open()
@@ -73,8 +74,8 @@ def test_a_row_of_one_table_does_not_wait_for_the_build_of_another(open_tables, 
     tables, ledger = open_tables({"big": 60, "small": 3})
     assert tables.catch_up("big", 20)
     may_build.clear()
-    ledger.insert_rows("big", "", new_rows(1, first=60))
-    ledger.insert_rows("small", "", new_rows(1, first=3))
+    insert(ledger, "big", "", new_rows(1, first=60))
+    insert(ledger, "small", "", new_rows(1, first=3))
     assert tables.catch_up("small", 5)
     assert len(tables.surrogate("big").rows) == 60
     may_build.set()
@@ -90,7 +91,7 @@ def test_rows_that_come_during_a_build_are_built_together_after_it(open_tables, 
     may_build.clear()
     before = len(built)
     for number in range(20):
-        ledger.insert_rows("big", "", new_rows(1, first=60 + number))
+        insert(ledger, "big", "", new_rows(1, first=60 + number))
         time.sleep(0.03)
     may_build.set()
     assert tables.catch_up("big", 20)
@@ -108,8 +109,8 @@ def test_two_large_tables_are_built_one_after_the_other_and_small_ones_beside_th
     may_build.clear()
     built.clear()
     for name in ("big1", "big2"):
-        ledger.insert_rows(name, "", new_rows(1, first=60))
-    ledger.insert_rows("small", "", new_rows(1, first=3))
+        insert(ledger, name, "", new_rows(1, first=60))
+    insert(ledger, "small", "", new_rows(1, first=3))
     assert tables.catch_up("small", 20)
     may_build.set()
     assert all(tables.catch_up(name, 20) for name in ("big1", "big2"))
