@@ -6,7 +6,7 @@ The kernel answers on the host, whatever the device: the numbers are those of `T
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Array: TypeAlias = Any  # of JAX or PyTorch, neither of which need be installed
+Shapes = list[tuple[tuple[int, ...], Array]]  # shape and type of each result
 OUTSIDE = 2
 
 
@@ -178,10 +179,10 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
     host = Host(table, method, tolerance)
     n, m = host.packed.inputs, host.packed.outputs
 
-    def on_host(function: Callable[..., Any], shapes: list[tuple[Any, Any]], *arrays: Array) -> Any:
+    def on_host(function: Callable[..., Iterable[Array]], shapes: Shapes, *arrays: Array) -> Array:
         """Call a function of numpy arrays; `vmap` calls it once, with all lines."""
 
-        def call(*values: Array) -> Any:
+        def call(*values: Array) -> list[Array]:
             blocks = function(*values)
             return [block.astype(kind) for block, (_, kind) in zip(blocks, shapes, strict=True)]
 
@@ -201,7 +202,7 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
         return tuple(on_host(host.answers, [block, block, (w.shape[:-1], np.int32)], w))
 
     @answers.defjvp
-    def _(primals: Any, tangents: Any) -> Any:
+    def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
         moved, error, coverage = answers(*primals)
         change = jnp.einsum("...qn,...n->...q", slopes(*primals), tangents[0])
         nothing = np.zeros(coverage.shape, package.dtypes.float0)
@@ -216,7 +217,7 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
         return wrench_and_stiffness(u, start)[0]
 
     @inverse.defjvp
-    def _(primals: Any, tangents: Any) -> Any:
+    def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
         wrench, stiffness = wrench_and_stiffness(*primals)
         return wrench, jnp.einsum("...nq,...q->...n", stiffness, tangents[0])
 
@@ -258,7 +259,7 @@ def torch(table: Table, method: str | None = None, tolerance: Tolerance | None =
 
 def _torch_function(
     package: ModuleType,
-    on_host: Callable[..., tuple[NDArray[Any], ...]],
+    on_host: Callable[..., tuple[Array, ...]],
     jacobian: Callable[..., Array] | None = None,
 ) -> Callable[..., tuple[Array, ...]]:
     """Return a function of tensors by one of numpy arrays (..., k).
@@ -279,28 +280,28 @@ def _torch_function(
             )
 
         @staticmethod
-        def setup_context(ctx: Any, inputs: tuple[Array, ...], output: tuple[Array, ...]) -> None:
+        def setup_context(ctx: Array, inputs: tuple[Array, ...], output: tuple[Array, ...]) -> None:
             ctx.counts = len(inputs), len(output)
             ctx.save_for_backward(*inputs, *output)
             ctx.save_for_forward(*inputs, *output)
             ctx.mark_non_differentiable(*output[0 if jacobian is None else 1 :])
 
         @staticmethod
-        def backward(ctx: Any, *grads: Array) -> tuple[Array, ...]:
+        def backward(ctx: Array, *grads: Array) -> tuple[Array, ...]:
             assert jacobian is not None
             slopes = jacobian(*ctx.saved_tensors)
             change = package.einsum("...qn,...q->...n", slopes, grads[0])
             return change, *[None] * (ctx.counts[0] - 1)
 
         @staticmethod
-        def jvp(ctx: Any, *steps: Array) -> tuple[Array, ...]:
+        def jvp(ctx: Array, *steps: Array) -> tuple[Array, ...]:
             assert jacobian is not None
             slopes = jacobian(*ctx.saved_tensors)
             change = package.einsum("...qn,...n->...q", slopes, steps[0])
             return change, *[None] * (ctx.counts[1] - 1)
 
         @staticmethod
-        def vmap(_: Any, dims: Any, *tensors: Array) -> Any:
+        def vmap(_: object, dims: tuple[int | None, ...], *tensors: Array) -> tuple[Array, Array]:
             pairs = zip(tensors, dims, strict=True)
             first = [tensor if dim is None else tensor.movedim(dim, 0) for tensor, dim in pairs]
             results = Function.apply(*first)

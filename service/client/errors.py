@@ -7,7 +7,10 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
+
+Json: TypeAlias = Any  # a value of a JSON document
+Document = dict[str, Json]
 
 _SHOWN = 5
 _FOLDER = str(Path(__file__).parent)
@@ -56,8 +59,8 @@ class ProblemError(WrenchbookError):
         status: int,
         title: str,
         detail: str = "",
-        errors: list[dict[str, Any]] | None = None,
-        body: dict[str, Any] | None = None,
+        errors: list[Document] | None = None,
+        body: Document | None = None,
     ) -> None:
         super().__init__(status, title, detail)
         self.status = status
@@ -160,7 +163,7 @@ def required(module: str, user: str, install: str) -> Any:
         ) from error
 
 
-def mistake_line(error: dict[str, Any]) -> str:
+def mistake_line(error: Document) -> str:
     """Lay out one mistake of a body, or one or all of a cause of a table."""
     if "row" in error:
         count = error.get("count", 1)

@@ -9,15 +9,18 @@ import sys
 import threading
 import time
 from collections import deque
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..contract import LOADS, MAX_BLOCK
-from .errors import InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
+from .errors import Document, InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
 from .recording import KINDS, Kind, Started, checked_rows
 from .wrenches import one_wrench
+
+if TYPE_CHECKING:
+    from . import Client
 
 BLOCK = 256
 MOST_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
@@ -73,7 +76,7 @@ class Recorder:
 
     def __init__(
         self,
-        client: Any,
+        client: Client,
         component: str,
         kind: Kind = "recording",
         block: int = BLOCK,
@@ -85,7 +88,7 @@ class Recorder:
             raise InvalidArgument(f"block must be 1 to {MAX_BLOCK} wrenches, not {block}")
         self.component, self.recorded = component, 0
         self.kind: Kind = kind
-        self.reply: dict[str, Any] = {}
+        self.reply: Document = {}
         self._client, self._width = client, 8 * inputs  # bytes
         self._size = block * self._width
         self._key, self._sequence = secrets.token_hex(16), 0
@@ -139,7 +142,9 @@ class Recorder:
         checked = one_wrench(wrench) if default else checked_rows(np.stack([wrench]))
         packed = checked.astype("<f8").tobytes()
         with self._changed:
-            self._check()
+            if self._closing:
+                raise RecorderError("the recorder is closed; make another one")
+            self._check_failed()
             if self._count >= MOST_PENDING:
                 raise RecorderError(
                     f"the wrench was not taken: {self._count} wrenches wait for the server "
@@ -235,8 +240,13 @@ class Recorder:
                     self.component, self.kind, block, self._key, self._sequence
                 )
             except Exception as error:
-                self._note(error)
+                # Sending a block once more is safe, so after a passing error it is sent again.
+                again = isinstance(error, OSError | http.client.HTTPException | ValueError)
+                if isinstance(error, ProblemError):
+                    again = error.status >= 500 or error.status in _AGAIN
                 with self._changed:
+                    self._trouble, self._failed = error, not again
+                    self._changed.notify_all()
                     if self._failed:
                         return
                     self._changed.wait_for(lambda: self._closing or self._hurry, wait)
@@ -266,27 +276,12 @@ class Recorder:
                 if not self._blocks and time.monotonic() - self._opened_at >= FLUSH_S:
                     self._seal()
 
-    def _note(self, error: Exception) -> None:
-        """Keep an error, and whether the block can be taken later."""
-        # Sending a block once more is safe, so after a passing error it is sent again.
-        again = isinstance(error, OSError | http.client.HTTPException | ValueError)
-        if isinstance(error, ProblemError):
-            again = error.status >= 500 or error.status in _AGAIN
-        with self._changed:
-            self._trouble, self._failed = error, not again
-            self._changed.notify_all()
-
     def _seal(self) -> None:
         """Make the block that is being filled a full one."""
         if self._open:
             self._blocks.append(bytes(self._open))
             self._open.clear()
             self._sealed += 1
-
-    def _check(self) -> None:
-        if self._closing:
-            raise RecorderError("the recorder is closed; make another one")
-        self._check_failed()
 
     def _check_failed(self) -> None:
         if self._failed:

@@ -11,7 +11,8 @@ import json
 import socket
 from email.message import Message
 from functools import cached_property
-from typing import Any
+
+from .errors import Json
 
 _ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
 _BLANK_LINE = b"\r\n\r\n"
@@ -41,7 +42,7 @@ class Response:
         _, _, lines = self.head.partition(b"\r\n")
         return http.client.parse_headers(io.BytesIO(lines + _BLANK_LINE))
 
-    def json(self) -> Any:
+    def json(self) -> Json:
         """Return the body as JSON."""
         return json.loads(self.content)
 

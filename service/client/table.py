@@ -450,11 +450,11 @@ class Table:
             frames.append(pandas.DataFrame({"group": group, **columns}))
         return pandas.concat(frames, ignore_index=True) if frames else pandas.DataFrame()
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Everything but the lock."""
         return {name: value for name, value in vars(self).items() if name != "_fetching"}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         vars(self).update(state, _fetching=threading.Lock())
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Self, TypeVar
 from urllib.parse import urlencode, urlsplit
 
-from .errors import InvalidArgument, ProblemError, ServerTimeout, ServerUnreachable
+from .errors import InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
 from .request import (
     JSON,
     Call,
@@ -44,28 +44,8 @@ class Transport:
     """The address of a server, and connections to it that block.
 
     Each request takes an idle connection or opens one, and puts it back: threads never share one,
-    and a loop of calls stays on one socket. A forked child opens its own.
-
-    Parameters
-    ----------
-    url : str
-        Address of the server, with a path if it is served below one.
-    timeout : float
-        Seconds without an answer before `ServerTimeout`; the time that the server may wait before
-        it answers is added. A server that refuses the connection is tried again for as long, but
-        10 s at most.
-    key : str, optional
-        A key of the server; the variable WRENCHBOOK_KEY if not given.
-
-    Attributes
-    ----------
-    retry_s : float
-        Seconds for which a server that refuses, or is busy, is tried again: 10; 0 for not at all.
-
-    Raises
-    ------
-    InvalidArgument
-        If the address or the key is none.
+    and a loop of calls stays on one socket. A forked child opens its own. Parameters are those of
+    `Client`; InvalidArgument if the address or the key is none.
     """
 
     def __init__(
@@ -104,8 +84,8 @@ class Transport:
         content: bytes | None = None,
         *,
         kind: str | None = None,
-        query: dict[str, Any] | None = None,
-        headers: dict[str, str] | None = None,
+        query: Mapping[str, object] | None = None,
+        headers: Mapping[str, str] | None = None,
         wait_s: float | None = None,
         repeatable: bool = True,
     ) -> Call[Response]:
@@ -123,7 +103,7 @@ class Transport:
         return (yield Request(method, path, content, kind, query, headers, wait_s, repeatable))
 
     @sync_and_async
-    def call_json(self, method: str, path: str, body: Any = None, **options: Any) -> Call[Any]:
+    def call_json(self, method: str, path: str, body: object = None, **options: Any) -> Call[Json]:
         """Send `body` as JSON and return the answer's JSON; options as in `call`."""
         return (yield json_request(method, path, body, **options)).json()
 
@@ -145,7 +125,7 @@ class Transport:
         except StopIteration as end:
             return end.value
 
-    def perform(self, step: Step) -> Any:
+    def perform(self, step: Step) -> object:
         """Send a request, listen, read a line or wait."""
         if isinstance(step, Request):
             return self._send(step)
@@ -200,7 +180,7 @@ class Transport:
     def _exchange(self, connection: http.client.HTTPConnection, request: Request) -> Response:
         """Send and receive on one connection, then keep it, or close it when anything failed."""
         fields = _JSON_FIELDS if request.kind is None else {"Content-Type": request.kind}
-        fields = fields | (request.headers or {})
+        fields = {**fields, **(request.headers or {})}
         content = request.content or b""
         if request.content is not None or request.method != "GET":
             fields = {"Content-Length": str(len(content)), **fields}
@@ -261,7 +241,7 @@ class Transport:
         self,
         method: str,
         path: str,
-        query: Mapping[str, Any] | None,
+        query: Mapping[str, object] | None,
         fields: Mapping[str, str],
     ) -> bytes:
         """Lay out a request's head; InvalidArgument if something in it would end a line."""
@@ -296,7 +276,7 @@ class Connection(Transport):
 
     run = Transport.finish
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> Mapping[str, object]:
         """Everything but the connections."""
         return vars(self) | {"_idle": []}
 
@@ -359,7 +339,7 @@ def _last(idle: list[http.client.HTTPConnection]) -> http.client.HTTPConnection 
 def problem(response: Response) -> ProblemError:
     """Return an answer of status 400 or more as an error, whichever program wrote it."""
     status, reason, content = response.status, response.reason, response.content
-    body: Any = None
+    body: Json = None
     if response.headers.get_content_type().endswith("json"):
         with contextlib.suppress(ValueError):
             body = json.loads(content)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Protocol, get_args
+from typing import Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..contract import LOADS, OnThin
-from .errors import InvalidArgument
+from .errors import Document, InvalidArgument, Json
 
 ON_THIN: tuple[OnThin, ...] = get_args(OnThin)
 
@@ -72,14 +72,14 @@ def loads_body(
     moment: ArrayLike | None,
     loads: Mapping[str, Load] | None,
     inputs: Mapping[str, float] | None,
-) -> dict[str, Any]:
+) -> Document:
     """Return the checked loads of a call as the wire has them.
 
     They are force and moment of a component with one interface, or the loads by interface, and the
     further inputs by name, SI. InvalidArgument if there is a wrench and loads, if a shape is wrong
     or a number is not finite.
     """
-    body: dict[str, Any] = {}
+    body: Document = {}
     is_wrench = force is not None or moment is not None
     if is_wrench and loads is not None:
         raise InvalidArgument("give either force and moment, or loads by interface")
@@ -97,7 +97,7 @@ def loads_body(
     return body
 
 
-def wrench_of(body: Mapping[str, Any]) -> Vector:
+def wrench_of(body: Mapping[str, Json]) -> Vector:
     """Return the wrench that `loads_body` gives for one interface, shape (6,), N and N·m."""
     zero = [0.0] * 3
     return np.array([*body.get("force", zero), *body.get("moment", zero)])
@@ -112,7 +112,7 @@ def _wrench_of(load: Load) -> Vector:
     return one_wrench(load.get("force", np.zeros(3)), load.get("moment"))
 
 
-def _parts(wrench: Vector) -> dict[str, Any]:
+def _parts(wrench: Vector) -> Document:
     return {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()}
 
 
@@ -129,8 +129,8 @@ def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(LOADS)) -> Vecto
 
 
 def options(
-    *, on_thin: str | None = None, tolerance: Tolerance | None = None, **others: Any
-) -> dict[str, Any]:
+    *, on_thin: str | None = None, tolerance: Tolerance | None = None, **others: Json
+) -> Document:
     """Return the options of a call that are not None, checked where a slip is likely."""
     if on_thin is not None and on_thin not in ON_THIN:
         raise InvalidArgument(f"on_thin must be one of {', '.join(ON_THIN)}, not {on_thin!r}")

@@ -8,7 +8,6 @@ import errno
 import os
 import sqlite3
 import time
-from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -52,7 +51,7 @@ class Connection(sqlite3.Connection):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.jobs: dict[int, JobRecord] = {}
-        self.rows: Counter[str] = Counter()  # added, withdrawn or restored, by component
+        self.rows = 0  # added, withdrawn or restored
         self.damaged: dict[int, str] = {}  # rows, with their component: the ledger's own dict
 
 

@@ -15,6 +15,8 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from wrenchbook.service.files.lock import take
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.connection import Connection, sequences
@@ -100,7 +102,7 @@ def import_rows(
                 db.execute("UPDATE import_parts SET hidden = 0 WHERE import = ?", (number,))
                 if not new:
                     db.execute("DELETE FROM imports WHERE id = ?", (number,))
-                db.rows[component] += new
+                db.rows += new
         except BaseException:
             _drop_hidden(ledger)
             raise
@@ -118,6 +120,22 @@ def drop_abandoned(ledger: Ledger) -> None:
             _drop_hidden(ledger)
         finally:
             os.close(descriptor)
+
+
+def stored_numbers(db: Connection, component: str, inputs: int, outputs: int) -> np.ndarray:
+    """Return wrench, displacement and uncertainty of all rows, (n, inputs + 2 outputs), SI."""
+    unknown = np.full(outputs, np.nan).tobytes()
+    select = (
+        "SELECT wrench, displacement, uncertainty FROM rows WHERE component = ?"
+        " AND length(wrench) = ? AND length(displacement) = ?"
+    )
+    content = b"".join(
+        wrench + displacement + (uncertainty or unknown)
+        for wrench, displacement, uncertainty in db.execute(
+            select, (component, 8 * inputs, 8 * outputs)
+        )
+    )
+    return np.frombuffer(content, dtype="<f8").reshape(-1, inputs + 2 * outputs)
 
 
 def imports(db: Connection, component: str, most: int = 1000) -> list[ImportRecord]:

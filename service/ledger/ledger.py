@@ -2,7 +2,6 @@
 
 import logging
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -30,7 +29,6 @@ from wrenchbook.service.ledger.connection import (
     unavailable,
 )
 from wrenchbook.service.ledger.records import (
-    Change,
     JobRecord,
     LedgerError,
     LedgerFileError,
@@ -43,7 +41,7 @@ from wrenchbook.surrogate.table.space import DEFAULT, Space
 _log = logging.getLogger(__name__)
 _LEVELS = {"done": logging.INFO, "failed": logging.WARNING, "cancelled": logging.INFO}
 
-Listener = Callable[[Change], None]
+Listener = Callable[[], object]
 P = ParamSpec("P")
 R = TypeVar("R")
 Method = Callable[Concatenate["Ledger", P], R]
@@ -169,6 +167,7 @@ class Ledger:
     drop_abandoned = import_sql.drop_abandoned
     edit_import = _writes(import_sql.edit_import)
     imports = _reads(import_sql.imports)
+    stored_numbers = _reads(import_sql.stored_numbers)
     import_of = _reads(import_sql.import_of)
     import_spans = _reads(import_sql.import_spans)
     findings = _reads(import_sql.findings)
@@ -211,7 +210,7 @@ class Ledger:
             if not durable:
                 writer.execute("PRAGMA synchronous = NORMAL")
             try:
-                writer.jobs, writer.rows = {}, Counter()
+                writer.jobs, writer.rows = {}, 0
                 begin(writer)
                 yield writer
                 numbers = _numbers(writer)
@@ -228,10 +227,11 @@ class Ledger:
                 if not durable:
                     writer.execute("PRAGMA synchronous = FULL")
         _log_jobs(jobs.values())
-        for component in dict.fromkeys([*(job.component for job in jobs.values()), *rows]):
-            numbers = tuple(job.id for job in jobs.values() if job.component == component)
-            if numbers or rows[component]:
-                self._notify(Change(component, numbers, rows[component]))
+        for listener in self._listeners if jobs or rows else ():
+            try:
+                listener()
+            except Exception:  # the commit has happened, whatever a listener makes of it
+                _log.exception("a listener of the ledger failed")
 
     def sync(self) -> None:
         """Sync what transactions that are not durable have written.
@@ -276,7 +276,7 @@ class Ledger:
             return self._watcher.execute("PRAGMA data_version").fetchone()[0]
 
     def on_change(self, listener: Listener) -> Callable[[], None]:
-        """Call `listener` after each commit of this Ledger, in the thread that committed.
+        """Call `listener` after each commit of jobs or rows, in the thread that committed.
 
         It must be quick. Returns a function that ends the subscription. Commits of other
         processes are seen by polling `version`.
@@ -289,13 +289,6 @@ class Ledger:
                 self._listeners = tuple(other for other in self._listeners if other is not listener)
 
         return remove
-
-    def _notify(self, change: Change) -> None:
-        for listener in self._listeners:
-            try:
-                listener(change)
-            except Exception:  # the commit has happened, whatever a listener makes of it
-                _log.exception("a listener of the ledger failed on %s", change)
 
     def trouble(self) -> str | None:
         """Return why the file can be neither read nor written now; None if it can."""

@@ -132,19 +132,6 @@ class TableAt:
     lots: Iterator[NotedRows]
 
 
-@dataclass(frozen=True)
-class Change:
-    """The changes of a component by one committed transaction of this process, for listeners.
-
-    ``jobs`` are the numbers of the jobs it touched and ``rows`` counts the rows it added,
-    withdrew or restored.
-    """
-
-    component: str
-    jobs: tuple[int, ...] = ()
-    rows: int = 0
-
-
 class LedgerError(Exception):
     """Base of all errors of the ledger."""
 

@@ -94,7 +94,7 @@ def insert(
         for marks, keys in in_parts(record[-2] for record in records):
             select = f"SELECT seq FROM rows WHERE key IN ({marks}) AND NOT ({SHOWN})"
             new += sum(_show(db, seq) for (seq,) in db.execute(select, keys).fetchall())
-    db.rows[component] += new
+    db.rows += new
     return new, len(records) - new
 
 
@@ -118,7 +118,7 @@ def add_solved(
             edit(db, component, [seq], withdrawn=True, now=now)  # so that readers take it again
     if is_withdrawn(db, seq):
         edit(db, component, [seq], withdrawn=False, now=now)
-    db.rows[component] += 1
+    db.rows += 1
     return get(db, seq)
 
 
@@ -213,7 +213,7 @@ def edit(
     first = _skip(db, len(seqs)) - len(seqs) + 1
     edits = ((first + k, component, seq, withdrawn, now) for k, seq in enumerate(seqs))
     db.executemany("INSERT INTO edits VALUES (?, ?, ?, ?, ?)", edits)
-    db.rows[component] += len(seqs)
+    db.rows += len(seqs)
 
 
 def replay(db: Connection, component: str, edits: Iterable[RowEdit]) -> int:

@@ -43,7 +43,7 @@ class Watcher:
 
     def start(self) -> None:
         """Start the thread."""
-        self._end_notices = self._ledger.on_change(lambda _: self._wake.set())
+        self._end_notices = self._ledger.on_change(self._wake.set)
         self._thread.start()
 
     def stop(self) -> None:

@@ -22,7 +22,7 @@ from wrenchbook.service.jobs.dispatcher import settle
 from wrenchbook.service.ledger import About, Ledger
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
-from wrenchbook.service.tables.importing import ImportRequest, copy_rows, import_files
+from wrenchbook.service.tables.importing import copy_rows, import_files
 from wrenchbook.service.tables.rows import export_rows
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
@@ -147,7 +147,7 @@ def test_an_exported_table_is_imported_with_it(ledger, tmp_path, form: ExportFor
     )
     export_table(ledger, plate, ExportRequest(form, {}), tmp_path / "table")
     options = Options(load_range=own)
-    reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportRequest(), About())
+    reply = import_files(ledger, copy, [tmp_path / "table"], options, About())
     assert (reply["errors"], reply["inserted"]) == ([], 2)
     assert [one.curvature for one in stored(ledger, "copy", space=space)] == [thirds, None]
 

@@ -87,7 +87,7 @@ def test_an_accepted_job_is_solved_and_its_row_is_there(bench):
 def test_jobs_that_waited_before_the_start_are_solved_with_no_more_solvers_than_slots(bench):
     jobs = [bench.accept(load, 0, 0, 0, 0, 0) for load in range(6)]
     most = []
-    bench.ledger.on_change(lambda change: most.append(len(bench.ledger.running())))
+    bench.ledger.on_change(lambda: most.append(len(bench.ledger.running())))
     bench.start("slow", slots=2)
     for job in jobs:
         assert bench.end(job.id, 30).status == "done"

@@ -201,7 +201,7 @@ def test_57_solves_exported_and_imported_elsewhere_are_solves_with_their_tangent
     http, tmp_path, kind
 ):
     solved(http, np.random.default_rng(5).uniform(-50, 50, (57, 6)))
-    exported = http.get(PLATE, params={"format": kind, **units_of(kind)}).content
+    exported = http.get(PLATE, params={"format": kind}).content
     with TestClient(create_app(Settings(tmp_path / "elsewhere", solvers=0))) as other:
         body = send(other, PLATE, exported, kind).json()
         assert body["inserted"] == 57

@@ -9,7 +9,6 @@ import pytest
 
 from tests.service.ledger_rows import stored
 from wrenchbook.service.ledger import (
-    Change,
     InvalidTransitionError,
     Ledger,
     LedgerError,
@@ -278,16 +277,12 @@ def test_jobs_are_listed_newest_first_and_by_component_and_status(ledger):
 
 def test_listeners_hear_of_each_commit_and_not_of_questions(ledger):
     heard = []
-    stop = ledger.on_change(heard.append)
+    stop = ledger.on_change(lambda: heard.append(ledger.version()))
     job = accept(ledger)
     accept(ledger)
     ledger.claim("me")
     ledger.commit(job.id, 1, ANSWER)
-    assert heard == [
-        Change("plate", (job.id,)),
-        Change("plate", (job.id,)),
-        Change("plate", (job.id,), rows=1),
-    ]
+    assert len(heard) == len(set(heard)) == 3
     stop()
     stop()
     accept(ledger, 9, 9, 9, 9, 9, 9)
@@ -295,7 +290,7 @@ def test_listeners_hear_of_each_commit_and_not_of_questions(ledger):
 
 
 def test_a_listener_that_fails_does_not_make_the_commit_look_failed(ledger, caplog):
-    ledger.on_change(lambda change: 1 / 0)
+    ledger.on_change(lambda: 1 / 0)
     assert accept(ledger).status == "waiting"
     assert "a listener of the ledger failed" in caplog.text
 

@@ -23,7 +23,7 @@ from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.service.ledger import About, Ledger, NotedRows
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
-from wrenchbook.service.tables.importing import ImportRequest, import_files
+from wrenchbook.service.tables.importing import import_files
 from wrenchbook.service.tables.rows import export_rows
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
@@ -256,7 +256,7 @@ def test_an_exported_table_of_a_link_is_imported_to_the_same_rows(tmp_path, form
     ledger.import_rows("link", [NotedRows(rows, ["", "a", ""])], About())
     export_table(ledger, link, ExportRequest(form, {}), tmp_path / "table")
     options = Options(load_range=DEFAULT_RANGE)
-    reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportRequest(), About())
+    reply = import_files(ledger, copy, [tmp_path / "table"], options, About())
     assert (reply["errors"], reply["inserted"]) == ([], 3)
     with ledger.table_at("copy", space=LINK) as table:
         (lot,) = table.lots

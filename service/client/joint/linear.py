@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...contract import LOADS, OUTPUTS
-from ..errors import InvalidArgument
+from ..errors import Document, InvalidArgument
 from ..wrenches import Vector
 from .joint import FREEDOMS, further_inputs, moving
 
@@ -125,7 +125,7 @@ class LinearPart:
             f"the load range; the table covers {self.covered:.0%} of the wrenches compared"
         )
 
-    def to_dict(self, mass: ArrayLike | None = None) -> dict[str, Any]:
+    def to_dict(self, mass: ArrayLike | None = None) -> Document:
         """Return the part as a dict of plain numbers, with units and the condensed mass.
 
         Parameters

@@ -345,7 +345,7 @@ class Mount:
 
     def settle(
         self,
-        scene: Callable[[Vector, Vector], Any],
+        scene: Callable[[Vector, Vector], ArrayLike | tuple[ArrayLike, ArrayLike]],
         accuracy: float = 1e-3,
         most: int = 50,
     ) -> Settled:

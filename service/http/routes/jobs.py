@@ -16,13 +16,14 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from wrenchbook.service.contract import by_part
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.http.replies import next_page
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, read_progress, zipped
 from wrenchbook.service.jobs.waiting import why_waiting
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
+from wrenchbook.service.query import job_link
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 
