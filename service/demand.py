@@ -198,7 +198,7 @@ def _saved(db: Connection, name: str) -> QueryCounts:
     try:
         read = json.loads(row[0])
         cells = {tuple(map(int, cell)): [thin, outside] for *cell, thin, outside in read["cells"]}
-        latest = deque(read["latest"], maxlen=MAX_LATEST)
+        latest = deque(read.get("latest", ()), maxlen=MAX_LATEST)
         return QueryCounts(float(read["since"]), cells, int(read["elsewhere"]), latest)
     except (ValueError, KeyError, TypeError) as error:
         log.warning("the demand map of %s begins anew: %s", name, error)

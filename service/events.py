@@ -13,6 +13,7 @@ import secrets
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, NamedTuple
 
 import orjson
@@ -24,9 +25,8 @@ from wrenchbook.service.workspace import Workspace
 
 _log = logging.getLogger(__name__)
 
-KEPT = 2_000  # events held for listeners that come back: 0.6 MB
-MAX_LISTENERS = 64  # each is a connection and at most `BEHIND` events
-BEHIND = 256  # events a listener may be behind: minutes of usual work, a burst of single jobs
+KEPT = 2_000  # events held for listeners that are behind or come back: 0.6 MB
+MAX_LISTENERS = 64  # each is a connection
 
 LOOK_S = 0.25  # between looks at progress and tables, which no commit announces
 FIRST_LOOK_S = 10.0  # as long as a ledger may be busy; later the caller must retry
@@ -41,41 +41,34 @@ class TooManyListenersError(Exception):
 
 
 class Listener:
-    """The events of a component, or of all, that a connection has not read yet."""
+    """A connection that reads the events of a component, or of all, from the feed."""
 
-    def __init__(self, component: str | None) -> None:
+    def __init__(self, feed: Feed, component: str | None, number: int, greeting: bytes) -> None:
         self.component = component
+        self.number = number  # of the last event read
         self.ended = False
-        self._unread: deque[bytes] = deque()
+        self._feed, self._greeting = feed, greeting
         self._ready = asyncio.Event()
-
-    def put(self, wire: bytes) -> bool:
-        """Add an event's lines; False if this listener is too far behind."""
-        if len(self._unread) >= BEHIND:
-            return False
-        self._unread.append(wire)
         self._ready.set()
-        return True
 
-    def end(self, last: bytes = b"") -> None:
-        """Drop what is unread; the listener reads `last` and then ends."""
-        self._unread.clear()
-        self.ended = True
-        if last:
-            self._unread.append(last)
+    def wake(self) -> None:
+        """Let `read` return: there is an event."""
+        self._ready.set()
+
+    def end(self) -> None:
+        """End the listener; it reads no further event."""
+        self.ended, self._greeting = True, b""
         self._ready.set()
 
     async def read(self, seconds: float) -> bytes:
         """Return all lines there are, waiting for the first; nothing after `seconds`."""
-        if not self._unread and not self.ended:
-            try:
-                await asyncio.wait_for(self._ready.wait(), seconds)
-            except TimeoutError:
-                return b""
-        lines = b"".join(self._unread)
-        self._unread.clear()
+        try:
+            await asyncio.wait_for(self._ready.wait(), seconds)
+        except TimeoutError:
+            return b""
         self._ready.clear()
-        return lines
+        greeting, self._greeting = self._greeting, b""
+        return greeting if self.ended else greeting + self._feed.unread(self)
 
 
 class _Event(NamedTuple):
@@ -106,18 +99,12 @@ class Feed:
         return len(self._listeners)
 
     def publish(self, kind: str, component: str | None, body: dict[str, Any]) -> None:
-        """Send an event to its listeners, and keep it for those that come back."""
+        """Keep an event, and wake its listeners."""
         self._number += 1
         event = _Event(self._number, component, _wire(kind, body, self._newest()))
         self._kept.append(event)
-        for listener in [each for each in self._listeners if event.is_for(each)]:
-            if not listener.put(event.wire):
-                self._listeners.discard(listener)
-                reason = (
-                    f"this listener was more than {BEHIND} events behind; connect again with the "
-                    "id of the last one you have read"
-                )
-                listener.end(_wire("dropped", {"reason": reason}, None))
+        for listener in filter(event.is_for, self._listeners):
+            listener.wake()
 
     def listen(self, component: str | None, last_id: str | None, hello: dict[str, Any]) -> Listener:
         """Add a listener, which reads what came after `last_id` and then what comes.
@@ -129,18 +116,35 @@ class Feed:
                 f"{MAX_LISTENERS} listeners are connected, the most this server has; end one, or "
                 "poll GET /v1/jobs and GET /v1/components"
             )
-        listener = Listener(component)
-        missed = self._missed(last_id, listener) if last_id else []
-        listener.put(b"retry: 2000\n" + _wire("hello", hello, None if missed else self._newest()))
-        if missed is None:
+        mark, _, number = (last_id or self._newest()).partition(".")
+        known = mark == self._mark and number.isdecimal()
+        last = int(number) if known else -1
+        known = self._number - len(self._kept) <= last <= self._number
+        all_read = not known or last == self._number
+        greeting = b"retry: 2000\n" + _wire("hello", hello, self._newest() if all_read else None)
+        if not known:
             reason = "the events since your last one are not there any more: read jobs and tables"
-            listener.put(_wire("missed", {"reason": reason}, self._newest()))
-        for event in missed or ():
-            listener.put(event.wire)
+            greeting += _wire("missed", {"reason": reason}, self._newest())
+        listener = Listener(self, component, last if known else self._number, greeting)
         self._listeners.add(listener)
         if self.closed:
             listener.end()
         return listener
+
+    def unread(self, listener: Listener) -> bytes:
+        """Return the lines of a listener's further events; a listener too far behind ends."""
+        count = self._number - listener.number
+        listener.number = self._number
+        if count > len(self._kept):
+            self._listeners.discard(listener)
+            listener.end()
+            reason = (
+                f"this listener was more than {len(self._kept)} events behind; connect again with "
+                "the id of the last one you have read"
+            )
+            return _wire("dropped", {"reason": reason}, None)
+        events = islice(self._kept, len(self._kept) - count, None)
+        return b"".join(event.wire for event in events if event.is_for(listener))
 
     def leave(self, listener: Listener) -> None:
         """Forget a listener."""
@@ -154,19 +158,8 @@ class Feed:
     def close(self) -> None:
         """End all listeners: the server stops."""
         self.closed = True
-        for listener in list(self._listeners):
+        for listener in self._listeners:
             listener.end()
-
-    def _missed(self, last_id: str, listener: Listener) -> list[_Event] | None:
-        """Return what a listener has missed since an id; None if that is not known any more."""
-        mark, _, number = last_id.partition(".")
-        if mark != self._mark or not number.isdecimal():
-            return None
-        since = int(number)
-        if not self._number - len(self._kept) <= since <= self._number:
-            return None
-        missed = [event for event in self._kept if event.number > since and event.is_for(listener)]
-        return missed if len(missed) < BEHIND - 2 else None
 
     def _newest(self) -> str:
         return f"{self._mark}.{self._number}"

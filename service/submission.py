@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 GRAINS = 1e6  # to a load's scale: two wrenches that round to the same grains are one job
 REACH = 0.05  # of a load's scale: an open job as near as this is joined
 QUEUE_LIMIT = 64  # open jobs of a component that queries may have
-MOST_FAILED = 100_000  # failed jobs that a fill leaves out: more than anyone lets happen
+MAX_FAILED = 100_000  # failed jobs that a fill leaves out: more than anyone lets happen
 BLOCK = 65_536  # differences of wrenches looked at in one go, 3 MB
 
 
@@ -34,54 +34,40 @@ class NoSetupError(ValueError):
 
 @dataclass(frozen=True)
 class Placed:
-    """The job of one wrench.
+    """The job of a wrench, or the reason why it has none: ``queue-limit`` or ``beyond-range``.
 
-    Attributes
-    ----------
-    job : Job or None
-        None where the limit of open jobs is reached.
-    own : bool
-        Whether it solves this very wrench (as rounded), not one near by.
+    `own`: the job solves this very wrench (as rounded), not one near by.
     """
 
     job: JobRecord | None
     own: bool
+    reason: str = ""
 
 
 class _Open:
     """The open jobs of a component's present setup as points of scaled loads."""
 
     def __init__(self, version: int, jobs: list[OpenJob], scale: Floats) -> None:
-        self.version = version
-        self.ids = [job.id for job in jobs]
-        self.queries = _from_queries(jobs)
-        self._wrenches = unpacked((job.wrench for job in jobs), len(scale))
-        self._scaled = self._wrenches / scale
+        self.version, self.jobs = version, jobs
+        self.queries = sum(job.asked_by == "query" for job in jobs)
+        self._scaled = unpacked((job.wrench for job in jobs), len(scale)) / scale
 
     @cached_property
     def _tree(self) -> KDTree:
         return KDTree(self._scaled)
 
     def near(self, scaled: Floats, reach: float) -> NDArray[np.intp]:
-        """Return the place of the open job within reach of each, shape (n,); -1 for none."""
-        if not self.ids or not reach:
+        """Return the place of the open job within reach of each point (n, inputs); -1 for none."""
+        if not self.jobs or not reach:
             return np.full(len(scaled), -1)
         # The bound is exclusive; a job at just the reach is joined.
         bound = reach * (1 + 1e-12)
         _, place = self._tree.query(scaled, p=np.inf, distance_upper_bound=bound)
-        return np.where(place < len(self.ids), place, -1)
+        return np.where(place < len(self.jobs), place, -1)
 
 
 class Submission:
-    """Turn wrenches into jobs of the ledger.
-
-    Parameters
-    ----------
-    ledger, library:
-        Where jobs are accepted, and which components can be solved.
-    queue_limit:
-        Open jobs of a component that may come from queries.
-    """
+    """Turns wrenches into jobs of the ledger; at most `queue_limit` open ones come from queries."""
 
     def __init__(self, ledger: Ledger, library: Library, queue_limit: int = QUEUE_LIMIT) -> None:
         self._ledger = ledger
@@ -93,17 +79,13 @@ class Submission:
     def own(
         self, name: str, wrench: tuple[float, ...], *, urgent: bool, asked_by: str
     ) -> JobRecord:
-        """Accept the job of exactly this wrench's acting loads, N and N·m, whatever is queued.
+        """Accept the job of exactly this wrench, whatever is queued; raises NoSetupError.
 
-        An urgent one, somebody waits for it, starts before those of a fill.
-
-        Raises
-        ------
-        NoSetupError
-            If the component has no finite-element setup.
+        An urgent one, which a caller waits for, starts before those of a fill.
         """
-        component, priority = self.solvable(name), 1 if urgent else 0
+        component = self.solvable(name)
         acting = component.acting(np.array(wrench)).tolist()
+        priority = 1 if urgent else 0
         return self._ledger.accept(
             name, component.fingerprint, acting, priority=priority, asked_by=asked_by
         )[0]
@@ -111,14 +93,9 @@ class Submission:
     def fill(
         self, name: str, wrenches: Floats, *, urgent: bool = False, asked_by: str = "fill"
     ) -> list[JobRecord]:
-        """Accept a job for each different wrench, shape (n, 6), N and N·m, in one transaction.
+        """Accept a job for each different wrench (n, inputs), without a limit; raises NoSetupError.
 
-        Urgent ones start before those of a fill. No limit holds: somebody has asked for them.
-
-        Raises
-        ------
-        NoSetupError
-            If the component has no finite-element setup.
+        All are accepted in one transaction. Urgent ones start before those of a fill.
         """
         component = self.solvable(name)
         return self._ledger.accept_many(
@@ -130,60 +107,41 @@ class Submission:
         )
 
     def queue(self, name: str, wrenches: Floats) -> list[Placed]:
-        """Find or accept the jobs of queries' wrenches, shape (n, 6), N and N·m.
+        """Find or accept the jobs of queries' wrenches (n, inputs); raises NoSetupError.
 
         Each is rounded to whole grains, takes the job there is for it, else joins the open job
         within `REACH`, else becomes a job unless `queue_limit` of them are open. A linear
-        component's one open job is within reach of every wrench: any solve tells all.
-
-        Raises
-        ------
-        NoSetupError
-            If the component has no finite-element setup.
+        component's open job is within reach of every wrench: any solve gives its compliance.
         """
         component = self.solvable(name)
-        wrenches = component.acting(wrenches)
         # Divided at the end, not multiplied: a decimal wrench then stays the decimal it is.
         per_unit = GRAINS / component.load_range.scale
-        reach = np.inf if component.linear else REACH
-        return self._place(component, np.round(wrenches * per_unit) / per_unit, reach)
+        rounded = np.round(component.acting(wrenches) * per_unit) / per_unit
+        return self._place(component, rounded, np.inf if component.linear else REACH)
 
     def each(self, name: str, wrenches: Floats) -> list[Placed]:
-        """Find or accept each wrench's own exact job, shape (n, 6), N and N·m, up to the limit.
+        """Find or accept each wrench's own exact job, (n, inputs), up to the limit.
 
-        Raises
-        ------
-        NoSetupError
-            If the component has no finite-element setup.
+        Raises NoSetupError.
         """
         component = self.solvable(name)
         return self._place(component, component.acting(wrenches), 0.0)
 
     def pending_wrenches(self, name: str) -> Floats:
-        """Return the wrenches of a component's open and failed jobs, shape (n, 6), N and N·m.
-
-        A failed one is not solved again by asking.
-        """
+        """Return the wrenches (n, inputs) of open jobs and of failed ones: none is solved again."""
         component = self._library[name]
-        jobs = self._ledger.open_jobs(name, component.fingerprint)
+        open_jobs = self._ledger.open_jobs(name, component.fingerprint)
         failed = [
             job.wrench
-            for job in self._ledger.jobs(name, "failed", limit=MOST_FAILED)
+            for job in self._ledger.jobs(name, "failed", limit=MAX_FAILED)
             if job.fingerprint == component.fingerprint
         ]
         inputs = len(component.space.inputs)
-        open_ones = unpacked((job.wrench for job in jobs), inputs)
-        both = open_ones, np.array(failed).reshape(-1, inputs)
-        return np.concatenate(both)
+        waiting = unpacked((job.wrench for job in open_jobs), inputs)
+        return np.concatenate((waiting, np.array(failed).reshape(-1, inputs)))
 
     def solvable(self, name: str) -> Component:
-        """Return a component that solves can be queued for.
-
-        Raises
-        ------
-        NoSetupError
-            If it has no finite-element setup.
-        """
+        """Return a component that solves can be queued for; raises NoSetupError for any other."""
         component = self._library[name]
         if not component.has_fea:
             raise NoSetupError(
@@ -193,87 +151,81 @@ class Submission:
         return component
 
     def _place(self, component: Component, wrenches: Floats, reach: float) -> list[Placed]:
-        """Place wrenches as they are: their own jobs, open ones within reach, new ones."""
-        keys, scale = packed(wrenches), component.load_range.scale
-        jobs = self._found(component, set(keys))
-        left = [place for place, key in enumerate(keys) if key not in jobs]
-        joined = dict.fromkeys(left, -1)
-        if left:
-            scaled = wrenches[left] / scale
-            open_jobs = self._open(component)
-            near = open_jobs.near(scaled, reach)
-            if (near < 0).any() and open_jobs.queries < self.queue_limit:
-                self._accept(component, scaled[near < 0], wrenches[left][near < 0], reach)
-                jobs |= self._found(component, {keys[place] for place in left})
-                open_jobs = self._open(component)
-                near = open_jobs.near(scaled, reach)
-            ids = [*open_jobs.ids, -1]
-            joined = dict(zip(left, (ids[one] for one in near.tolist()), strict=True))
-        others = {number: self._ledger.job(number) for number in {*joined.values()} - {-1}}
-        return [
-            Placed(jobs[key], True) if key in jobs else Placed(others.get(joined[place]), False)
-            for place, key in enumerate(keys)
-        ]
+        """Place wrenches as they are: their own jobs, open ones within reach, new ones.
 
-    def _found(self, component: Component, keys: set[bytes]) -> dict[bytes, JobRecord]:
-        """Return the jobs there are for wrenches; a cancelled one is to be asked for anew."""
-        found = self._ledger.jobs_for(component.name, component.fingerprint, keys)
-        return {key: job for key, job in found.items() if job.status != "cancelled"}
+        What is new is chosen in the transaction that accepts it, so that the limit holds however
+        many processes queue at once.
+        """
+        setup, scale = (component.name, component.fingerprint), component.load_range.scale
+        keys = packed(wrenches)
+        # A cancelled job is to be asked for anew.
+        jobs = {
+            key: job
+            for key, job in self._ledger.jobs_for(*setup, set(keys)).items()
+            if job.status != "cancelled"
+        }
+        rest = [place for place, key in enumerate(keys) if key not in jobs]
+        if not rest:
+            return [Placed(jobs[key], own=True) for key in keys]
+        scaled, near_by = wrenches[rest] / scale, self._open(*setup, scale)
+        if (near_by.near(scaled, reach) < 0).any() and near_by.queries < self.queue_limit:
 
-    def _open(self, component: Component) -> _Open:
-        """Return the open jobs; read again only when something was committed."""
-        key, version = (component.name, component.fingerprint), self._ledger.version()
+            def choose(open_jobs: list[OpenJob]) -> list[bytes]:
+                nonlocal near_by
+                near_by = _Open(0, open_jobs, scale)
+                free = near_by.near(scaled, reach) < 0
+                room = self.queue_limit - near_by.queries
+                return packed(wrenches[rest][free][spread(scaled[free], reach, room)])
+
+            accepted = self._ledger.accept_chosen(*setup, choose, asked_by="query")
+            new = packed(np.array([job.wrench for job in accepted]).reshape(-1, len(scale)))
+            jobs |= dict(zip(new, accepted, strict=True))
+            opened = [OpenJob(job.id, key, "query") for key, job in zip(new, accepted, strict=True)]
+            near_by = _Open(0, near_by.jobs + opened, scale)
+        records = {job.id: job for job in jobs.values()}
+        joined: dict[int, OpenJob] = {}
+        for place, near in zip(rest, near_by.near(scaled, reach).tolist(), strict=True):
+            if near >= 0:
+                joined[place] = job = near_by.jobs[near]
+                if job.id not in records:
+                    records[job.id] = self._ledger.job(job.id)
+        placed = []
+        for place, key in enumerate(keys):
+            if key in jobs:
+                placed.append(Placed(jobs[key], own=True))
+            elif place in joined:
+                job = joined[place]
+                placed.append(Placed(records[job.id], own=job.wrench == key))
+            else:
+                placed.append(Placed(None, own=False, reason="queue-limit"))
+        return placed
+
+    def _open(self, name: str, fingerprint: str, scale: Floats) -> _Open:
+        """Return the open jobs, read again only when something was committed."""
+        key, version = (name, fingerprint), self._ledger.version()
         with self._lock:
             seen = self._seen.get(key)
             if seen is None or seen.version != version:
-                jobs = self._ledger.open_jobs(*key)
-                seen = self._seen[key] = _Open(version, jobs, component.load_range.scale)
+                seen = self._seen[key] = _Open(version, self._ledger.open_jobs(*key), scale)
             return seen
 
-    def _accept(self, component: Component, scaled: Floats, wrenches: Floats, reach: float) -> None:
-        """Accept jobs such that each of the wrenches has one within reach, up to the limit."""
-        scale = component.load_range.scale
 
-        def choose(jobs: list[OpenJob]) -> list[bytes]:
-            room = self.queue_limit - _from_queries(jobs)
-            free = _Open(0, jobs, scale).near(scaled, reach) < 0
-            return packed(wrenches[free][spread(scaled[free], reach, room)])
+def spread(scaled: Floats, reach: float, count: int) -> list[int]:
+    """Places of at most `count` points (n, inputs), first come first, none within reach of another.
 
-        self._ledger.accept_chosen(component.name, component.fingerprint, choose, asked_by="query")
-
-
-def spread(scaled: Floats, reach: float, most: int) -> list[int]:
-    """Pick points, first come first, that no two are within reach of each other.
-
-    Parameters
-    ----------
-    scaled : ndarray, shape (n, 6), dimensionless
-        Loads by their scale.
-    reach : float
-        Largest difference of a load, of its scale.
-    most : int
-        How many to pick at most.
-
-    Returns
-    -------
-    list of int
-        Places; every point is within reach of one of them unless `most` were picked.
+    Every point is within reach of one of them unless `count` were picked.
     """
     picked: list[int] = []
     start = 0
-    while start < len(scaled) and len(picked) < most:
+    while start < len(scaled) and len(picked) < count:
         # In blocks: where points lie apart, the first few are enough and the rest is never read.
         stop = start + max(1, BLOCK // max(len(picked), 64))
-        left = np.arange(start, min(stop, len(scaled)))
+        free = np.arange(start, min(stop, len(scaled)))
         if picked:
-            apart = np.abs(scaled[left, None] - scaled[picked]).max(axis=2)
-            left = left[(apart > reach).all(axis=1)]
-        while len(left) and len(picked) < most:
-            picked.append(int(left[0]))
-            left = left[np.abs(scaled[left] - scaled[left[0]]).max(axis=1) > reach]
+            apart = np.abs(scaled[free, None] - scaled[picked]).max(axis=2)
+            free = free[(apart > reach).all(axis=1)]
+        while len(free) and len(picked) < count:
+            picked.append(int(free[0]))
+            free = free[np.abs(scaled[free] - scaled[free[0]]).max(axis=1) > reach]
         start = stop
     return picked
-
-
-def _from_queries(jobs: list[OpenJob]) -> int:
-    return sum(job.asked_by == "query" for job in jobs)

@@ -26,7 +26,7 @@ from wrenchbook.service.jobs.attempt import (
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.solver_pool import open_engine
 from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
-from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError, OpenJob
+from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError
 from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
@@ -39,19 +39,17 @@ from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.live import Tables
 from wrenchbook.service.tables.mapped import MappedTables
-from wrenchbook.service.tables.rows import own_rows, table_rows
-from wrenchbook.service.tables.served import ServedTable, TableBehindError, row_table
+from wrenchbook.service.tables.served import ServedTable, TableBehindError
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
 from wrenchbook.surrogate.scene.plan import design_of, plan_of
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.row_index import RowIndex
-from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 log = logging.getLogger(__name__)
 
-MOST_UNBUILT = 500  # rows looked through for a wrench: a loop reads them at each uncovered query
+MAX_UNBUILT = 500  # rows looked through for a wrench: a loop reads them at each uncovered query
 CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
 
 
@@ -87,7 +85,7 @@ class Workspace:
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
         self._dispatcher: Dispatcher | None = None
         self._engine: Engine | None = None
-        self._polls = Polls(self.ledger)
+        self.polls = Polls(self.ledger)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._compliance_requested: dict[str, tuple[str, int]] = {}
 
@@ -136,7 +134,8 @@ class Workspace:
         once a version of its table.
         """
         table = self.tables.surrogate(name)
-        table.prefer(self.settings.method)
+        if self.settings.method is not None:
+            table.prefer(self.settings.method)
         if table.needs_compliance:
             self._ask_compliance(name, table)
         return table
@@ -149,69 +148,25 @@ class Workspace:
         known = self.tables.surrogate(name).solver_error
         return known or self.errors.read(name, self.library[name].fingerprint)
 
-    def row_table(self, name: str, seq: int) -> ServedTable:
-        """Return a table of the row that a solve has just given, which answers its wrench."""
-        rows, newest = (
-            table_rows(self.library[name], (self.ledger.row(seq),)),
-            self.tables.surrogate(name),
-        )
-        return row_table(self.library[name], rows, self.solver_error(name), newest)
+    def unbuilt(self, name: str, table: ServedTable) -> tuple[int, Rows]:
+        """How many rows the next version adds to a table, and the first `MAX_UNBUILT` of them.
 
-    def unbuilt_rows(self, name: str, wrenches: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the numbers of rows at wrenches (k, 6), N and N·m, that no table holds yet, (k,).
-
-        A row is at a wrench within 1e-6 of the range in each load; 0 where there is none.
+        No rows where the ledger cannot be read: an answer needs no ledger.
         """
-        component, after = self.library[name], self.tables.surrogate(name).version
-        changes = self.ledger.row_changes(name, after, MOST_UNBUILT)
-        rows = table_rows(component, own_rows(component, changes.rows))
-        if not len(rows):
-            return np.zeros(len(wrenches), dtype=np.int64)
-        places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
-        return np.where(places < 0, 0, rows.seq[places])
-
-    def pending_rows(self, name: str, table: ServedTable) -> int:
-        """Return how many rows the next version adds to a table."""
         component = self.library[name]
+        setup = {"space": component.space, "fingerprint": component.fingerprint}
         with suppress(LedgerUnavailableError):
-            changes = self.ledger.row_changes(name, table.version, MOST_UNBUILT)
+            changes = self.ledger.row_changes(name, table.version, MAX_UNBUILT, **setup)
             if changes.whole:
-                return len(own_rows(component, changes.rows))
-            return self.ledger.count_new(name, component.fingerprint, table.version)
-        return 0  # an answer needs no ledger
-
-    def rows_being_built(self, name: str, table: ServedTable, on_thin: str) -> str:
-        """Return how many rows a table will have more in a moment, in words; "" if none.
-
-        Raises
-        ------
-        TableBehindError
-            If there are some, no solve can answer in their place, and the table has no rows or
-            the request takes no estimate.
-        """
-        component, count = self.library[name], self.pending_rows(name, table)
-        if not count:
-            return ""
-        rows = f"{count} row(s) are"
-        if not component.has_fea and not (table.row_count and on_thin == "estimate"):
-            raise TableBehindError.unbuilt(name, f"{rows} being built")
-        return f"{rows} being built: the table answers from them soon"
-
-    def first_open_job(self, name: str) -> OpenJob | None:
-        """Return the oldest job of a component that waits or runs; None if there is none."""
-        try:
-            found = self.ledger.open_jobs(name, self.library[name].fingerprint)
-        except LedgerUnavailableError:
-            return None  # an estimate needs no ledger
-        return found[0] if found else None
+                return len(changes.rows), changes.rows
+            count = self.ledger.count_new(name, component.fingerprint, table.version)
+            return count, changes.rows
+        return 0, Rows.empty(component.space)
 
     async def newest(self, name: str, seconds: float) -> ServedTable:
         """Return the table once it holds all rows there are now, or after `seconds` as it is.
 
-        Raises
-        ------
-        UnknownComponentError
-            If there is no such component.
+        Raises UnknownComponentError.
         """
         self.tables.surrogate(name)  # a name that is unknown ends here
         await self.caught_up(name, seconds)
@@ -227,23 +182,17 @@ class Workspace:
         return await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
 
     def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
-        """Return a component's deformed surface under a wrench (6,), N and N·m.
+        """Return a component's deformed surface under a wrench (6,), N and N·m, from files.
 
-        It reads files: nothing for an event loop.
-
-        Raises
-        ------
-        UnknownComponentError, NoFieldsError, TooFarError
-            If there is no such component, if no row has a surface, or the wrench is far beyond
-            the load range.
+        Raises UnknownComponentError, NoFieldsError if no row has a surface, and TooFarError for a
+        wrench far beyond the load range.
         """
         table = self.surrogate(name)
         component, solver = self.library[name], self.solver_error(name)
-        loads = wrench.tolist()
-        found = table.packed.answer(loads)
-        shares = {} if table.solver_error is None else {"mesh": found.discretisation}
+        reply = table.packed.answer(wrench.tolist())
+        shares = {} if table.solver_error is None else {"mesh": reply.discretisation}
         if table.solver_error is not None and "linearity" in table.solver_error.values:
-            shares["linearity"] = found.linearity
+            shares["linearity"] = reply.linearity
         return self.shapes.answer(
             component, table.rows, wrench, table.hyperparameters, solver, shares
         )
@@ -259,22 +208,9 @@ class Workspace:
     ) -> tuple[Design, list[JobRecord]]:
         """Design one round of solves on all rows there are, and accept them.
 
-        Parameters
-        ----------
-        tolerance : Tolerance or None, m and rad
-            The component's own if None.
-        need : Need, optional
-            What a scene needs of the table, with its own tolerance; the fill then follows its plan.
-        for_joint : bool
-            Whether a joint will invert the table: see `next_wrenches`.
-
-        Raises
-        ------
-        NoSetupError
-            If the component has no finite-element setup.
-        TableBehindError
-            If the table does not hold all rows yet: a design on an older one would pay
-            for what is known.
+        With `need`, what a scene needs of the table, the fill follows the scene's plan; `for_joint`
+        as of `next_wrenches`. Raises NoSetupError, and TableBehindError if the table does not hold
+        all rows yet: a design on an older one would pay for what is known.
         """
         self.submission.solvable(name)
         # First what is open, then what is known: a solve that ends between the two is in both.
@@ -290,18 +226,6 @@ class Workspace:
         jobs = self.submission.fill(name, design.wrenches)
         # A design separates by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
-
-    async def wait(self, job_id: int, seconds: float) -> JobRecord:
-        """Return the job once it has ended, or as it is after ``seconds``."""
-        return (await self.wait_all([job_id], seconds))[0]
-
-    async def wait_all(self, job_ids: list[int], seconds: float) -> list[JobRecord]:
-        """Return the jobs once all have ended, or as they are after ``seconds``."""
-        return await self._polls.wait_all(job_ids, seconds)
-
-    def let_go(self) -> None:
-        """Return from all waits with the jobs as they are: the server stops. For the loop."""
-        self._polls.stop()
 
     def why_waiting(self, job: JobRecord) -> Waiting | None:
         """Return why a job waits and for how long it may; None if it does not wait."""
@@ -397,4 +321,4 @@ class Workspace:
         loop = self._loop
         if loop is None or loop.is_closed():
             return
-        loop.call_soon_threadsafe(self._polls.notify)
+        loop.call_soon_threadsafe(self.polls.notify)

@@ -80,7 +80,6 @@ OLD_WORDS = frozenset(
 ROOMS = ("fea", "surrogate", "service")
 COUNTED = (
     "surrogate",
-    "service/answering",
     "service/tables",
     "service/fields",
     "service/fmu",

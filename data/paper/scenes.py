@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from data.paper.part import Mask, Vector
-from wrenchbook.service.client.mount.mujoco_checks import engine
-from wrenchbook.service.client.mount.mujoco_mount import MujocoMount
+from wrenchbook.service.client.mount.mujoco_mount import MujocoMount, engine
 
 ARM = Path(__file__).parents[1] / "scenes" / "arm.xml"
 

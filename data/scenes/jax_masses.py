@@ -16,8 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from wrenchbook import Table
-from wrenchbook.service.client.batched.jax import evaluator
+from wrenchbook import Table, arrays
 
 GRAVITY, STEP = 9.81, 1e-3  # m/s², s
 STIFFNESS, DAMPING = 2e4, 600.0  # of a leg, N/m and N·s/m
@@ -65,7 +64,7 @@ def drop(answers: Any, masses: Any, feet: Any, steps: int) -> tuple[Any, Any]:
 
 def main(table: Table, count: int = 4096, steps: int = 1000) -> tuple[Any, Any, Any]:
     """Run the drop; return masses (k,), kg, displacements (k, 6), m and rad, du_z/dm (k,), m/kg."""
-    answers = evaluator(table, dtype="float64")
+    answers = arrays.jax(table)
     random = np.random.default_rng(1)
     masses = jnp.asarray(random.uniform(5, 40, count))
     feet = jnp.asarray(random.uniform(-0.02, 0.02, (count, 2)))

@@ -239,7 +239,7 @@ def _fmu(
 
 def _c_library(name: str, table: bytes) -> bytes:
     """Return a zip of a packed table and the C library that answers from it."""
-    from wrenchbook.service.fmu.library import make_library
+    from wrenchbook.service.fmu.export import make_library
     from wrenchbook.surrogate.kernel.binding import PackedTable
 
     return make_library(name, PackedTable.from_bytes(table))

@@ -8,7 +8,6 @@
 ...     R, p = answer.apply(R0, p0)
 """
 
-from .connection import Connection
 from .deformed import DeformedShape, Stress, SurfaceCalls
 from .displacement import DisplacementCalls
 from .errors import (
@@ -28,6 +27,7 @@ from .recording import Envelope, Recording, RecordingCalls, Started
 from .replies import Displacement, Displacements
 from .scene import ComponentPlan, Scene, SceneError
 from .table import DownloadCalls, Table
+from .transport import Connection
 
 
 class Calls(

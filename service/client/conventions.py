@@ -17,7 +17,7 @@ the same with JOINT_FEEDBACK_IN_JOINT_FRAME. Both are the parent holding the chi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,7 @@ from .rotation import quaternion
 from .wrenches import one_wrench
 
 Vector = NDArray[np.float64]
+Message: TypeAlias = Any  # an object of another program
 Side = Literal["parent", "child"]
 
 
@@ -67,7 +68,7 @@ def moved(
     return np.concatenate([force, moment])
 
 
-def from_ros(message: Any) -> Vector:
+def from_ros(message: Message) -> Vector:
     """Return the wrench of a ROS ``geometry_msgs/Wrench`` or ``WrenchStamped``.
 
     Parameters
@@ -106,7 +107,7 @@ def to_ros(wrench: ArrayLike) -> dict[str, dict[str, float]]:
     }
 
 
-def from_drake(spatial_force: Any, component: Side | None = None) -> Vector:
+def from_drake(spatial_force: Message, component: Side | None = None) -> Vector:
     """Return the wrench of a Drake ``SpatialForce``.
 
     Parameters
@@ -217,10 +218,10 @@ def _on(component: Side, parent_to_child: Vector) -> Vector:
     return (-parent_to_child if component == "parent" else parent_to_child) + 0.0
 
 
-_REQUIRED: Any = object()
+_REQUIRED: Message = object()
 
 
-def _field(whole: Any, name: str, default: Any = _REQUIRED) -> Any:
+def _field(whole: Message, name: str, default: Message = _REQUIRED) -> Message:
     """Return a message's member, be it an attribute or a key."""
     found = (
         whole.get(name, default) if isinstance(whole, Mapping) else getattr(whole, name, default)

@@ -1,10 +1,19 @@
-"""What can go wrong between a simulator and the server."""
+"""The client's errors and warnings; each text says what to do."""
 
 from __future__ import annotations
 
-from typing import Any
+import importlib
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+Json: TypeAlias = Any  # a value of a JSON document
+Document = dict[str, Json]
 
 _SHOWN = 5
+_FOLDER = str(Path(__file__).parent)
 
 
 class WrenchbookError(Exception):
@@ -50,8 +59,8 @@ class ProblemError(WrenchbookError):
         status: int,
         title: str,
         detail: str = "",
-        errors: list[dict[str, Any]] | None = None,
-        body: dict[str, Any] | None = None,
+        errors: list[Document] | None = None,
+        body: Document | None = None,
     ) -> None:
         super().__init__(status, title, detail)
         self.status = status
@@ -81,7 +90,80 @@ class ServerTimeout(WrenchbookError, TimeoutError):  # noqa: N818 (as above)
     """The server, or a job, took longer than the timeout."""
 
 
-def mistake_line(error: dict[str, Any]) -> str:
+class MountError(WrenchbookError, RuntimeError):
+    """A mount cannot go on; nothing of it has moved."""
+
+
+class SensorError(MountError):
+    """The reading of the simulation cannot be the wrench on the component."""
+
+
+class SourceError(MountError, TypeError):
+    """The source of a mount is neither a table nor a client that the mode can use."""
+
+
+class DisplacementUnknown(MountError):  # noqa: N818 (a state of the table, and a public name)
+    """The component's table cannot answer, or lacks an output that the pose needs."""
+
+
+class CouplingDiverged(MountError):  # noqa: N818 (the public name)
+    """Scene and component drive each other apart instead of to an equilibrium.
+
+    Parameters
+    ----------
+    message : str
+        What happened, and the remedy.
+    residuals : sequence of float
+        How far pose and answer were apart, iteration by iteration, in tolerances.
+    spectral_radius : float, optional
+        G, the spectral radius of compliance times the scene's stiffness, where it is known.
+    """
+
+    def __init__(
+        self, message: str, residuals: Sequence[float] = (), spectral_radius: float | None = None
+    ) -> None:
+        super().__init__(message)
+        self.residuals = tuple(residuals)
+        self.spectral_radius = spectral_radius
+
+
+class MountWarning(UserWarning):
+    """The loop goes on, with numbers that may be wrong; issued once a mount and kind."""
+
+
+class JointError(WrenchbookError, RuntimeError):
+    """A joint cannot go on, or its scene cannot have one."""
+
+
+class JointRangeError(JointError):
+    """The relative pose is far beyond what the part can have."""
+
+
+class JointWarning(UserWarning):
+    """The simulation goes on, with numbers that may be wrong; issued once a joint and kind."""
+
+
+def warn(message: str, category: type[Warning]) -> None:
+    """Issue a warning at the line that called the client, from however deep within."""
+    level, caller = 1, sys._getframe()
+    while caller is not None and caller.f_code.co_filename.startswith(_FOLDER):
+        level, caller = level + 1, caller.f_back
+    warnings.warn(message, category, stacklevel=level)
+
+
+def required(module: str, user: str, install: str) -> Any:
+    """Return a module, or raise MissingPackage: `user` needs it; pip can `install` it."""
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        name = module.partition(".")[0]
+        raise MissingPackage(
+            f"{user} needs the package {name!r}, which is not installed: pip install {install}",
+            name=name,
+        ) from error
+
+
+def mistake_line(error: Document) -> str:
     """Lay out one mistake of a body, or one or all of a cause of a table."""
     if "row" in error:
         count = error.get("count", 1)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import MissingPackage
+from .errors import required
+
+Floats = NDArray[np.float64]
 
 # The names of a CSV export.
 WRENCH_COLUMNS = ("fx [N]", "fy [N]", "fz [N]", "mx [N*m]", "my [N*m]", "mz [N*m]")
@@ -19,7 +20,7 @@ ERROR_COLUMNS = tuple(f"error {name}" for name in DISPLACEMENT_COLUMNS)
 SHOWN = 10  # rows of an HTML table
 
 
-def html_table(caption: str, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def html_table(caption: str, names: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return an HTML table with its text escaped; the floats have six digits."""
     head = "".join(f"<th>{escape(name)}</th>" for name in names)
     body = "".join(
@@ -31,29 +32,17 @@ def html_table(caption: str, names: Sequence[str], rows: Iterable[Sequence[Any]]
     )
 
 
-def named_columns(names: Sequence[str], block: NDArray[np.float64]) -> dict[str, Any]:
+def named_columns(names: Sequence[str], block: Floats) -> dict[str, Floats]:
     """Return the columns of a block, shape (n, 6), in the units that the names have."""
     return dict(zip(names, block.T, strict=True))
 
 
-def require_pandas() -> Any:
-    """Return the module pandas.
-
-    Raises
-    ------
-    MissingPackage
-        If it is not installed.
-    """
-    try:
-        return importlib.import_module("pandas")
-    except ModuleNotFoundError as error:
-        raise MissingPackage(
-            "to_pandas needs the package 'pandas', which is not installed: pip install pandas",
-            name="pandas",
-        ) from error
+def require_pandas() -> ModuleType:
+    """Return the module pandas, or raise MissingPackage."""
+    return required("pandas", "to_pandas", "pandas")
 
 
-def _text(cell: Any) -> str:
+def _text(cell: object) -> str:
     if isinstance(cell, float):
         return "" if np.isnan(cell) else f"{cell:.6g}"
     return "" if cell is None else str(cell)

@@ -26,15 +26,15 @@ MissingPackage
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..contract import COVERAGE, LOADS, OUTPUTS
 from .deformed import DeformedShape
-from .errors import InvalidArgument, MissingPackage
+from .errors import InvalidArgument, required
 from .notebook import DISPLACEMENT_COLUMNS, WRENCH_COLUMNS
 from .replies import Displacements, Vector
 from .table import Table
@@ -43,6 +43,7 @@ from .wrenches import one_wrench
 if TYPE_CHECKING:
     from . import Client
 
+Axes: TypeAlias = Any  # of matplotlib, which need not be installed
 COLOURS = ("#4c9f70", "#f0c05a", "#c9594c")  # of COVERAGE
 LARGEST = 0.1  # drawn displacement over the part's size, if no scale is given
 
@@ -56,8 +57,8 @@ def response(
     wrench: ArrayLike | None = None,
     method: str | None = None,
     count: int = 201,
-    axes: Any = None,
-) -> Any:
+    axes: Axes = None,
+) -> Axes:
     """Draw an output and its 95 % error band along one load, from end to end of its range.
 
     Parameters and errors are those of the module; `output` is one of ``ux uy uz rx ry rz``, and
@@ -97,8 +98,8 @@ def coverage(
     wrench: ArrayLike | None = None,
     method: str | None = None,
     count: int = 61,
-    axes: Any = None,
-) -> Any:
+    axes: Axes = None,
+) -> Axes:
     """Draw where in the plane of two loads the table covers the wrench.
 
     Parameters and errors are those of the module; `first` and `second` are two loads, and
@@ -135,7 +136,7 @@ def coverage(
     return axes
 
 
-def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Any = None) -> Any:
+def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Axes = None) -> Axes:
     """Draw a deformed part, coloured by the length of the displacement.
 
     Parameters
@@ -176,15 +177,8 @@ def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Any = No
     return axes
 
 
-def _pyplot() -> Any:
-    try:
-        return importlib.import_module("matplotlib.pyplot")
-    except ModuleNotFoundError as error:
-        raise MissingPackage(
-            "wrenchbook.plot needs the package 'matplotlib', which is not installed: "
-            "pip install 'wrenchbook[plot]'",
-            name="matplotlib",
-        ) from error
+def _pyplot() -> ModuleType:
+    return required("matplotlib.pyplot", "wrenchbook.plot", "'wrenchbook[plot]'")
 
 
 def _index(name: str, names: tuple[str, ...]) -> int:

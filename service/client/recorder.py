@@ -9,15 +9,18 @@ import sys
 import threading
 import time
 from collections import deque
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..contract import LOADS, MAX_BLOCK
-from .errors import InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
+from .errors import Document, InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
 from .recording import KINDS, Kind, Started, checked_rows
 from .wrenches import one_wrench
+
+if TYPE_CHECKING:
+    from . import Client
 
 BLOCK = 256
 MOST_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
@@ -73,7 +76,7 @@ class Recorder:
 
     def __init__(
         self,
-        client: Any,
+        client: Client,
         component: str,
         kind: Kind = "recording",
         block: int = BLOCK,
@@ -85,7 +88,7 @@ class Recorder:
             raise InvalidArgument(f"block must be 1 to {MAX_BLOCK} wrenches, not {block}")
         self.component, self.recorded = component, 0
         self.kind: Kind = kind
-        self.reply: dict[str, Any] = {}
+        self.reply: Document = {}
         self._client, self._width = client, 8 * inputs  # bytes
         self._size = block * self._width
         self._key, self._sequence = secrets.token_hex(16), 0

@@ -1,7 +1,7 @@
 """The calls of a client, apart from the connection that sends them.
 
-A call is a generator: it yields a request, gets the response, and returns its result. `Connection`
-runs it on a blocking socket and `AsyncConnection` on asyncio streams, so each call is written once.
+A call is a generator: it yields a request, gets the response, and returns its result. `Client` runs
+it on a blocking socket and `AsyncClient` does so in a thread, so each call is written once.
 """
 
 from __future__ import annotations
@@ -9,13 +9,15 @@ from __future__ import annotations
 import functools
 import inspect
 import json
-from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Iterator
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 from urllib.parse import quote
 
 P = ParamSpec("P")
 T = TypeVar("T")
+B = TypeVar("B")
+A = TypeVar("A")
 
 JSON = "application/json"
 BINARY = "application/octet-stream"
@@ -23,52 +25,42 @@ BINARY = "application/octet-stream"
 
 @dataclass(slots=True)
 class Request:
-    """One request; the answer to it is a `Response`.
-
-    Parameters
-    ----------
-    method, path : str
-        HTTP method and the path below the server's address, quoted.
-    content : bytes, optional
-        Body; JSON unless `kind` names another content type.
-    query : dict, optional
-        Query parameters; those that are None are left out.
-    headers : dict, optional
-        Further header fields.
-    wait_s : float, optional
-        Seconds that the server may wait before it answers; added to the timeout.
-    repeatable : bool
-        Whether sending the request twice does no more than once. Any other is sent once, on a new
-        connection: the server may have closed a kept one.
-    retry : bool
-        Whether a server that refuses the connection is tried again, and one that is busy (503 with
-        Retry-After) if `repeatable`.
-    """
+    """One request; the answer to it is a `Response`."""
 
     method: str
-    path: str
-    content: bytes | None = None
+    path: str  # below the server's address, quoted
+    content: bytes | None = None  # JSON unless `kind` names another content type
     kind: str | None = None
-    query: dict[str, Any] | None = None
-    headers: dict[str, str] | None = None
-    wait_s: float | None = None
+    query: Mapping[str, object] | None = None  # those that are None are left out
+    headers: Mapping[str, str] | None = None
+    wait_s: float | None = None  # that the server may wait before it answers; adds to the timeout
+    # Whether sending the request twice does no more than once. Any other is sent once, on a new
+    # connection: the server may have closed a kept one.
     repeatable: bool = True
+    # Whether a server that refuses the connection is tried again, and one that is busy (503 with
+    # Retry-After) if `repeatable`.
     retry: bool = True
+
+
+class Lines(Protocol):
+    """A response that is read line by line."""
+
+    def readline(self) -> bytes:
+        """Return the next line; empty at the end."""
+        ...
+
+    def close(self) -> None:
+        """Close the connection."""
+        ...
 
 
 @dataclass(slots=True)
 class Listen:
-    """A GET whose answer is read line by line: a stream with ``close()``.
-
-    Parameters
-    ----------
-    timeout : float
-        Seconds without a byte before TimeoutError.
-    """
+    """A GET whose answer is `Lines`; TimeoutError after `timeout` seconds without a byte."""
 
     path: str
-    query: dict[str, Any]
-    headers: dict[str, str] = field(default_factory=dict)
+    query: Mapping[str, object]
+    headers: Mapping[str, str] = field(default_factory=dict)
     timeout: float = 30.0
 
 
@@ -76,7 +68,7 @@ class Listen:
 class NextLine:
     """The next line of a stream; empty at its end."""
 
-    stream: Any
+    stream: Lines
 
 
 @dataclass(slots=True)
@@ -98,7 +90,7 @@ Call = Generator[Step, Any, T]
 Items = Generator[Step | Item[T], Any, None]
 
 
-def json_request(method: str, path: str, body: Any = None, **options: Any) -> Request:
+def json_request(method: str, path: str, body: object = None, **options: Any) -> Request:
     """Return a request with `body` as JSON; options as in `Request`."""
     content = None if body is None else json.dumps(body, allow_nan=False).encode()
     return Request(method, path, content, **options)
@@ -120,10 +112,6 @@ class BlockingRunner(Protocol):
         """Return the items of a call that is an iterator."""
         ...
 
-    def close(self) -> None:
-        """Close the idle connections."""
-        ...
-
 
 class AsyncRunner(Protocol):
     """A connection whose calls are awaited."""
@@ -137,62 +125,49 @@ class AsyncRunner(Protocol):
         ...
 
 
-class _Method(Generic[P, T]):
-    """The types of a call: its result of a `Client`, a coroutine of an `AsyncClient`."""
+class _Method(Generic[P, B, A]):
+    """The types of a call: its result of a `Client`, that of an `AsyncClient`."""
 
     @overload
-    def __get__(self, client: BlockingRunner, owner: Any = None) -> Callable[P, T]: ...
+    def __get__(self, client: BlockingRunner, owner: object = None) -> Callable[P, B]: ...
     @overload
-    def __get__(
-        self, client: AsyncRunner, owner: Any = None
-    ) -> Callable[P, Coroutine[Any, Any, T]]: ...
+    def __get__(self, client: AsyncRunner, owner: object = None) -> Callable[P, A]: ...
     @overload
-    def __get__(self, client: None, owner: Any = None) -> Callable[..., Any]: ...
-    def __get__(self, client: Any, owner: Any = None) -> Any:
+    def __get__(self, client: None, owner: object = None) -> Callable[..., object]: ...
+    def __get__(self, client: object, owner: object = None) -> object:
         raise NotImplementedError
 
 
-class _IteratorMethod(Generic[P, T]):
-    """The same of a call that is an iterator."""
-
-    @overload
-    def __get__(self, client: BlockingRunner, owner: Any = None) -> Callable[P, Iterator[T]]: ...
-    @overload
-    def __get__(
-        self, client: AsyncRunner, owner: Any = None
-    ) -> Callable[P, AsyncGenerator[T, None]]: ...
-    @overload
-    def __get__(self, client: None, owner: Any = None) -> Callable[..., Any]: ...
-    def __get__(self, client: Any, owner: Any = None) -> Any:
-        raise NotImplementedError
-
-
-def sync_and_async(call: Callable[Concatenate[Any, P], Call[T]]) -> _Method[P, T]:
+def sync_and_async(
+    call: Callable[Concatenate[Any, P], Call[T]],
+) -> _Method[P, T, Coroutine[Any, Any, T]]:
     """Make a generator of requests a method that returns its result."""
 
     @functools.wraps(call)
-    def method(self: Any, /, *args: P.args, **options: P.kwargs) -> Any:
+    def method(self: BlockingRunner, /, *args: P.args, **options: P.kwargs) -> T:
         return self.run(call(self, *args, **options))
 
-    return cast("_Method[P, T]", _with_result(method, "Call"))
+    # A signature shows ``Call[Job]`` as ``Job``,
+    return cast("_Method[P, T, Coroutine[Any, Any, T]]", _with_result(method, "Call", "{}"))
 
 
 def sync_and_async_iterator(
     call: Callable[Concatenate[Any, P], Items[T]],
-) -> _IteratorMethod[P, T]:
+) -> _Method[P, Iterator[T], AsyncGenerator[T, None]]:
     """Make a generator of requests and items a method that returns an iterator of its items."""
 
     @functools.wraps(call)
-    def method(self: Any, /, *args: P.args, **options: P.kwargs) -> Any:
+    def method(self: BlockingRunner, /, *args: P.args, **options: P.kwargs) -> Iterator[T]:
         return self.iterate(call(self, *args, **options))
 
-    return cast("_IteratorMethod[P, T]", _with_result(method, "Items"))
+    # and ``Items[Job]`` as ``Iterator[Job]``.
+    shown = _with_result(method, "Items", "Iterator[{}]")
+    return cast("_Method[P, Iterator[T], AsyncGenerator[T, None]]", shown)
 
 
-def _with_result(method: Any, wrapper: str) -> Any:
-    """Show ``Call[Job]`` as ``Job``, and ``Items[Job]`` as ``Iterator[Job]``, in a signature."""
+def _with_result(method: Callable[..., object], wrapper: str, shown: str) -> object:
     signature = inspect.signature(method)
     result = str(signature.return_annotation).removeprefix(f"{wrapper}[").removesuffix("]")
-    shown = result if wrapper == "Call" else f"Iterator[{result}]"
-    method.__signature__ = signature.replace(return_annotation=shown)
+    signature = signature.replace(return_annotation=shown.format(result))
+    setattr(method, "__signature__", signature)  # noqa: B010 (not an attribute that types know)
     return method

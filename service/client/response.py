@@ -11,7 +11,8 @@ import json
 import socket
 from email.message import Message
 from functools import cached_property
-from typing import Any, NamedTuple
+
+from .errors import Json
 
 _ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
 _BLANK_LINE = b"\r\n\r\n"
@@ -21,15 +22,7 @@ _UNUSUAL = (b"\r\nconnection:", b"\r\ntransfer-encoding:", b"\r\ncontent-encodin
 
 
 class Response:
-    """A response as it was received.
-
-    Attributes
-    ----------
-    status : int
-    reason, head, content : str, bytes, bytes
-    will_close : bool
-        Whether the connection is of no further use.
-    """
+    """A response as it was received; `will_close`: its connection is of no further use."""
 
     def __init__(
         self,
@@ -49,55 +42,43 @@ class Response:
         _, _, lines = self.head.partition(b"\r\n")
         return http.client.parse_headers(io.BytesIO(lines + _BLANK_LINE))
 
-    def json(self) -> Any:
+    def json(self) -> Json:
         """Return the body as JSON."""
         return json.loads(self.content)
-
-
-class Glance(NamedTuple):
-    """Status, end of the head and length of the body, bytes, of an ordinary success."""
-
-    status: int
-    end: int
-    length: int
 
 
 def receive(sock: socket.socket, method: str) -> Response:
     """Read the answer to a request that has been sent.
 
-    Raises
-    ------
-    http.client.HTTPException, OSError
-        If none comes, or it breaks off, or is no HTTP.
+    HTTPException or OSError if none comes, or it breaks off, or is no HTTP.
     """
     came = sock.recv(_ENOUGH)
     if not came:
         raise http.client.RemoteDisconnected("the server closed the connection without an answer")
-    seen = glance(came)
-    if seen is None or len(came) > seen.end + seen.length:
+    seen = _glance(came)
+    if seen is None or len(came) > sum(seen[1:]):
         return _by_http_client(came, sock, method)
-    content = came[seen.end :]
-    if len(content) < seen.length:
-        content = _rest(sock, content, seen.length)
-    return Response(seen.status, content, came[: seen.end - len(_BLANK_LINE)])
+    status, end, length = seen
+    content = came[end:]
+    if len(content) < length:
+        content = _remaining(sock, content, length)
+    return Response(status, content, came[: end - len(_BLANK_LINE)])
 
 
-def glance(came: bytes) -> Glance | None:
-    """Return an ordinary success with a length, or None for whatever else this is."""
+def _glance(came: bytes) -> tuple[int, int, int] | None:
+    """Return status, end of the head and length of the body of an ordinary success, else None."""
     end = came.find(_BLANK_LINE)
     if end < 0 or not came.startswith((b"HTTP/1.1 200 ", b"HTTP/1.1 201 ", b"HTTP/1.1 202 ")):
         return None
     head = came[:end].lower()
-    before, found, after = head.partition(_LENGTH)
-    if not found or _LENGTH in after or any(field in head for field in _UNUSUAL):
+    before, length, after = head.partition(_LENGTH)
+    if not length or _LENGTH in after or any(field in head for field in _UNUSUAL):
         return None
     digits = after.partition(b"\r\n")[0].strip()
-    if not digits.isdigit():
-        return None
-    return Glance(int(before[9:12]), end + len(_BLANK_LINE), int(digits))
+    return (int(before[9:12]), end + len(_BLANK_LINE), int(digits)) if digits.isdigit() else None
 
 
-def _rest(sock: socket.socket, content: bytes, length: int) -> bytes:
+def _remaining(sock: socket.socket, content: bytes, length: int) -> bytes:
     pieces, missing = [content], length - len(content)
     while missing:
         piece = sock.recv(min(missing, 1 << 20))
@@ -110,15 +91,17 @@ def _rest(sock: socket.socket, content: bytes, length: int) -> bytes:
 
 def _by_http_client(came: bytes, sock: socket.socket, method: str) -> Response:
     """Read an answer of which a part has come."""
-    response = http.client.HTTPResponse(_Replay(came, sock), method=method)  # pyright: ignore
+    replay = _Replay(came, sock)
+    response = http.client.HTTPResponse(replay, method=method)  # pyright: ignore
     try:
         response.begin()
+        if replay.ended:  # http.client takes a head that breaks off as a whole one
+            raise http.client.IncompleteRead(came)
         content = response.read()
-        found = Response(
-            response.status, content, reason=response.reason, will_close=response.will_close
-        )
-        found.headers = response.headers
-        return found
+        status, reason, close = response.status, response.reason, response.will_close
+        received = Response(status, content, reason=reason, will_close=close)
+        received.headers = response.headers
+        return received
     finally:
         response.close()
 
@@ -128,7 +111,7 @@ class _Replay(io.RawIOBase):
 
     def __init__(self, came: bytes, sock: socket.socket) -> None:
         super().__init__()
-        self._came, self._sock = came, sock
+        self._came, self._sock, self.ended = came, sock, False
 
     def makefile(self, _mode: str) -> io.BufferedReader:
         return io.BufferedReader(self)
@@ -138,7 +121,9 @@ class _Replay(io.RawIOBase):
 
     def readinto(self, buffer: memoryview) -> int:  # pyright: ignore
         if not self._came:
-            return self._sock.recv_into(buffer)
+            count = self._sock.recv_into(buffer)
+            self.ended = not count
+            return count
         count = min(len(buffer), len(self._came))
         buffer[:count], self._came = self._came[:count], self._came[count:]
         return count

@@ -5,26 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Vector = NDArray[np.float64]
+from .wrenches import Vector
 
 
 def rotation_matrix(rotation: ArrayLike) -> Vector:
-    """Return exp(r), the matrix of a rotation vector.
+    """Return exp(r), the matrix (3, 3) of a rotation vector (3,), rad.
 
-    Parameters
-    ----------
-    rotation : array_like
-        Shape (3,), rad: the axis times the angle.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (3, 3), orthogonal.
-
-    Notes
-    -----
     Rodrigues' formula, exp(r) = I + sin(a)/a [r] + (1 - cos(a))/a^2 [r]^2 with a = |r| and [r] the
     cross-product matrix; 1 - cos(a) is written 2 sin^2(a/2), which loses no digits when a is small.
     """

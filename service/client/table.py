@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import os
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from time import perf_counter_ns
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.library import kernel
+from wrenchbook.surrogate.packed.format import write_file
+
 from ..contract import COVERAGE, LOADS
-from .errors import InvalidArgument, TableError
-from .notebook import html_table, named_columns, require_pandas
-from .replies import (
-    EXACT,
-    ROUNDED,
-    Displacement,
-    Displacements,
-    Vector,
-    bars_within,
-)
-from .request import BlockingRunner, Call, Request, component_path, sync_and_async
+from .errors import InvalidArgument, TableError, required
+from .notebook import html_table, named_columns
+from .replies import EXACT, ROUNDED, Displacement, Displacements, bars_within
+from .request import Call, Request, component_path, sync_and_async
 from .scene import ComponentPlan, Scene
-from .transport import Transport
-from .wrenches import loads_body, many_wrenches, one_wrench, tolerance_body, wrench_of
+from .transport import Connection, Transport
+from .wrenches import (
+    Load,
+    Tolerance,
+    Vector,
+    loads_body,
+    many_wrenches,
+    one_wrench,
+    tolerance_body,
+    wrench_of,
+)
+
+if TYPE_CHECKING:
+    from wrenchbook.surrogate.kernel.replies import Floats, Reply
+    from wrenchbook.surrogate.table.space import Input, Output, Space
+
+_WHOLE = len(LOADS)  # loads, or outputs, of one interface
+_ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
 
 
 class Table:
@@ -44,7 +56,7 @@ class Table:
     Parameters
     ----------
     packed : PackedTable
-        The table, of `surrogate.kernel.binding`.
+        The table, of `wrenchbook.surrogate.kernel.binding`.
     name : str, optional
         The component; the one that the table names if not given.
     client : Client, optional
@@ -57,16 +69,15 @@ class Table:
 
     def __init__(
         self,
-        packed: Any,
+        packed: PackedTable,
         name: str | None = None,
-        client: BlockingRunner | None = None,
+        client: Connection | None = None,
         etag: str | None = None,
         scene: Scene | None = None,
     ) -> None:
-        self._now: tuple[Any, str | None] = packed, etag  # replaced as one: threads read it
-        self.name = name or packed.words["provenance"]["component"]
-        self._call, self._query = _call(self.name, scene)
-        self._client = client
+        self._now = packed, etag  # replaced as one: threads read it
+        self.name: str = name or packed.words["provenance"]["component"]
+        self._client, self._scene = client, scene
         self._fetching = threading.Lock()
 
     @classmethod
@@ -79,7 +90,10 @@ class Table:
             If it cannot be opened, is no packed table, is damaged, or has another format; a
             ValueError.
         """
-        return cls(_opened("open", path))
+        try:
+            return cls(PackedTable.open(path))
+        except (ValueError, RuntimeError) as error:
+            raise TableError(str(error)) from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the table to a file that `open` opens; it is complete or not there.
@@ -89,7 +103,7 @@ class Table:
         OSError
             If it cannot be written.
         """
-        _surrogate("packed.format").write_file(Path(path), [self.packed.content])
+        write_file(Path(path), [self.packed.content])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return read-only views of the table's arrays by name; none is copied.
@@ -111,14 +125,16 @@ class Table:
         return self.packed.words["summary"]["method"]
 
     @property
-    def space(self) -> Any:
-        """Its inputs and outputs, a `surrogate.table.space.Space`: names, units, interfaces."""
+    def space(self) -> Space:
+        """Its inputs and outputs: names, units, interfaces."""
         return self.packed.space
 
     @property
     def tolerance(self) -> dict[str, float] | None:
         """The component's own tolerance, ``translation`` in m and ``rotation`` in rad, or None."""
-        return _tolerance_of(self.packed)
+        translation, rotation = self.packed.arrays["space/tolerance"][[0, 3]].tolist()
+        known = translation == translation
+        return {"translation": translation, "rotation": rotation} if known else None
 
     @property
     def plan(self) -> ComponentPlan | None:
@@ -130,11 +146,11 @@ class Table:
         self,
         force: ArrayLike | None = None,
         moment: ArrayLike | None = None,
-        tolerance: Any = None,
+        tolerance: Tolerance | None = None,
         method: str | None = None,
         derivatives: bool = False,
         *,
-        loads: Mapping[str, Any] | None = None,
+        loads: Mapping[str, Load] | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> Displacement:
         """Return the displacement of the component's interface under one wrench, N and N·m.
@@ -154,48 +170,95 @@ class Table:
             If a number is not finite, a shape is wrong, an interface or an input is unknown or
             missing, or there is no such method.
         """
-        values, wrench, by_name = self._values(force, moment, loads, inputs)
-        packed, limit = self.packed, self._allowed(tolerance)
+        values, wrenches = self._values(force, moment, loads, inputs)
+        packed, limit = self.packed, self.allowed_errors(tolerance)
         started = perf_counter_ns()
         try:
-            found = packed.answer(values, limit, method)
+            reply = packed.answer(values, limit, method)
             elapsed_us = (perf_counter_ns() - started) / 1e3
             slope = packed.derivative(values, limit, method) if derivatives else None
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
-        reply = _reply(packed, found)
-        reply["elapsed_us"] = elapsed_us
         if slope is not None:
-            reply["derivative"] = None if np.isnan(slope).all() else slope
-        return Displacement.read(self.name, wrench, reply, by_name)
+            slope.flags.writeable = False
+            slope = None if np.isnan(slope).all() else slope
+        if packed.outputs == _WHOLE:
+            wrench = next(iter(wrenches.values()))
+            return self._displacement(wrench, reply, 0, elapsed_us, slope)
+        parts = {
+            name: self._displacement(
+                wrenches.get(name, np.zeros(_WHOLE)), reply, _WHOLE * k, elapsed_us, slope
+            )
+            for k, name in enumerate(packed.space.interfaces)
+        }
+        whole = np.concatenate([part.wrench for part in parts.values()])
+        return self._displacement(whole, reply, None, elapsed_us, slope, parts)
+
+    def _displacement(
+        self,
+        wrench: Vector,
+        reply: Reply,
+        first: int | None,
+        elapsed_us: float,
+        slope: Floats | None,
+        interfaces: Mapping[str, Displacement] | None = None,
+    ) -> Displacement:
+        """Return an answer with a reply's six outputs from the `first` on; without if None."""
+        moved, error = (None, None) if first is None else (reply.outputs, reply.error)
+        start = first or 0
+        source, reason = "table" if reply.outputs else None, reply.reason
+        if reply.row is not None:
+            source = reply.source
+            reason = f"{EXACT if reply.exact else ROUNDED} {reason}".rstrip()
+        return Displacement(
+            self.name,
+            wrench,
+            _frozen(moved and moved[start : start + 3]),
+            _frozen(moved and moved[start + 3 : start + 6]),
+            _frozen(error and error[start : start + 3]),
+            _frozen(error and error[start + 3 : start + 6]),
+            coverage=reply.coverage,
+            source=source,
+            method=reply.method,
+            table_version=self.version,
+            elapsed_us=elapsed_us,
+            job=None,
+            reason=reason,
+            within_tolerance=reply.within_tolerance,
+            derivative=slope,
+            raw={"missing": reply.missing} if reply.missing else {},
+            interfaces=interfaces or {},
+        )
 
     def _values(
         self,
         force: ArrayLike | None,
         moment: ArrayLike | None,
-        loads: Mapping[str, Any] | None,
+        loads: Mapping[str, Load] | None,
         inputs: Mapping[str, float] | None,
-    ) -> tuple[list[float], Vector, dict[str, Any] | None]:
-        """Return the table's inputs, shape (n,), SI, and the wrench, or the wire's loads by name.
+    ) -> tuple[list[float], dict[str, Vector]]:
+        """Return the table's inputs (n,), SI, and the wrenches by interface, "" for the only one.
 
         Negative zeros become zeros, as the server reads them.
         """
-        if force is not None and loads is None and inputs is None and self.packed.inputs == _WHOLE:
+        packed = self.packed
+        if force is not None and loads is None and inputs is None and packed.inputs == _WHOLE:
             wrench = one_wrench(force, moment)
-            return (wrench + 0.0).tolist(), wrench, None
-        body, space = loads_body(force, moment, loads, inputs), self.space
+            return (wrench + 0.0).tolist(), {"": wrench}
+        body, space = loads_body(force, moment, loads, inputs), packed.space
         if "force" in body and space.several:
             names = ", ".join(space.several)
             raise InvalidArgument(f"{self.name} has the interfaces {names}: give loads by name")
-        wrenches = {"": body} if "force" in body else body.get("loads", {})
-        six = {name: wrench_of(one).tolist() for name, one in wrenches.items()}
+        by_name = {"": body} if "force" in body else body.get("loads", {})
+        wrenches = {name: wrench_of(load) for name, load in by_name.items()}
+        six = {name: wrench.tolist() for name, wrench in wrenches.items()}
         try:
             values = space.vector(six, body.get("inputs", {}))
         except ValueError as error:
             raise InvalidArgument(f"{self.name}: {error}") from None
-        return [value + 0.0 for value in values], wrench_of(body), body.get("loads")
+        return [value + 0.0 for value in values], wrenches or {"": np.zeros(_WHOLE)}
 
-    def _allowed(self, tolerance: Any) -> tuple[float, ...] | None:
+    def allowed_errors(self, tolerance: Tolerance | None) -> tuple[float, ...] | None:
         """Return the largest error of each output, shape (m,), m and rad; None for its own."""
         if tolerance is None:
             return None
@@ -206,7 +269,7 @@ class Table:
     def batch(
         self,
         wrenches: ArrayLike,
-        tolerance: Any = None,
+        tolerance: Tolerance | None = None,
         method: str | None = None,
         derivatives: bool = False,
     ) -> Displacements:
@@ -219,31 +282,31 @@ class Table:
         Displacements
             Shapes (n, outputs), m and rad; with `derivatives` also `Displacements.derivatives`.
         """
-        packed, limit = self.packed, self._allowed(tolerance)
+        packed, limit = self.packed, self.allowed_errors(tolerance)
         block = many_wrenches(wrenches, packed.inputs)
         loads = block + 0.0  # no negative zeros, as the server reads them
         started = perf_counter_ns()
         try:
-            found = packed.batch(loads, limit, method)
+            replies = packed.batch(loads, limit, method)
             elapsed_us = (perf_counter_ns() - started) / 1e3
             slopes = packed.derivatives(loads, limit, method) if derivatives else None
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
-        # Errors without the solver's share cannot be compared with a tolerance.
-        whole = packed.arrays["solver/flags"][_ALL_PARTS]
-        allowed = (limit or self._allowed(_tolerance_of(packed))) if whole else None
+        # Errors without the solver's part cannot be compared with a tolerance.
+        complete = packed.arrays["solver/flags"][_ALL_PARTS]
+        allowed = (limit or self.allowed_errors(self.tolerance)) if complete else None
         return Displacements(
             component=self.name,
             wrenches=block,
-            displacements=found.outputs,
-            errors=found.errors,
-            coverage=np.array(COVERAGE)[found.coverage],
+            displacements=replies.outputs,
+            errors=replies.errors,
+            coverage=np.array(COVERAGE)[replies.coverage],
             jobs={},
             no_job={},
             table_version=packed.words["provenance"]["version"],
             elapsed_us=elapsed_us,
             method=packed.answers_by(method),
-            within_tolerance=None if allowed is None else bars_within(found.errors, allowed),
+            within_tolerance=None if allowed is None else bars_within(replies.errors, allowed),
             derivatives=slopes,
         )
 
@@ -252,7 +315,7 @@ class Table:
         force: ArrayLike | None = None,
         moment: ArrayLike | None = None,
         *,
-        loads: Mapping[str, Any] | None = None,
+        loads: Mapping[str, Load] | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> Vector:
         """Return dw/du under one wrench, shape (6, 6): N/m, N/rad, N·m/m, N·m/rad, a line a load.
@@ -274,7 +337,7 @@ class Table:
         if np.isnan(slope).any():
             raise InvalidArgument(f"the derivative of {self.name} under this wrench is not known")
         try:
-            return np.linalg.inv(slope)
+            return np.asarray(np.linalg.inv(slope), dtype=float)
         except np.linalg.LinAlgError:
             raise InvalidArgument(
                 f"the derivative of {self.name} under this wrench has no inverse: a load moves "
@@ -286,7 +349,7 @@ class Table:
         force: ArrayLike | None = None,
         moment: ArrayLike | None = None,
         *,
-        loads: Mapping[str, Any] | None = None,
+        loads: Mapping[str, Load] | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> dict[str, np.ndarray | None]:
         """Return the parts of the error bars under one wrench, N and N·m, that rows do not lower.
@@ -300,12 +363,12 @@ class Table:
         """
         packed = self.packed
         error = packed.words["solver_error"] or {}
-        found = packed.answer(self._values(force, moment, loads, inputs)[0])
-        parts = {"mesh": found.discretisation} if error else {}
+        reply = packed.answer(self._values(force, moment, loads, inputs)[0])
+        parts = {"mesh": reply.discretisation} if error else {}
         if "linearity" in error:
-            parts["linearity"] = found.linearity
-        if any(found.measurement or ()):
-            parts["measurement"] = found.measurement
+            parts["linearity"] = reply.linearity
+        if any(reply.measurement or ()):
+            parts["measurement"] = reply.measurement
         return {
             cause: None if part is None else np.array(part, dtype=float)
             for cause, part in parts.items()
@@ -328,13 +391,10 @@ class Table:
                 f"{self!r} is of a file: download the newest version from a server"
             )
         with self._fetching:
-            fetch = _fetch(self.name, self._call, self._query, self._now[1])
-            fetched = self._client.run(fetch)
-            if fetched is None:
-                return False
-            content, etag = fetched
-            self._now = _opened("from_bytes", content), etag
-            return True
+            fetched = self._client.run(_fetch(self.name, self._scene, self._now[1]))
+            if fetched is not None:
+                self._now = fetched
+            return fetched is not None
 
     def close(self) -> None:
         """Close the idle connections to the server; a later `refresh` opens a new one."""
@@ -342,27 +402,23 @@ class Table:
             self._client.close()
 
     @property
-    def packed(self) -> Any:
-        """Its packed table, `surrogate.kernel.binding.PackedTable`."""
+    def packed(self) -> PackedTable:
+        """Its packed table."""
         return self._now[0]
 
     def __repr__(self) -> str:
+        low, high = self.packed.arrays["space/range"]
+        spans = [
+            f"{load.name} {a:g} to {b:g}"
+            for load, a, b in zip(self.space.inputs, low, high, strict=True)
+            if a or b
+        ]
+        units = ["N", "N·m", *dict.fromkeys(load.unit for load in self.space.scalars)]
         rows, size = self.packed.words["provenance"]["rows"], self.packed.size
         return (
             f"<Table {self.name!r}, version {self.version}: {rows} rows, method {self.method}, "
-            f"range {self._range()}, {size / 1e6:.3g} MB>"
+            f"range {', '.join(spans)} ({', '.join(units)}), {size / 1e6:.3g} MB>"
         )
-
-    def _range(self) -> str:
-        """Return the load range in words, N and N·m, and that of further inputs."""
-        low, high = self.packed.arrays["space/range"]
-        spans = [
-            f"{one.name} {a:g} to {b:g}"
-            for one, a, b in zip(self.space.inputs, low, high, strict=True)
-            if a or b
-        ]
-        units = ["N", "N·m", *dict.fromkeys(one.unit for one in self.space.scalars)]
-        return f"{', '.join(spans)} ({', '.join(units)})"
 
     def _repr_html_(self) -> str:
         low, high = self.packed.arrays["space/range"]
@@ -384,18 +440,21 @@ class Table:
         MissingPackage
             If pandas is not installed.
         """
-        pandas, frames, space = require_pandas(), [], self.space
-        for group, (wrenches, moved) in enumerate(_row_groups(self.packed.arrays)):
-            columns = named_columns(_columns(space.inputs), wrenches)
-            columns |= named_columns(_columns(space.outputs), moved)
+        pandas, frames = required("pandas", "to_pandas", "pandas"), []
+        arrays, space = self.packed.arrays, self.space
+        for group in itertools.count():
+            if f"g{group}/row/wrench" not in arrays:
+                break
+            columns = named_columns(_columns(space.inputs), arrays[f"g{group}/row/wrench"])
+            columns |= named_columns(_columns(space.outputs), arrays[f"g{group}/row/moved"])
             frames.append(pandas.DataFrame({"group": group, **columns}))
         return pandas.concat(frames, ignore_index=True) if frames else pandas.DataFrame()
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled."""
+    def __getstate__(self) -> dict[str, object]:
+        """Everything but the lock."""
         return {name: value for name, value in vars(self).items() if name != "_fetching"}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         vars(self).update(state, _fetching=threading.Lock())
 
 
@@ -425,106 +484,44 @@ class DownloadCalls(Transport):
         ServerUnreachable, ServerTimeout
             See `Client.call`.
         """
-        packed_tables()  # an error comes before the download
-        fetched = yield from _fetch(name, *_call(name, scene), None)
+        try:
+            kernel()  # an error comes before the download
+        except RuntimeError as error:
+            raise TableError(str(error)) from error
+        fetched = yield from _fetch(name, scene, None)
         assert fetched is not None
-        content, etag = fetched
-        return Table(_opened("from_bytes", content), name, self.blocking(), etag, scene)
+        packed, etag = fetched
+        return Table(packed, name, self.blocking(), etag, scene)
 
 
-_WHOLE = len(LOADS)  # loads, or outputs, of one interface
-_ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
-
-
-def _tolerance_of(packed: Any) -> dict[str, float] | None:
-    translation, rotation = packed.arrays["space/tolerance"][[0, 3]].tolist()
-    if np.isnan(translation):
+def _frozen(values: tuple[float, ...] | None) -> Vector | None:
+    """Return floats, NaN for None, as an array that is not written to by mistake, or None."""
+    if values is None:
         return None
-    return {"translation": translation, "rotation": rotation}
+    array = np.array(values, dtype=float)
+    array.flags.writeable = False
+    return array
 
 
-def _columns(quantities: Any) -> list[str]:
+def _columns(quantities: Iterable[Input | Output]) -> list[str]:
     """Return the names of a CSV export: ``left.fx [N]``, ``mx [N*m]``, ``temperature [degC]``."""
-    return [f"{one.name} [{one.unit.replace('·', '*')}]" for one in quantities]
-
-
-def _reply(packed: Any, found: Any) -> dict[str, Any]:
-    """Return the server's reply to ``estimate`` with this answer."""
-    moved, bars, names = found.outputs, found.error, packed.space.interfaces
-    source, reason = "table" if moved else None, found.reason
-    if found.row is not None:
-        source = found.source
-        reason = f"{EXACT if found.exact else ROUNDED} {reason}".rstrip()
-    if packed.outputs == _WHOLE:
-        answered = _moved(moved, bars)
-    else:
-        parts = {name: slice(_WHOLE * k, _WHOLE * (k + 1)) for k, name in enumerate(names)}
-        each = {name: _moved(moved and moved[k], bars and bars[k]) for name, k in parts.items()}
-        answered = {"displacements": each}
-    answered |= {
-        "coverage": found.coverage,
-        "within_tolerance": found.within_tolerance,
-        "source": source,
-        "method": found.method,
-        "table_version": packed.words["provenance"]["version"],
-        "reason": reason,
-    }
-    return answered | ({"missing": found.missing} if found.missing else {})
-
-
-def _moved(moved: list[float] | None, bars: list[float] | None) -> dict[str, Any]:
-    """Return an interface's displacement and error bars, m and rad, as the wire has them."""
-    return {
-        "translation": moved and moved[:3],
-        "rotation": moved and moved[3:],
-        "error": bars and {"translation": bars[:3], "rotation": bars[3:]},
-    }
-
-
-def _call(name: str, scene: Scene | None) -> tuple[str, dict[str, str]]:
-    """Return the server's call for a table, and its query."""
-    if scene is None:
-        return "table", {"format": "packed"}
-    return "scene", {"wanted": scene.query(name)}
-
-
-def _row_groups(arrays: dict[str, Any]) -> Iterator[tuple[Vector, Vector]]:
-    """Yield inputs (r, n), SI, and displacements (r, m), m and rad, of each group's rows."""
-    for number in itertools.count():
-        if f"g{number}/row/wrench" not in arrays:
-            return
-        yield arrays[f"g{number}/row/wrench"], arrays[f"g{number}/row/moved"]
-
-
-def packed_tables() -> Any:
-    """Return the class of packed tables, with its compiled code."""
-    try:
-        return _surrogate("kernel.binding").PackedTable
-    except (ValueError, RuntimeError) as error:
-        raise TableError(str(error)) from error
-
-
-def _opened(constructor: str, source: Any) -> Any:
-    """Return a packed table by one of the constructors of its class."""
-    try:
-        return getattr(packed_tables(), constructor)(source)
-    except (ValueError, RuntimeError) as error:
-        raise TableError(str(error)) from error
-
-
-def _surrogate(module: str) -> Any:
-    """Return a module of the surrogate package; it needs numpy alone."""
-    return importlib.import_module(f"wrenchbook.surrogate.{module}")
+    return [f"{quantity.name} [{quantity.unit.replace('·', '*')}]" for quantity in quantities]
 
 
 def _fetch(
-    name: str, call: str, query: dict[str, str], etag: str | None
-) -> Call[tuple[bytes, str | None] | None]:
-    """Return a component's table file and its ETag; None if the server's is that of `etag`."""
+    name: str, scene: Scene | None, etag: str | None
+) -> Call[tuple[PackedTable, str | None] | None]:
+    """Return a component's table and its ETag; None if the server's is that of `etag`."""
+    call, query = "table", {"format": "packed"}
+    if scene is not None:
+        call, query = "scene", {"wanted": scene.query(name)}
     headers = {"If-None-Match": etag} if etag else None
     reply = yield Request("GET", component_path(name, call), query=query, headers=headers)
-    found = reply.headers.get("ETag")
+    newest = reply.headers.get("ETag")
     # Some proxies answer from their cache with 200 where nothing is new.
-    if reply.status == 304 or (etag is not None and found == etag):
+    if reply.status == 304 or (etag is not None and newest == etag):
         return None
-    return reply.content, found
+    try:
+        return PackedTable.from_bytes(reply.content), newest
+    except (ValueError, RuntimeError) as error:
+        raise TableError(str(error)) from error

@@ -4,37 +4,52 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
-from typing import Any, TypeGuard, get_args
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..contract import LOADS, OnThin
-from .errors import InvalidArgument
+from .errors import Document, InvalidArgument, Json
 
 ON_THIN: tuple[OnThin, ...] = get_args(OnThin)
 
 Vector = NDArray[np.float64]
 
 
+class TolerancePair(Protocol):
+    """``translation``, m, and ``rotation``, rad, as attributes."""
+
+    @property
+    def translation(self) -> float:
+        """Metres."""
+        ...
+
+    @property
+    def rotation(self) -> float:
+        """Radians."""
+        ...
+
+
+Tolerance = Mapping[str, float] | Sequence[float] | TolerancePair
+Load = ArrayLike | Mapping[str, ArrayLike]  # (6,), or force and moment (3,), N and N·m
+
+
 def one_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
-    """Return a checked wrench, shape (6,), N and N·m.
+    """Return a checked wrench (6,), N and N·m, of a force and a moment (3,), zero if not given.
 
-    Parameters
-    ----------
-    force : array_like
-        Shape (3,), N; or the whole wrench, shape (6,), when no moment is given.
-    moment : array_like, optional
-        Shape (3,), N·m; zero if not given.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, or a number is NaN or infinite; the text names it.
+    The force alone may be the whole wrench (6,). InvalidArgument names the number that is NaN or
+    infinite, or the shape that is wrong.
     """
     # What a loop asks thousands of times a second: a sum that is finite has finite terms.
-    if _is_whole(force) and moment is None and math.isfinite(sum(force.tolist())):
+    if (
+        type(force) is np.ndarray
+        and force.shape == (6,)
+        and force.dtype == np.float64
+        and moment is None
+        and math.isfinite(sum(force.tolist()))
+    ):
         return force.copy()
     first = _numbers(force, "force")
     if moment is None and first.shape == (6,):
@@ -55,34 +70,23 @@ def one_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
 def loads_body(
     force: ArrayLike | None,
     moment: ArrayLike | None,
-    loads: Mapping[str, Any] | None,
+    loads: Mapping[str, Load] | None,
     inputs: Mapping[str, float] | None,
-) -> dict[str, Any]:
+) -> Document:
     """Return the checked loads of a call as the wire has them.
 
-    Parameters
-    ----------
-    force, moment : array_like, optional
-        Of `one_wrench`, for a component with one interface.
-    loads : mapping, optional
-        The wrench at each interface by its name: shape (6,), N and N·m, or a mapping of ``force``
-        and ``moment``, shape (3,) each.
-    inputs : mapping, optional
-        The further inputs by name, SI.
-
-    Raises
-    ------
-    ValueError
-        If there is a wrench and loads, if a shape is wrong or a number is not finite.
+    They are force and moment of a component with one interface, or the loads by interface, and the
+    further inputs by name, SI. InvalidArgument if there is a wrench and loads, if a shape is wrong
+    or a number is not finite.
     """
-    body: dict[str, Any] = {}
+    body: Document = {}
     is_wrench = force is not None or moment is not None
     if is_wrench and loads is not None:
         raise InvalidArgument("give either force and moment, or loads by interface")
     if is_wrench:
         body = _parts(one_wrench(np.zeros(3) if force is None else force, moment))
     elif loads is not None:
-        body["loads"] = {name: _parts(_wrench_of(one)) for name, one in loads.items()}
+        body["loads"] = {name: _parts(_wrench_of(load)) for name, load in loads.items()}
     elif inputs is None:
         raise InvalidArgument("give a force, a moment or loads")
     for name, value in (inputs or {}).items():
@@ -93,13 +97,13 @@ def loads_body(
     return body
 
 
-def wrench_of(body: Mapping[str, Any]) -> Vector:
+def wrench_of(body: Mapping[str, Json]) -> Vector:
     """Return the wrench that `loads_body` gives for one interface, shape (6,), N and N·m."""
     zero = [0.0] * 3
     return np.array([*body.get("force", zero), *body.get("moment", zero)])
 
 
-def _wrench_of(load: Any) -> Vector:
+def _wrench_of(load: Load) -> Vector:
     if not isinstance(load, Mapping):
         return one_wrench(load)
     unknown = ", ".join(load.keys() - {"force", "moment"})
@@ -108,18 +112,12 @@ def _wrench_of(load: Any) -> Vector:
     return one_wrench(load.get("force", np.zeros(3)), load.get("moment"))
 
 
-def _parts(wrench: Vector) -> dict[str, Any]:
+def _parts(wrench: Vector) -> Document:
     return {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()}
 
 
 def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(LOADS)) -> Vector:
-    """Return checked wrenches, shape (n, inputs), SI; of any number of inputs if that is None.
-
-    Raises
-    ------
-    ValueError
-        If the shape is wrong, or a number is NaN or infinite; the text names the first.
-    """
+    """Return checked wrenches (n, inputs), SI; of any number of inputs if that is None."""
     block = _numbers(wrenches, "wrenches")
     if block.size == 0 and block.ndim <= 2:
         return np.empty((0, inputs or len(LOADS)))
@@ -130,42 +128,29 @@ def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(LOADS)) -> Vecto
     return block
 
 
-def options(**given: Any) -> dict[str, Any]:
-    """Return the options of a call that are given, checked where a slip is likely.
-
-    Raises
-    ------
-    ValueError
-        If ``on_thin`` is not one of the four words.
-    """
-    on_thin = given.get("on_thin")
+def options(
+    *, on_thin: str | None = None, tolerance: Tolerance | None = None, **others: Json
+) -> Document:
+    """Return the options of a call that are not None, checked where a slip is likely."""
     if on_thin is not None and on_thin not in ON_THIN:
         raise InvalidArgument(f"on_thin must be one of {', '.join(ON_THIN)}, not {on_thin!r}")
-    if given.get("tolerance") is not None:
-        given["tolerance"] = tolerance_body(given["tolerance"])
-    return {name: value for name, value in given.items() if value is not None}
+    limit = None if tolerance is None else tolerance_body(tolerance)
+    chosen = {"on_thin": on_thin, "tolerance": limit, **others}
+    return {name: value for name, value in chosen.items() if value is not None}
 
 
-def tolerance_body(tolerance: Any) -> dict[str, float]:
-    """Return a tolerance as the wire has it, from a mapping, an object or a pair.
+def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
+    """Return a tolerance as the wire has it, positive and finite.
 
-    Parameters
-    ----------
-    tolerance : mapping, pair or object
-        ``translation`` in m and ``rotation`` in rad, as keys, as attributes or in this order.
-
-    Raises
-    ------
-    ValueError
-        If it is none of these, or a number is not positive and finite.
+    It is ``translation`` in m and ``rotation`` in rad, as keys, as attributes or in this order.
     """
     try:
         if isinstance(tolerance, Mapping):
             pair = (tolerance["translation"], tolerance["rotation"])
-        elif hasattr(tolerance, "translation"):
-            pair = (tolerance.translation, tolerance.rotation)
-        else:
+        elif isinstance(tolerance, Iterable):
             pair = tuple(tolerance)
+        else:
+            pair = (tolerance.translation, tolerance.rotation)
         translation, rotation = (float(part) for part in pair)
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InvalidArgument(
@@ -174,10 +159,6 @@ def tolerance_body(tolerance: Any) -> dict[str, float]:
     if not (0.0 < translation < np.inf and 0.0 < rotation < np.inf):
         raise InvalidArgument(f"a tolerance is positive and finite, not {tolerance!r}")
     return {"translation": translation, "rotation": rotation}
-
-
-def _is_whole(force: ArrayLike) -> TypeGuard[Vector]:
-    return type(force) is np.ndarray and force.shape == (6,) and force.dtype == np.float64
 
 
 def _numbers(values: ArrayLike, name: str) -> Vector:

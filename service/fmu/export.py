@@ -1,4 +1,4 @@
-"""An FMU 2.0 of a packed table: description, table, the kernel's sources and library, zipped."""
+"""A packed table as an FMU 2.0, or with the C library that answers from it: zip files."""
 
 from __future__ import annotations
 
@@ -21,21 +21,15 @@ from wrenchbook.service.contract import MOMENT_POINT
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.kernel import build
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.table.space import DEFAULT, Input, Space
+from wrenchbook.surrogate.table.space import DEFAULT, Space
 
-_NO_PART = "wb_joint.c"  # of the kernel: no FMU has a joint
-
-
-def _kernel_sources() -> list[Path]:
-    """Return the kernel's sources and headers that an FMU has, by name."""
-    return sorted(path for path in build.sources() if path.name != _NO_PART)
-
-
+# The kernel's sources and headers that an FMU has: no FMU has a joint.
+_KERNEL = sorted(path for path in build.sources() if path.name != "wb_joint.c")
 SOURCES = (
     "fmu_instance.c",
     "fmu_variables.c",
     "fmu_simulation.c",
-    *(path.name for path in _kernel_sources() if path.suffix == ".c"),
+    *(path.name for path in _KERNEL if path.suffix == ".c"),
 )
 # Exponents of the base units.
 _UNITS: dict[str, dict[str, str]] = {
@@ -74,14 +68,7 @@ def describe(
 ) -> bytes:
     """Return modelDescription.xml.
 
-    Parameters
-    ----------
-    component, guid : str
-    made_by : str
-        Program and version.
-    summary : str
-        What answers: the table's version, its rows and its method.
-    space : Space, the table's
+    `made_by` is program and version, `summary` the table's version, its rows and its method.
     """
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -105,13 +92,25 @@ def describe(
         files = ElementTree.SubElement(interface, "SourceFiles")
         for name in SOURCES:
             ElementTree.SubElement(files, "File", name=name)
-    _add_units(root, space)
+    definitions = ElementTree.SubElement(root, "UnitDefinitions")
+    for name in dict.fromkeys(
+        ("N", "N.m", "m", "rad", *(_unit(load.unit) for load in space.inputs))
+    ):
+        unit = ElementTree.SubElement(definitions, "Unit", name=name)
+        ElementTree.SubElement(unit, "BaseUnit", _UNITS.get(name, {}))
     categories = ElementTree.SubElement(root, "LogCategories")
     for name in ("logStatusWarning", "logStatusError"):
         ElementTree.SubElement(categories, "Category", name=name)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1")
     _add_variables(ElementTree.SubElement(root, "ModelVariables"), space)
-    _add_structure(ElementTree.SubElement(root, "ModelStructure"), space)
+    # Which outputs follow which inputs: each follows all of them, at once.
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    first, last = len(space.inputs) + 1, len(space.inputs) + 2 * len(space.outputs) + 1  # coverage
+    inputs = " ".join(map(str, range(1, first)))
+    for part in ("Outputs", "InitialUnknowns"):
+        unknowns = ElementTree.SubElement(structure, part)
+        for index in (*range(first, last + 1), last + 3):  # the last variable
+            ElementTree.SubElement(unknowns, "Unknown", index=str(index), dependencies=inputs)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
@@ -125,33 +124,18 @@ def _unit(text: str) -> str:
     return text.replace("·", ".").replace("²", "2")
 
 
-def _add_units(root: ElementTree.Element, space: Space) -> None:
-    units = ElementTree.SubElement(root, "UnitDefinitions")
-    for name in dict.fromkeys(("N", "N.m", "m", "rad", *(_unit(one.unit) for one in space.inputs))):
-        unit = ElementTree.SubElement(units, "Unit", name=name)
-        ElementTree.SubElement(unit, "BaseUnit", _UNITS.get(name, {}))
-
-
-def _named(one: Input) -> str:
-    """Return the name of an input's variable; the loads of the only interface are Fx to Mz."""
-    return one.name if one.interface or one.kind == "scalar" else one.name.capitalize()
-
-
 def _add_variables(root: ElementTree.Element, space: Space) -> None:
     """Add the variables; their value references are their places, as c/fmu.h has them."""
-    for one in space.inputs:
-        unit, about = _unit(one.unit), "input" if one.kind == "scalar" else "load"
-        point = f", about {MOMENT_POINT}" if one.kind == "moment" else ""
-        _add(
-            root,
-            _named(one),
-            "input",
-            f"{about}, {unit}{point}",
-            {"unit": unit, "start": f"{one.zero:.17g}"},
-        )
-    for prefix, about in (("", "displacement"), ("error_", "95 % error bar of the displacement")):
+    for load in space.inputs:
+        unit, kind = _unit(load.unit), "input" if load.kind == "scalar" else "load"
+        point = f", about {MOMENT_POINT}" if load.kind == "moment" else ""
+        only = not load.interface and load.kind != "scalar"  # of the only interface: Fx to Mz
+        name = load.name.capitalize() if only else load.name
+        start = {"unit": unit, "start": f"{load.zero:.17g}"}
+        _add(root, name, "input", f"{kind}, {unit}{point}", start)
+    for prefix, text in (("", "displacement"), ("error_", "95 % error bar of the displacement")):
         for output in space.outputs:
-            _add(root, prefix + output.name, "output", about, {"unit": output.unit})
+            _add(root, prefix + output.name, "output", text, {"unit": output.unit})
     _add(root, "coverage", "output", _COVERAGE, {}, "discrete")
     for name, unit in (("translation", "m"), ("rotation", "rad")):
         start = {"unit": unit, "start": "0", "min": "0"}
@@ -163,7 +147,7 @@ def _add(
     root: ElementTree.Element,
     name: str,
     causality: str,
-    about: str,
+    description: str,
     attributes: dict[str, str],
     variability: str = "continuous",
 ) -> None:
@@ -174,20 +158,9 @@ def _add(
         valueReference=str(len(root)),
         causality=causality,
         variability=variability,
-        description=about,
+        description=description,
     )
     ElementTree.SubElement(variable, "Integer" if name in _INTEGERS else "Real", attributes)
-
-
-def _add_structure(root: ElementTree.Element, space: Space) -> None:
-    """Add which outputs follow which inputs: each follows all of them, at once."""
-    first, last = len(space.inputs) + 1, len(space.inputs) + 2 * len(space.outputs) + 1  # coverage
-    inputs = " ".join(map(str, range(1, first)))
-    outputs = [*range(first, last + 1), last + 3]  # the last variable
-    for part in ("Outputs", "InitialUnknowns"):
-        unknowns = ElementTree.SubElement(root, part)
-        for index in outputs:
-            ElementTree.SubElement(unknowns, "Unknown", index=str(index), dependencies=inputs)
 
 
 # Those of the kernel, whose numbers an FMU has to the last bit.
@@ -210,6 +183,7 @@ _MACHINES = {
 _FAT_MAGIC = 0xCAFEBABE  # of a universal Mach-O; its header is big-endian (mach-o/fat.h)
 _FAT_ALIGNMENT = 14  # slices begin at multiples of 2^14 bytes, the page of arm64 macOS
 _HEADERS = ("fmu.h", "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+LIBRARY_FILES = Path(__file__).parent / "cmake"  # of the C library: example, CMakeLists.txt
 _DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip holds: the same table gives the same file
 _CMAKE = """\
 # Build the FMU's binary where the exporting machine had no compiler, or for another platform:
@@ -236,32 +210,18 @@ class NotExportableError(ValueError):
 
 @dataclass(frozen=True)
 class Fmu:
-    """An FMU.
+    """An FMU."""
 
-    Attributes
-    ----------
-    content : bytes
-        The zip file.
-    platforms : tuple of str
-        What its binaries run on, of `PLATFORMS`; empty if it holds sources only.
-    method : str
-        How it answers.
-    """
-
-    content: bytes
-    platforms: tuple[str, ...]
-    method: str
+    content: bytes  # the zip file
+    platforms: tuple[str, ...]  # of its binaries, of `PLATFORMS`; empty if it holds sources only
+    method: str  # how it answers
 
 
 def platforms_of(text: str) -> tuple[str, ...]:
     """Return the platforms that a list names: ``all``, or names of `PLATFORMS` with commas.
 
-    Raises
-    ------
-    UnknownPlatformError
-        If there is no such platform.
-    KernelBuildError
-        If ziglang, which compiles for them, is not installed.
+    UnknownPlatformError if there is no such platform; KernelBuildError if ziglang, which compiles
+    for them, is not installed.
     """
     names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
     names = tuple(PLATFORMS) if names == ("all",) else names
@@ -278,65 +238,68 @@ def platforms_of(text: str) -> tuple[str, ...]:
 def make_fmu(
     component: str, table: PackedTable, method: str | None = None, platforms: Sequence[str] = ()
 ) -> Fmu:
-    """Return the FMU of a component's table.
+    """Return the FMU of a component's table, which answers by its default method or another.
 
-    Parameters
-    ----------
-    method : str, optional
-        One of `METHODS`; the table's default otherwise.
-    platforms : sequence of str, names of `PLATFORMS`
-        What ziglang compiles for; if empty, the machine's compiler compiles for this machine.
-        Without a compiler, or on a machine without a name, the FMU then holds sources only.
+    `platforms`, names of `PLATFORMS`, are what ziglang compiles for; if empty, the machine's
+    compiler compiles for this machine. Without a compiler, or on a machine without a name, the FMU
+    then holds sources only.
 
-    Raises
-    ------
-    UnknownMethodError
-        If there is no such method, or the table does not answer by it.
-    NotExportableError
-        If the table has no rows within its load range.
-    KernelBuildError
-        If the compiler fails, or platforms are named and there is no ziglang.
+    UnknownMethodError if the table does not answer by the method; NotExportableError if it has no
+    rows within its load range; KernelBuildError if the compiler fails, or platforms are named and
+    there is no ziglang.
     """
     if method is not None and method not in METHODS:
         raise UnknownMethodError(method)
-    _check_rows(table)
+    if not table.words["provenance"]["rows"]:
+        raise NotExportableError("the table has no rows: fill or import it first, then export it")
+    groups = range(len(table.words["groups"]))
+    if not all(len(table.arrays[f"g{number}/near/moved"]) for number in groups):
+        raise NotExportableError(
+            "all rows of the table are outside its load range: nothing answers within it"
+        )
     table.answer(table.space.zero.tolist(), None, method)  # by this method, or not at all
-    used = ", ".join(dict.fromkeys(method or one["method"] for one in table.words["groups"]))
-    about = table.words["provenance"]
-    summary = f"table version {about['version']}, {about['rows']} rows, method {used}"
-    space = table.space
-    zeros = " ".join(f"{one.zero:.17g}" for one in space.inputs)
+    used = ", ".join(dict.fromkeys(method or group["method"] for group in table.words["groups"]))
+    facts, space, identifier = table.words["provenance"], table.space, identifier_of(component)
+    summary = f"table version {facts['version']}, {facts['rows']} rows, method {used}"
+    zeros = " ".join(f"{load.zero:.17g}" for load in space.inputs)
     number = -1 if method is None else METHODS.index(method)
-    guid = _guid(component, number, table.content)
+    # Of what the FMU answers: the same table has the same GUID.
+    named = f"{component}\0{number}\0".encode()
+    digest = hashlib.blake2b(named + table.content, digest_size=16).hexdigest()
+    guid = "{" + "-".join(digest[a:b] for a, b in pairwise((0, 8, 12, 16, 20, 32))) + "}"
+    try:
+        made_by = f"wrenchbook {version('wrenchbook')}"
+    except PackageNotFoundError:  # a checkout that is not installed
+        made_by = "wrenchbook"
+    cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=OPTIONS)
     parts = {
-        "modelDescription.xml": describe(component, guid, _made_by(), summary, space),
+        "modelDescription.xml": describe(component, guid, made_by, summary, space),
         "resources/table.wbt": table.content,
         "resources/model.txt": f"{guid}\n{number}\n{zeros}\n".encode(),
-        **_sources(identifier_of(component)),
+        **{f"sources/{path.name}": path.read_bytes() for path in _source_paths()},
+        "sources/CMakeLists.txt": cmake.encode(),
     }
-    binaries = _named_binaries(platforms) if platforms else _own_binary()
+    binaries = _binaries(platforms)
     for place, content in binaries.items():
-        parts[f"binaries/{place}/{identifier_of(component)}{PLATFORMS[place][0]}"] = content
+        parts[f"binaries/{place}/{identifier}{PLATFORMS[place][0]}"] = content
     return Fmu(zipped(parts), tuple(binaries), used)
 
 
-def _own_binary() -> dict[str, bytes]:
-    """Return this machine's binary by its platform; none without a compiler or a name."""
-    place = _MACHINES.get((platform.system(), platform.machine()))
-    try:
-        build.compiler_command()
-    except build.KernelBuildError:
-        return {}
-    return {} if place is None else {place: _compiled(PLATFORMS[place][0])}
-
-
-def _named_binaries(platforms: Sequence[str]) -> dict[str, bytes]:
-    found = {}
-    for place in platforms:
-        ending, parts = PLATFORMS[place]
+def _binaries(platforms: Sequence[str]) -> dict[str, bytes]:
+    """Return the binaries of platforms, or this machine's; none without a compiler or a name."""
+    if not platforms:
+        here = _MACHINES.get((platform.system(), platform.machine()))
+        try:
+            build.compiler_command()
+        except build.KernelBuildError:
+            return {}
+        return {} if here is None else {here: _compiled(PLATFORMS[here][0])}
+    binaries = {}
+    for name in platforms:
+        ending, parts = PLATFORMS[name]
         slices = [_compiled(ending, build.PLATFORMS[part]) for part in parts]
-        found[place] = slices[0] if len(slices) == 1 else universal(slices)
-    return found
+        binaries[name] = slices[0] if len(slices) == 1 else universal(slices)
+    return binaries
 
 
 def universal(slices: Sequence[bytes]) -> bytes:
@@ -350,43 +313,11 @@ def universal(slices: Sequence[bytes]) -> bytes:
     return header.ljust(size, b"\0") + content
 
 
-def _check_rows(table: PackedTable) -> None:
-    """Raise `NotExportableError` if some output has no rows to answer from."""
-    if not table.words["provenance"]["rows"]:
-        raise NotExportableError("the table has no rows: fill or import it first, then export it")
-    groups = range(len(table.words["groups"]))
-    if not all(len(table.arrays[f"g{number}/near/moved"]) for number in groups):
-        raise NotExportableError(
-            "all rows of the table are outside its load range: nothing answers within it"
-        )
-
-
-def _guid(component: str, method: int, content: bytes) -> str:
-    """Return a GUID made of what the FMU answers: the same table has the same one."""
-    named = f"{component}\0{method}\0".encode()
-    digest = hashlib.blake2b(named + content, digest_size=16).hexdigest()
-    cuts = (0, 8, 12, 16, 20, 32)
-    return "{" + "-".join(digest[a:b] for a, b in pairwise(cuts)) + "}"
-
-
-def _made_by() -> str:
-    try:
-        return f"wrenchbook {version('wrenchbook')}"
-    except PackageNotFoundError:  # a checkout that is not installed
-        return "wrenchbook"
-
-
 def _source_paths() -> list[Path]:
     """Return the files that an FMU is compiled from: C sources and headers."""
     folder = Path(__file__).parent / "c"
     own = [name for name in SOURCES if name.startswith("fmu_")]
-    return [*(folder / name for name in (*own, *_HEADERS)), *_kernel_sources()]
-
-
-def _sources(identifier: str) -> dict[str, bytes]:
-    cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=OPTIONS)
-    found = {f"sources/{path.name}": path.read_bytes() for path in _source_paths()}
-    return found | {"sources/CMakeLists.txt": cmake.encode()}
+    return [*(folder / name for name in (*own, *_HEADERS)), *_KERNEL]
 
 
 @cache  # what differs between FMUs is their table: the library is the same
@@ -406,3 +337,26 @@ def zipped(parts: dict[str, bytes]) -> bytes:
         for name, content in parts.items():
             archive.writestr(zipfile.ZipInfo(name, _DATE), content, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
+
+
+def make_library(component: str, table: PackedTable) -> bytes:
+    """Return a zip of a table and the C library that answers from it; it needs no Python."""
+    space = table.space
+    # One newton or newton metre each; temperatures and the like have no effect.
+    loads = [f"{load.zero if load.kind == 'scalar' else 1:g}" for load in space.inputs]
+    texts = {
+        "@NAME@": component,
+        "@OPTIONS@": OPTIONS,
+        "@WORDS@": " ".join([f"{component}.wbt", *loads]),
+        "@LOADS@": ", ".join(f"{load.name} [{load.unit}]" for load in space.inputs),
+    }
+    parts = {f"{component}.wbt": table.content}
+    for path in build.sources():
+        folder = "include" if path.name == "wrenchbook.h" else "src"
+        parts[f"{folder}/{path.name}"] = path.read_bytes()
+    for path in sorted(LIBRARY_FILES.iterdir()):
+        text = path.read_text(encoding="utf-8")
+        for mark, value in texts.items():
+            text = text.replace(mark, value)
+        parts[path.name] = text.encode()
+    return zipped(parts)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from datetime import UTC, datetime
-from decimal import Decimal
 
 _QUOTED = 40  # characters of a cell in a message
 NO_VALUE = "#NO VALUE: "
@@ -49,18 +48,10 @@ _DECIMAL_MARK = re.compile(r"[+-]?\d*([.,])\d*(?:[eE][+-]?\d+)?")
 
 
 def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
-    """Return the text of a number with a decimal point, or None if the cell is no number.
+    """Return the text of a number with a decimal point, as `float` reads it; None if it is none.
 
-    ``float`` reads the text; nan and inf are included. Marks between thousands are left out.
-
-    Parameters
-    ----------
-    cell : str
-    comma : bool
-        Whether the decimal mark is a comma.
-    declared : bool
-        Whether the sender declared it: then 1,234 beside a decimal point is 1234. Otherwise it
-        may also be a wrong decimal mark.
+    Marks between thousands are left out. If the sender declared the mark, 1,234 beside a decimal
+    point is 1234; otherwise it may also be a wrong decimal mark.
     """
     grouped, mark = _GROUPED.fullmatch(cell), "," if comma else "."
     # 915.009 has the form of thousands, and the point is the decimal mark.
@@ -129,22 +120,13 @@ def number_problem(cell: str, comma: bool) -> str:
     return f"{quoted(cell)} is not a number"
 
 
-def time_seconds(cell: str, comma: bool, factor: Decimal | None) -> float:
-    """Return a time in seconds, NaN if the cell is none.
-
-    Parameters
-    ----------
-    cell : str
-    comma : bool
-        Whether the decimal mark is a comma.
-    factor : Decimal or None
-        From the unit of the column to seconds; None for a column of clock times.
-    """
+def time_seconds(cell: str, comma: bool, factor: float | None) -> float:
+    """Return a time in seconds, NaN if the cell is none; without a factor it is a clock time."""
     text = cell.strip()
     if factor is None:
         return _clock_seconds(text.replace(",", ".") if comma else text)
     number = number_text(text, comma)
-    return float(number) * float(factor) if number is not None else math.nan
+    return float(number) * factor if number is not None else math.nan
 
 
 def guard_formula(text: str) -> str:

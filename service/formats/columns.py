@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from decimal import Decimal
 from functools import cache
 from itertools import combinations_with_replacement, product
 from typing import Any, Protocol
@@ -29,7 +28,6 @@ from wrenchbook.service.formats.units import (
     chosen_units,
     further_quantity,
     in_unit,
-    quotient,
     si_factor,
 )
 from wrenchbook.surrogate.table.space import DEFAULT, LOADS, OUTPUTS, Space
@@ -37,11 +35,11 @@ from wrenchbook.surrogate.table.space import DEFAULT, LOADS, OUTPUTS, Space
 WRENCH, DISPLACEMENT = LOADS, OUTPUTS
 TEXTS = ("source", "note", "fingerprint")
 TIME_COLUMN = "time"
-MOST_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
-MOST_LABEL = 200  # characters; a longer label is a title, and takes seconds to read
+MAX_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
+MAX_LABEL = 200  # characters; a longer label is a title, and takes seconds to read
 ORIGIN = ("row", "when", "who")  # columns of an export that an import ignores
 
-COVERAGE_FACTOR = Decimal(2)
+COVERAGE_FACTOR = 2.0
 """From a standard uncertainty to an interval of 95 %: k = 2 (JCGM 100:2008, G.6.6)."""
 
 _LETTERS = {"f": FORCE, "m": MOMENT, "u": TRANSLATION, "r": ROTATION}
@@ -73,13 +71,7 @@ def over(upper: str, lower: str) -> str:
 
 
 def split(label: str) -> tuple[str, str]:
-    """Return the name of a label and the unit in its brackets, empty if there are none.
-
-    Raises
-    ------
-    UnitError
-        If the label has brackets elsewhere than at its end.
-    """
+    """Return the name of a label and the unit in brackets at its end, or empty; UnitError."""
     match = _BRACKETED.fullmatch(label)
     if match is None or not match["name"]:
         raise UnitError("is not of the form name [unit], such as fx [N]")
@@ -87,21 +79,13 @@ def split(label: str) -> tuple[str, str]:
 
 
 class Columns:
-    """The columns of numbers of a table, by the names of its space.
+    """Return the columns of numbers of a table, by the names of its space.
 
-    Attributes
-    ----------
-    wrench, loads, further : tuple of str
-        All inputs; of them the loads, and the others.
-    displacement, uncertainty, compliance : tuple of str
-        The outputs, the 95 % half width of each, the tangent of each over each input.
-    curvature : tuple of str
-        Third derivatives of the complementary energy e, in the order of `Rows.curvature`, always
-        in SI: ``d3e/dfx/dfx/dmz [J/(N*N*N*m)]``, where m stands for mu.
-    numbers : tuple of str
-        All of these without `curvature`.
-    most : int
-        Columns that a file may have.
+    `wrench` are all inputs: `loads` and `further` ones. Of each of `displacement` there is a 95 %
+    half width in `uncertainty` and over each input a tangent in `compliance`. `curvature` has third
+    derivatives of the complementary energy e in the order of `Rows.curvature`, always in SI:
+    ``d3e/dfx/dfx/dmz [J/(N*N*N*m)]``, where m stands for mu. `numbers` are all but these; a file
+    has at most `most` columns.
     """
 
     def __init__(self, space: Space) -> None:
@@ -118,7 +102,7 @@ class Columns:
         triples = combinations_with_replacement(self.wrench, 3)
         self._curvatures = {"/d".join(("d3e", *inputs)): inputs for inputs in triples}
         self.curvature = tuple(self._curvatures)
-        self.most = max(MOST_COLUMNS, 2 * len(self.numbers) + len(self.curvature))
+        self.most = max(MAX_COLUMNS, 2 * len(self.numbers) + len(self.curvature))
         # The columns that have one spelling.
         single = *TEXTS, *self.compliance, *self.curvature, *scalars
         self._exact = {name.lower(): name for name in single}
@@ -131,30 +115,21 @@ class Columns:
         """Return the quantity of an input, displacement or uncertainty column."""
         return self._quantities.get(name) or _LETTERS[name.rpartition(".")[2][0]]
 
-    def tangent(self, name: str) -> tuple[Quantity, Quantity]:
-        """Return the quantities over and under the stroke of a tangent such as ``dux/dfx``."""
-        output, one = self._tangents[name]
-        return self.quantity(output), self.quantity(one)
-
-    def readings(self, label: str) -> Iterator[tuple[str, str, Decimal]]:
-        """Yield the meanings of a label: the name of a column, its unit as written, a factor.
-
-        The unit is empty if the label has none. A label that begins with no name of a column, or
-        is longer than `MOST_LABEL`, has no meaning.
-        """
-        if len(label) > MOST_LABEL:
+    def readings(self, label: str) -> Iterator[tuple[str, str, float]]:
+        """Yield the meanings of a label: name of a column, unit as written or empty, factor."""
+        if len(label) > MAX_LABEL:
             return
         name, unit = split(label)
         if _RATE.fullmatch(name):
-            yield TIME_COLUMN, unit, Decimal(1)
+            yield TIME_COLUMN, unit, 1.0
             return
         if name.lower() in self._exact:
-            yield self._exact[name.lower()], unit, Decimal(1)
+            yield self._exact[name.lower()], unit, 1.0
             return
         joined = "".join(_GAP.split(name)).lower()
         for one in self.further:
             if joined in self.quantity(one).spellings:
-                yield one, unit, Decimal(1)
+                yield one, unit, 1.0
         front = next((one for one in self._fronts if one[0].match(name)), (None, ""))
         bare = front[0].sub("", name, 1) if front[0] else name
         for column, found, factor in _readings(bare, unit):
@@ -164,8 +139,8 @@ class Columns:
                 yield f"{front[1]}.{column}", found, factor
 
     def interface_problem(self, name: str) -> str:
-        """Return what is wrong with the interface in the name of a load or output, if anything."""
-        if not self._fronts or len(name) > MOST_LABEL:
+        """Say what is wrong with the interface in the name of a load or output, if anything."""
+        if not self._fronts or len(name) > MAX_LABEL:
             return ""
         front, _, rest = name.rpartition(".")
         column = next((one for one, _, _ in _readings(rest, "") if one != TIME_COLUMN), "")
@@ -176,37 +151,37 @@ class Columns:
         example = f"{there[0]}.{column}"
         return f"{which}; there are {', '.join(there)}: write for example {example}"
 
-    def factor(self, name: str, unit: str) -> Decimal:
+    def factor(self, name: str, unit: str) -> float:
         """Return the factor from a unit of the column `name` to that of the table; UnitError."""
         if name in TEXTS:
-            return Decimal(1)
+            return 1.0
         if name in self._curvatures:
             if unit != self.unit_of_curvature(name):
                 raise UnitError(f"[{unit}] is not SI; write {self.examples(name)}")
-            return Decimal(1)
+            return 1.0
         if name not in self._tangents:
             return si_factor(unit, self.quantity(name))
         upper, _, lower = unit.partition("/")
-        output, load = self.tangent(name)
+        output, load = map(self.quantity, self._tangents[name])
         lower = lower.strip().removeprefix("(").removesuffix(")")
         if not lower:
             example = self.examples(name)
             raise UnitError(f"[{unit}] is not a unit over a unit; write for example {example}")
-        return quotient(si_factor(upper.strip(), output), si_factor(lower, load))
+        return si_factor(upper.strip(), output) / si_factor(lower, load)
 
     def unit_of_curvature(self, name: str) -> str:
         """Return the unit of a column of `curvature`: ``J/(N*N*N*m)``."""
         return over("J", "*".join(self.quantity(one).si for one in self._curvatures[name]))
 
-    def zero(self, name: str, unit: str) -> Decimal:
+    def zero(self, name: str, unit: str) -> float:
         """Return the zero of a unit in that of the table: 273.15 of degC in K; mostly 0."""
         scales = self.quantity(name).scales if name in self.further else ()
-        return next((zero for one, _, zero in scales if one == unit), Decimal(0))
+        return next((zero for one, _, zero in scales if one == unit), 0.0)
 
     def examples(self, name: str) -> str:
         """Return the name of a column with units that it may have."""
         if name in self._tangents:
-            output, load = self.tangent(name)
+            output, load = map(self.quantity, self._tangents[name])
             return f"{name} [{over(output.si, load.si)}]"
         if name in self._curvatures:
             return f"{name} [{self.unit_of_curvature(name)}]"
@@ -219,10 +194,14 @@ def columns_of(space: Space = DEFAULT) -> Columns:
     return Columns(space)
 
 
-def _readings(name: str, unit: str) -> Iterator[tuple[str, str, Decimal]]:
-    """Yield the meanings of a name of one interface; see `Columns.readings`."""
+def _readings(name: str, unit: str) -> Iterator[tuple[str, str, float]]:
+    """Yield the meanings of a name without its interface; see `Columns.readings`."""
     for end in sorted({len(name), *(gap.start() for gap in _GAP.finditer(name))}, reverse=True):
-        rest, last = _split_uncertainty(name[end:].lstrip(" _./,-"))
+        # mm_err is the unit mm of an uncertainty.
+        rest, last = name[end:].lstrip(" _./,-"), ""
+        words = _GAP.split(rest)
+        if len(words) > 1 and words[-1].lower() in (*_HALF_WIDTH, *_STANDARD):
+            rest, last = rest[: -len(words[-1]) - 1], f"_{words[-1]}"
         found = sorted(_columns(name[:end] + last))
         rest = rest.removeprefix("(").removesuffix(")").replace("_", "*")
         if not found or (unit and rest):
@@ -230,23 +209,15 @@ def _readings(name: str, unit: str) -> Iterator[tuple[str, str, Decimal]]:
         yield from ((column, unit or rest, factor) for column, factor in found)
 
 
-def _split_uncertainty(rest: str) -> tuple[str, str]:
-    """Split ``mm_err`` into ``mm`` and ``_err``; the latter is empty without such a word."""
-    words = _GAP.split(rest)
-    if len(words) < 2 or words[-1].lower() not in (*_HALF_WIDTH, *_STANDARD):
-        return rest, ""
-    return rest[: -len(words[-1]) - 1], f"_{words[-1]}"
-
-
-def _columns(name: str) -> set[tuple[str, Decimal]]:
+def _columns(name: str) -> set[tuple[str, float]]:
     """Return the columns that a name without a unit can mean, each with its factor."""
     words = [word.lower() for word in _GAP.split(name) if word]
     joined = "".join(words)
     if joined in _NAMES:
-        return {(column, Decimal(1)) for column in _NAMES[joined]}
+        return {(column, 1.0) for column in _NAMES[joined]}
     if len(words) < 2 or words[-1] not in (*_HALF_WIDTH, *_STANDARD):
         return set()
-    factor = Decimal(1) if words[-1] in _HALF_WIDTH else COVERAGE_FACTOR
+    factor = 1.0 if words[-1] in _HALF_WIDTH else COVERAGE_FACTOR
     of = _NAMES.get("".join(words[:-1]), set())
     return {(f"{column}_err", factor) for column in of if column in DISPLACEMENT}
 
@@ -254,34 +225,20 @@ def _columns(name: str) -> set[tuple[str, Decimal]]:
 class WritableRows(Protocol):
     """Rows that can be written: a `ParsedTable`, the rows of a surrogate, any of this form.
 
-    ``curvature``, and ``note``, ``fingerprint``, ``seq``, ``when`` and ``who`` of each row, are
-    optional.
+    Arrays are as in `ParsedTable`. ``curvature``, and ``note``, ``fingerprint``, ``seq``, ``when``
+    and ``who`` of each row, are optional.
     """
 
     @property
-    def wrench(self) -> np.ndarray:
-        """Shape (n, inputs), N and N·m."""
-        ...
-
+    def wrench(self) -> np.ndarray: ...  # noqa: D102
     @property
-    def displacement(self) -> np.ndarray:
-        """Shape (n, outputs), m and rad; NaN where not measured."""
-        ...
-
+    def displacement(self) -> np.ndarray: ...  # noqa: D102
     @property
-    def uncertainty(self) -> np.ndarray:
-        """Shape (n, outputs), m and rad; NaN where unknown."""
-        ...
-
+    def uncertainty(self) -> np.ndarray: ...  # noqa: D102
     @property
-    def compliance(self) -> np.ndarray:
-        """Shape (n, outputs, inputs), m and rad over N and N·m; NaN where unknown."""
-        ...
-
+    def compliance(self) -> np.ndarray: ...  # noqa: D102
     @property
-    def source(self) -> Iterable[str]:
-        """The origin of each row."""
-        ...
+    def source(self) -> Iterable[str]: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -292,7 +249,7 @@ class NumberColumn:
     block: str
     index: int
     unit: str
-    factor: Decimal
+    factor: float
 
     @property
     def label(self) -> str:
@@ -307,14 +264,14 @@ class NumberColumn:
         return block.reshape(len(block), int(np.prod(block.shape[1:])))[:, self.index]
 
     def digits(self, rows: WritableRows) -> list[str]:
-        """Return the column in its unit, as digits that an import reads to the same floats."""
+        """Return the column in its unit as digits, empty where unknown."""
         factor = self.factor
         return ["" if v != v else in_unit(v, factor) for v in self.values(rows).tolist()]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The columns of an export: numbers, then texts."""
+    """Return the columns of an export: numbers, then texts."""
 
     numbers: tuple[NumberColumn, ...]
     texts: tuple[str, ...]
@@ -339,50 +296,34 @@ def layout(
     space: Space = DEFAULT,
     curvature: bool = False,
 ) -> Layout:
-    """Return the columns of an export.
+    """Return the columns of an export; UnitError if a unit does not measure its quantity.
 
-    Parameters
-    ----------
-    uncertainty, compliance, curvature : bool
-        Whether any row has one.
-    texts : iterable of str
-        Of ``source``, ``note`` and ``fingerprint``.
-    units : mapping, optional
-        From ``force``, ``moment``, ``translation``, ``rotation`` to the unit to write in; SI
-        otherwise.
-    origin : bool
-        Whether number, time and sender of each row are columns.
-    space : Space
-
-    Raises
-    ------
-    UnitError
-        If a unit does not measure its quantity.
+    `uncertainty`, `compliance` and `curvature` say whether any row has such numbers; `texts` are of
+    ``source``, ``note`` and ``fingerprint``; with `origin` number, time and sender of each row are
+    columns; `units` are by ``force``, ``moment``, ``translation``, ``rotation``, else SI.
     """
     chosen, columns = chosen_units(units), columns_of(space)
-    blocks = [("wrench", columns.wrench), ("displacement", columns.displacement)]
-    blocks += [("uncertainty", columns.uncertainty)] if uncertainty else []
-    blocks += [("compliance", columns.compliance)] if compliance else []
-    blocks += [("curvature", columns.curvature)] if curvature else []
+
+    def unit_of(name: str) -> tuple[str, float]:
+        if name in columns.curvature:
+            return columns.unit_of_curvature(name), 1.0
+        if name in columns.compliance:
+            output, _, load = name[1:].partition("/d")
+            (upper, above), (lower, below) = unit_of(output), unit_of(load)
+            return over(upper, lower), above / below
+        quantity = columns.quantity(name)
+        return chosen.get(quantity, (quantity.si, 1.0))
+
+    blocks = {
+        "wrench": columns.wrench,
+        "displacement": columns.displacement,
+        "uncertainty": columns.uncertainty if uncertainty else (),
+        "compliance": columns.compliance if compliance else (),
+        "curvature": columns.curvature if curvature else (),
+    }
     numbers = tuple(
-        NumberColumn(name, block, index, *_export_unit(name, columns, chosen))
-        for block, names in blocks
+        NumberColumn(name, block, index, *unit_of(name))
+        for block, names in blocks.items()
         for index, name in enumerate(names)
     )
     return Layout(numbers, (*texts, *(ORIGIN if origin else ())))
-
-
-def _export_unit(
-    name: str, columns: Columns, chosen: Mapping[Quantity, tuple[str, Decimal]]
-) -> tuple[str, Decimal]:
-    """Return the unit that a column is written in, and its factor to the table's."""
-
-    def unit_of(quantity: Quantity) -> tuple[str, Decimal]:
-        return chosen.get(quantity, (quantity.si, Decimal(1)))
-
-    if name in columns.curvature:
-        return columns.unit_of_curvature(name), Decimal(1)
-    if name not in columns.compliance:
-        return unit_of(columns.quantity(name))
-    (upper, above), (lower, below) = map(unit_of, columns.tangent(name))
-    return over(upper, lower), quotient(above, below)

@@ -1,28 +1,202 @@
-"""The header of a table of columns: which column is which, and in which unit.
+"""The header of a table of columns, the lines above it, and which column is which in which unit.
 
-Columns, in the spellings of `columns`: ``fx fy fz mx my mz`` (a missing one is a mistake
-unless the sender declares it zero), ``ux uy uz rx ry rz`` (at least one; a missing one, or an empty
-field, was not measured), ``ux_err`` ... ``rz_err`` (95 % half width; ``ux_std`` is half of it),
-``dux/dfx [m/N]`` ... ``drz/dmz [rad/(N*m)]`` (the 36 tangents of a solve, all or none) and
-``source``, ``note``, ``fingerprint`` (text, no unit; the fingerprint names the setup of a solve).
-Every number column names its unit, in its label, in a row of units below, or in the preamble: a
-rotation without one may be radians or degrees. An unknown column is a mistake unless the sender
-leaves it out, because a misspelt load would count as zero.
+Columns, in the spellings of `columns`: ``fx fy fz mx my mz`` (a missing one is a mistake unless the
+sender declares it zero), ``ux uy uz rx ry rz`` (at least one; a missing one, or an empty field, was
+not measured), ``ux_err`` ... ``rz_err`` (95 % half width; ``ux_std`` is half of it), ``dux/dfx
+[m/N]`` ... ``drz/dmz [rad/(N*m)]`` (the 36 tangents of a solve, all or none) and ``source``,
+``note``, ``fingerprint`` (text, no unit; the fingerprint names the setup of a solve). Every number
+column names its unit, in its label, in a row of units below, or in the preamble: a rotation without
+one may be radians or degrees. An unknown column is a mistake unless the sender leaves it out,
+because a misspelt load would count as zero.
+
+ATI's Net F/T demo logs counts: a line each of ``Start Time``, ``RDT Sample Rate``, ``Force Units``,
+``Counts per Unit Force``, ``Torque Units``, ``Counts per Unit Torque`` (two of them on one line in
+some versions), then ``Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time``. A
+value is the counts over the counts per unit; the elapsed time is the RDT sequence over the sample
+rate (ATI manual 9620-05-Ethernet Axia, 7.4, and 9620-05-Net FT, 5).
+
+Titles, dates and names of a rig may stand above the header too. The first of 31 lines that names
+two columns is the header. If no line does, or a row of numbers comes first, the first line is read
+as the header, and its mistakes are reported.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Sequence
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from decimal import Decimal
-from itertools import chain
+from itertools import chain, islice
 
 from wrenchbook.service.formats.cells import is_number
-from wrenchbook.service.formats.columns import ORIGIN, TEXTS, TIME_COLUMN, Columns, split
+from wrenchbook.service.formats.columns import (
+    MAX_LABEL,
+    ORIGIN,
+    TEXTS,
+    TIME_COLUMN,
+    Columns,
+    split,
+)
 from wrenchbook.service.formats.options import FileMistake, Options
-from wrenchbook.service.formats.preamble import Preamble, Record, split_titles
-from wrenchbook.service.formats.units import UnitError, product, quotient
+from wrenchbook.service.formats.units import UnitError
+
+MAX_TITLES = 30  # lines: a page of a report above its table
+_SEVERAL = 2  # one word of a title may be the name of a column ("Fx test, 3 mm")
+_SURE_DELIMITERS, _OTHER_DELIMITERS = ";\t", ",|"  # no label holds one of the former
+_ENTRY = re.compile(
+    r"(?P<key>start time|rdt sample rate|sample rate|force units?|torque units?"
+    r"|counts per (?:unit )?force(?: unit)?|counts per (?:unit )?torque(?: unit)?)"
+    r"\s*[:=]?\s*(?P<value>.*)",
+    re.IGNORECASE,
+)
+_BOOKKEEPING = re.compile(r"(status.*|rdt sequence|f/t sequence)", re.IGNORECASE)
+# Spellings of ATI's configuration page.
+_ATI_UNITS = {
+    "lbf": ("pound", "pounds", "lb"),
+    "N": ("newton",),
+    "kN": ("kilonewton",),
+    "kgf": ("kilogram", "kg"),
+    "gf": ("gram", "g"),
+    "kip": ("klb", "klbf"),
+    "lbf*in": ("pound-inch", "lb-in", "lbf-in"),
+    "lbf*ft": ("pound-foot", "lb-ft", "lbf-ft"),
+    "N*m": ("newton-meter",),
+    "N*mm": ("newton-millimeter",),
+    "kgf*cm": ("kilogram-centimeter", "kg-cm"),
+    "kN*m": ("kilonewton-meter",),
+}
+_UNITS = {spelling: unit for unit, spellings in _ATI_UNITS.items() for spelling in spellings}
+_ALONE = "; a log of loads alone: send the log of its displacements too, as displacements=FILE"
+
+Record = tuple[int, list[str]]
+"""The line of a record in its file, from 1, and its cells."""
+
+
+@dataclass
+class Preamble:
+    """Lines of a logger above the header; false if there are none.
+
+    `units` and `counts` (per unit) are of ``force`` and ``torque``; `rate` is samples a second.
+    """
+
+    units: dict[str, str] = field(default_factory=dict)
+    counts: dict[str, float] = field(default_factory=dict)
+    rate: float | None = None
+    _any: bool = False
+
+    def __bool__(self) -> bool:
+        return self._any
+
+    def add(self, cells: list[str]) -> bool:
+        """Read a line if it belongs to a preamble; ValueError if a number is not above zero."""
+        entries = [_ENTRY.fullmatch(entry.strip()) for entry in _entries(cells)]
+        if not entries or None in entries:
+            return False
+        self._any = True
+        for match in filter(None, entries):
+            key, value = match["key"].lower(), match["value"].strip().strip(":, ")
+            quantity = "torque" if "torque" in key else "force"
+            if key.startswith("counts"):
+                self.counts[quantity] = _positive(value)
+            elif "unit" in key:
+                self.units[quantity] = _UNITS.get(value.lower(), value)
+            elif "rate" in key:
+                self.rate = _positive(value)
+        return True
+
+    def unit_of(self, name: str) -> tuple[str, float] | None:
+        """Return the unit of a load column and its counts per unit; None if unknown."""
+        name = name.rpartition(".")[2]  # without the interface
+        quantity = {"f": "force", "m": "torque"}.get(name[:1], "") if len(name) == 2 else ""
+        if quantity not in self.units:
+            return None
+        return self.units[quantity], self.counts.get(quantity, 1.0)
+
+
+def _entries(cells: list[str]) -> list[str]:
+    """Return the entries of a line; a key and the cell of its value are one."""
+    filled = [cell.strip() for cell in ",".join(cells).split(",") if cell.strip()]
+    if filled and filled[0].lower().startswith("start time"):
+        return [" ".join(filled)]  # a date may hold commas
+    entries: list[str] = []
+    for cell in filled:
+        if entries and not _ENTRY.fullmatch(cell):
+            entries[-1] += " " + cell
+        else:
+            entries.append(cell)
+    return entries
+
+
+def _positive(value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise ValueError(f"'{value[:40]}' in the lines above the header is no number above zero")
+    return number
+
+
+def _split_titles(
+    first: Record, rest: Iterator[Record], mapping: Mapping[str, str], columns: Columns
+) -> tuple[list[str], Record, Iterator[Record]]:
+    """Return the titles, the header and the records below it.
+
+    `first` is the first record of the file with text; the keys of `mapping` count as names.
+    """
+
+    def is_row(cells: list[str]) -> bool:
+        filled = [cell for cell in cells if cell.strip()]
+        return len(filled) >= _SEVERAL and all(is_number(cell) for cell in filled)
+
+    if _named_columns(first[1], columns, mapping) >= _SEVERAL or is_row(first[1]):
+        return [], first, rest
+    titles = [first]
+    for record in islice(rest, MAX_TITLES):
+        if is_row(record[1]):
+            rest = chain([record], rest)
+            break
+        if _named_columns(record[1], columns, mapping) >= _SEVERAL:
+            joined = (
+                " ".join(cell.strip() for cell in cells if cell.strip()) for _, cells in titles
+            )
+            return [title[:MAX_LABEL] for title in joined], record, rest
+        titles.append(record)
+    return [], first, chain(titles[1:], rest)
+
+
+def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], columns: Columns) -> str:
+    """Return the delimiter of the header; of the first line if none names columns.
+
+    It is ``;`` or tab if the line has one, else ``,`` or ``|``, whichever splits off more names.
+    `bare` removes brackets from a line: units may hold delimiters.
+    """
+    heads = [bare(line) for line in islice(lines, MAX_TITLES + 1)]
+    marks = _SURE_DELIMITERS + _OTHER_DELIMITERS
+
+    def names(line: str, mark: str) -> int:
+        return _named_columns(line.split(mark, columns.most), columns)
+
+    header = next(
+        (line for line in heads if any(names(line, mark) >= _SEVERAL for mark in marks)), heads[0]
+    )
+    sure = next((mark for mark in _SURE_DELIMITERS if mark in header), "")
+    return sure or max(
+        _OTHER_DELIMITERS, key=lambda mark: _named_columns(header.split(mark), columns)
+    )
+
+
+def _named_columns(
+    cells: Sequence[str], columns: Columns, mapping: Mapping[str, str] | None = None
+) -> int:
+    """Return how many cells name a column of a table or a key of the mapping."""
+    mapped = {_key(name) for name in mapping or ()}
+    labels = (" ".join(cell.split()) for cell in cells[: columns.most])
+    return sum(
+        bool(label and label.lower() in mapped) or bool(_readings(label, columns))
+        for label in labels
+    )
 
 
 @dataclass(frozen=True)
@@ -32,9 +206,9 @@ class HeaderColumn:
     index: int
     label: str
     name: str
-    factor: Decimal = Decimal(1)
+    factor: float = 1.0
     unit: str = ""
-    zero: Decimal = Decimal(0)
+    zero: float = 0.0
 
 
 @dataclass
@@ -57,10 +231,7 @@ class Header:
 
 
 def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iterator[Record]]:
-    """Return the header below preamble and titles, and the records below the header.
-
-    Mistakes of the header are in `Header.mistakes`.
-    """
+    """Return the header below preamble and titles, with its mistakes, and the records below it."""
     preamble, columns = Preamble(), options.columns
     for line, cells in records:
         try:
@@ -72,7 +243,7 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     else:
         message = "there is no header" if preamble else "the file is empty"
         return _no_header(0, "file", message), records
-    titles, (line, cells), records = split_titles((line, cells), records, options.mapping, columns)
+    titles, (line, cells), records = _split_titles((line, cells), records, options.mapping, columns)
     if any(cell.strip() for cell in cells[columns.most :]):
         message = f"names {len(cells):,} columns; a table has at most {columns.most}"
         return _no_header(line, "header", message), records
@@ -82,13 +253,15 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
             "fx [N], ux [mm] (a line that begins with # is a comment)"
         )
         return _no_header(line, "header", message), records
-    labels = _labels(cells)
+    labels = [" ".join(cell.split()) for cell in cells]
+    while labels and not labels[-1]:
+        labels.pop()  # a spreadsheet's empty columns on the right
     below = next(records, None)
     units = below[1] if below and _is_units_row(labels, below[1], columns) else []
     if below and not units:
         records = chain([below], records)
-    header = _read_header(labels, line, options, units, preamble)
-    header.titles = titles
+    header = Header(width=len(labels), preamble=preamble, titles=titles)
+    _read_labels(header, labels, line, options, units)
     return header, records
 
 
@@ -101,16 +274,14 @@ def _is_units_row(labels: list[str], cells: list[str], columns: Columns) -> bool
     if any(is_number(cell) for cell in cells if cell.strip()):
         return False
     return any(
-        cell.strip() and _lacks_unit(label, columns)
+        not unit and name not in TEXTS
         for label, cell in zip(labels, cells, strict=False)
+        if cell.strip()
+        for name, unit, _ in _readings(label, columns)
     )
 
 
-def _lacks_unit(label: str, columns: Columns) -> bool:
-    return any(not unit and name not in TEXTS for name, unit, _ in _readings(label, columns))
-
-
-def _readings(label: str, columns: Columns) -> list[tuple[str, str, Decimal]]:
+def _readings(label: str, columns: Columns) -> list[tuple[str, str, float]]:
     """Return the meanings of a label; none if its brackets are broken."""
     try:
         return list(columns.readings(label))
@@ -118,19 +289,11 @@ def _readings(label: str, columns: Columns) -> list[tuple[str, str, Decimal]]:
         return []
 
 
-def _labels(cells: Sequence[str]) -> list[str]:
-    """Return the labels of a header, without a spreadsheet's empty columns on the right."""
-    labels = [" ".join(cell.split()) for cell in cells]
-    while labels and not labels[-1]:
-        labels.pop()
-    return labels
-
-
-def _read_header(
-    labels: list[str], line: int, options: Options, units: Sequence[str], preamble: Preamble
-) -> Header:
-    header = Header(width=len(labels), preamble=preamble)
-    names = _ColumnNames(options, units, preamble)
+def _read_labels(
+    header: Header, labels: list[str], line: int, options: Options, units: Sequence[str]
+) -> None:
+    """Add the columns of the labels to the header, and all mistakes."""
+    names = _ColumnNames(options, units, header.preamble)
     for index, label in enumerate(labels):
         try:
             _add_column(header, names, index, label, line)
@@ -142,7 +305,6 @@ def _read_header(
         header.mistakes.append(FileMistake(line, name, message))
     for message in _missing_columns(header, labels, options):
         header.mistakes.append(FileMistake(line, "header", message))
-    return header
 
 
 def _add_column(header: Header, names: _ColumnNames, index: int, label: str, line: int) -> None:
@@ -153,7 +315,7 @@ def _add_column(header: Header, names: _ColumnNames, index: int, label: str, lin
     column = None
     if names.is_ignored(label):
         pass
-    elif header.preamble and header.preamble.is_bookkeeping(label):
+    elif header.preamble and _BOOKKEEPING.fullmatch(label):
         if label.lower().startswith("status"):
             header.status = HeaderColumn(index, label, label)
         elif label.lower().startswith("rdt"):
@@ -194,7 +356,7 @@ class _ColumnNames:
         """Return the column of a label, None if it is left out; raises UnitError."""
         mapped = self._mapping.get(_key(label)) or self._mapping.get(_key(_name(label)))
         text = (mapped or label).strip()
-        sign = Decimal(-1) if mapped and text.startswith("-") else Decimal(1)
+        sign = -1.0 if mapped and text.startswith("-") else 1.0
         below = self._units[index] if index < len(self._units) else ""
         try:
             name, unit, factor = self._read(text.removeprefix("-") if mapped else text, below)
@@ -207,40 +369,37 @@ class _ColumnNames:
             raise UnitError("a - before a name is for loads and displacements only; leave it out")
         return HeaderColumn(index, label, name, factor * sign, unit, columns.zero(name, unit))
 
-    def _read(self, label: str, below: str) -> tuple[str, str, Decimal]:
+    def _read(self, label: str, below: str) -> tuple[str, str, float]:
         """Return name, unit and factor of a label with a unit below it; raises UnitError."""
         problem: UnitError | None = None
-        fits: dict[str, tuple[str, str, Decimal]] = {}
-        for name, own, factor in self._columns.readings(label):
+        fits: dict[str, tuple[str, str, float]] = {}
+        meanings = list(self._columns.readings(label))
+        for name, own, factor in meanings:
             counted = self._preamble.unit_of(name) if not (own or below) else None
-            unit, count = counted or (own or below, Decimal(1))
+            unit, count = counted or (own or below, 1.0)
             if name in TEXTS:
-                return name, "", Decimal(1)
+                return name, "", 1.0
             if not unit and name != TIME_COLUMN:
                 example = self._columns.examples(name)
                 problem = problem or UnitError(f"has no unit; write for example {example}")
                 continue
             try:
-                si = self._columns.factor(name, unit) if unit else Decimal(1)
+                si = self._columns.factor(name, unit) if unit else 1.0
             except UnitError as error:
                 problem = problem or error
                 continue
-            fits.setdefault(name, (name, unit, product(quotient(si, count), factor)))
+            fits.setdefault(name, (name, unit, si / count * factor))
         if len(fits) == 1:
             return next(iter(fits.values()))
         if len(fits) > 1:
             raise UnitError(f"can be {' or '.join(sorted(fits))}; name one with mapping")
         # With brackets, or as a bare name, the label names a column and its unit is the mistake.
-        meanings = self._columns.readings(label)
         if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
             raise problem
         name, columns = _name(label), self._columns
         raise _UnknownColumnError(
             columns.interface_problem(name) or _unknown(name.lower(), columns)
         )
-
-
-_ALONE = "; a log of loads alone: send the log of its displacements too, as displacements=FILE"
 
 
 class _UnknownColumnError(UnitError):

@@ -1,7 +1,5 @@
 """JSON tables: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
-Objects of columns, a list of them or one a line, are read by `json_records`.
-
 A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
 numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
 of ux uy uz rx ry rz, over fx fy fz mx my mz), ``curvature`` (third derivatives of the complementary
@@ -11,25 +9,26 @@ name; without these two the order is the component's.
 An export also has ``component``, ``table_version`` and the number of each row in the ledger,
 ``row``; an import ignores them.
 
-The text is decoded row by row: decoded at once, the rows of a text of 256 MB take seven times its
-size, and orjson reports neither duplicate keys nor 1e-400 nor NaN.
+Objects of named columns, a list of them as pandas writes or one a line, are records as of a CSV.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.cells import Digits, text_problem
 from wrenchbook.service.formats.columns import ORIGIN, TEXTS, Columns, WritableRows
-from wrenchbook.service.formats.json_reader import JsonError, JsonReader
-from wrenchbook.service.formats.json_records import is_records, read_json_records
-from wrenchbook.service.formats.options import MOST_LISTED, Options, ReadReport
+from wrenchbook.service.formats.header import Record
+from wrenchbook.service.formats.options import MAX_LISTED, Options, ReadReport
 from wrenchbook.service.formats.rows import (
     Array,
     ParsedTable,
@@ -37,33 +36,106 @@ from wrenchbook.service.formats.rows import (
     known_column,
     number_word,
 )
+from wrenchbook.service.formats.text import PIECE, read_records
 from wrenchbook.service.formats.units import vanished
 from wrenchbook.surrogate.table.rows import curvature_column
 
-PIECE = 20_000  # rows at once
+MAX_BYTES = 112 * 1024 * 1024
+"""Decoded rows take seven times their text: 450,000 rows are 800 MB."""
+
+_MAX_FLOAT = sys.float_info.max
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
 _NUMBERS = ("wrench", "displacement", "uncertainty", "compliance", "curvature")
 _ROW_KEYS = (*_NUMBERS, *TEXTS, *ORIGIN)
+_RECORDS = re.compile(rf'\s*(\[\s*\{{|\{{\s*"(?!({"|".join((*_TABLE_KEYS, *_SPACE_KEYS))})"))')
+_BLANKS = re.compile(r"[ \t\n\r]*")
+
+
+class JsonError(ValueError):
+    """The text is no JSON, or no table; the message has the place."""
 
 
 def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a JSON file piece by piece; `report` gets the mistakes."""
     try:
-        text = _text_of(path)
-        if is_records(text):
-            yield from read_json_records(text, options, report)
-        else:
-            yield from _pieces(JsonReader(text, _parsed_float), options, report)
+        if path.stat().st_size > MAX_BYTES:
+            raise JsonError(
+                f"is JSON of more than {MAX_BYTES >> 20} MiB; send it in parts, or as CSV, "
+                "Parquet or HDF5"
+            )
+        try:
+            text = path.read_bytes().decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
+        if _RECORDS.match(text):
+            # Numbers stay text, so that their digits and units are read as those of a CSV.
+            values = _values(text, Digits, Digits)
+            yield from read_records(_records(values), options, report)
+            return
+        values = list(islice(_values(text, _parsed_float, int), 2))
+        if len(values) != 1:
+            reason = "there is more behind its end" if values else "it is empty"
+            raise JsonError(f"is not JSON: {reason}")
+        yield from _pieces(values[0], options, report)
     except ValueError as error:
         report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
 
 
-def _text_of(path: Path) -> str:
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
+def _values(text: str, parse_float: Any, parse_int: Any) -> Iterator[Any]:
+    """Yield the values of a text, one behind the other; JsonError."""
+    decoder = json.JSONDecoder(
+        parse_float=parse_float, parse_int=parse_int, object_pairs_hook=_unique
+    )
+    at = 0
+    while True:
+        blanks = _BLANKS.match(text, at)
+        at = blanks.end() if blanks else at
+        if at == len(text):
+            return
+        try:
+            value, at = decoder.raw_decode(text, at)
+        except RecursionError as error:
+            raise JsonError("is not JSON of a table: it is nested too deeply") from error
+        except ValueError as error:
+            broken = isinstance(error, json.JSONDecodeError)
+            reason, place = (error.msg, error.pos) if broken else (str(error), at)
+            raise JsonError(f"is not JSON: {reason} at character {place:,}") from error
+        yield value
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object; ValueError if a key stands twice."""
+    members = dict(pairs)
+    if len(members) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {twice!r} stands twice in one object; keep one")
+    return members
+
+
+def _records(values: Iterator[Any]) -> Iterator[Record]:
+    """Yield the header as record 0, then the rows: those of a list, or each value."""
+    names: list[str] = []
+    rows = (row for value in values for row in (value if isinstance(value, list) else [value]))
+    for number, row in enumerate(rows, start=1):
+        if not isinstance(row, dict) or any(isinstance(cell, dict) for cell in row.values()):
+            raise JsonError(
+                f"row {number} is no object of named columns; write pandas' frames with "
+                "to_json(orient='records')"
+            )
+        if number == 1:
+            names = list(row)
+            yield 0, names
+        if not row.keys() <= set(names):
+            more = ", ".join(row.keys() - set(names))
+            raise JsonError(
+                f"row {number} has columns that row 1 has not: {more}; write them as null"
+            )
+        for name, cell in row.items():
+            if not (cell is None or isinstance(cell, str)):
+                raise JsonError(f"row {number}: {name!r} is neither a number nor a text")
+        yield number, [row.get(name) or "" for name in names]
 
 
 def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Iterator[str]:
@@ -82,34 +154,26 @@ def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Itera
     yield "]}"
 
 
-def _pieces(reader: JsonReader, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+def _pieces(table: Any, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     columns = options.columns
-    piece, listed, no_table = _JsonRows(columns), False, _no_table(columns)
-    if reader.peek() != "{":
-        reader.value()
-        reader.end()
-        report.mistakes.ruin(0, "rows", no_table)
+    if not isinstance(table, dict) or "rows" not in table:
+        report.mistakes.ruin(0, "rows", _no_table(columns))
         return
-    for key in reader.members():
-        if key != "rows" or reader.peek() != "[":
-            if problem := _key_problem(key, reader.value(), columns):
-                report.mistakes.ruin(0, key, problem)
-                return
-            continue
-        listed = True
-        for value in reader.items():
-            report.read += 1
-            piece.add(report.read, value)
-            if report.read % PIECE == 0 or len(piece.mistakes) > MOST_LISTED:
-                yield piece.table(options, report)
-                if report.is_beyond_limits():
-                    return
-                piece = _JsonRows(columns)
-    reader.end()
-    if not listed:
-        report.mistakes.ruin(0, "rows", no_table)
-    elif not report.read:
+    for key, value in table.items():
+        if problem := _key_problem(key, value, columns):
+            report.mistakes.ruin(0, key, problem)
+            return
+    if not table["rows"]:
         report.mistakes.ruin(0, "rows", "there is no row")
+    piece = _JsonRows(columns)
+    for value in table["rows"]:
+        report.read += 1
+        piece.add(report.read, value)
+        if report.read % PIECE == 0 or len(piece.mistakes) > MAX_LISTED:
+            yield piece.table(options, report)
+            if report.is_beyond_limits():
+                return
+            piece = _JsonRows(columns)
     yield piece.table(options, report)
     report.is_beyond_limits()
 
@@ -121,9 +185,9 @@ def _no_table(columns: Columns) -> str:
 
 
 def _key_problem(key: str, value: Any, columns: Columns) -> str:
-    """Return what is wrong with a member of the table that is no list of rows."""
+    """Say what is wrong with a member of the table."""
     if key == "rows":
-        return _no_table(columns)
+        return "" if isinstance(value, list) else _no_table(columns)
     if key == "units" and value != "SI":
         return "a JSON table is in SI; convert it, or send CSV with units"
     if key in _SPACE_KEYS:
@@ -159,8 +223,12 @@ class _JsonRows:
         numbers += self._required(row, "displacement", self._columns.displacement)
         numbers += self._uncertainty(row.get("uncertainty"))
         numbers += self._tangent(row.get("compliance"))
-        curvature = self._curvature(row.get("curvature"))
-        texts = [self._text(row, key) for key in TEXTS]
+        curvature, count = row.get("curvature"), len(self._columns.curvature)
+        if curvature is not None and not _are(curvature, count):
+            self._refuse("curvature", f"is not a list of {count} numbers; a row has all or none")
+        elif curvature is not None:
+            curvature = self._finite("curvature", curvature)
+        texts = [self._text(row.get(key), key) for key in TEXTS]
         if len(self.mistakes) == before:
             self._row.append(at)
             self._numbers.append(numbers)
@@ -192,13 +260,12 @@ class _JsonRows:
 
     def _required(self, row: dict[str, Any], key: str, names: Sequence[str]) -> list[float]:
         """Return finite numbers, one a name, NaN for a displacement that is null."""
-        values = row.get(key)
+        values, partial = row.get(key), key == "displacement"
         if not _are(values, len(names)):
             count = number_word(len(names))
             problem = "is missing" if values is None else f"is not a list of {count} numbers"
             self._refuse(key, f"{problem}; write [{', '.join(names)}] in SI")
             return []
-        partial = key == "displacement"
         if partial and all(value is None for value in values):
             self._refuse(key, "is all null; a row needs at least one number")
         return self._finite(key, values, nulls=partial)
@@ -232,41 +299,27 @@ class _JsonRows:
         numbers = (self._finite(f"compliance[{at}]", line) for at, line in enumerate(lines))
         return [number for line in numbers for number in line]
 
-    def _curvature(self, values: Any) -> list[float] | None:
-        count = len(self._columns.curvature)
-        if values is None:
-            return None
-        if not _are(values, count):
-            self._refuse("curvature", f"is not a list of {count} numbers; a row has all or none")
-            return None
-        return self._finite("curvature", values)
-
     def _finite(self, key: str, values: list[Any], nulls: bool = False) -> list[float]:
-        """Return finite numbers, with NaN for null where that is allowed."""
-        return [
-            math.nan if nulls and value is None else self._number(f"{key}[{index}]", value)
-            for index, value in enumerate(values)
-        ]
+        """Return finite numbers, NaN for null where that is allowed, zero and a mistake else."""
+        numbers = []
+        for index, value in enumerate(values):
+            problem, number = "", 0.0
+            if nulls and value is None:
+                number = math.nan
+            elif isinstance(value, _Vanished):
+                problem = "is too small a number and would become 0; write 0"
+            elif type(value) is not float and type(value) is not int:  # a bool is an int to Python
+                problem = f"{json.dumps(value)[:40]} is not a number"
+            elif not abs(value) <= _MAX_FLOAT:
+                problem = "is not finite; leave the row out"
+            else:
+                number = float(value)
+            if problem:
+                self._refuse(f"{key}[{index}]", problem)
+            numbers.append(number)
+        return numbers
 
-    def _number(self, key: str, value: Any) -> float:
-        """Return a finite number, or zero and a mistake."""
-        if isinstance(value, _Vanished):
-            self._refuse(key, "is too small a number and would become 0; write 0")
-            return 0.0
-        if type(value) is not float and type(value) is not int:  # a bool is an int to Python
-            self._refuse(key, f"{json.dumps(value)[:40]} is not a number")
-            return 0.0
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if math.isfinite(number):
-            return number
-        self._refuse(key, "is not finite; leave the row out")
-        return 0.0
-
-    def _text(self, row: dict[str, Any], key: str) -> str:
-        value = row.get(key)
+    def _text(self, value: Any, key: str) -> str:
         if value is None:
             return ""
         if not isinstance(value, str):
@@ -287,7 +340,7 @@ class _Vanished(float):
 
 def _parsed_float(text: str) -> float:
     number = float(text)
-    return _Vanished(number) if vanished(text, number) else number
+    return _Vanished(number) if number == 0.0 and vanished(text) else number
 
 
 def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:
@@ -303,20 +356,16 @@ def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:
         if not all(map(math.isnan, bounds)):
             row["uncertainty"] = _nulls(bounds)
     for name in ("compliance", "curvature"):
-        for at, numbers in _known_of(getattr(table, name, None)):
-            rows[at][name] = numbers
+        column = getattr(table, name, None)
+        if column is not None and column.size:  # rows that have them all
+            known = np.isfinite(column).all(axis=tuple(range(1, column.ndim)))
+            for at in np.flatnonzero(known).tolist():
+                rows[at][name] = column[at].tolist()
     for name in (*TEXTS, "when", "who"):
         for row, text in zip(rows, getattr(table, name, ()), strict=False):
             if text:
                 row[name] = str(text)
     return rows
-
-
-def _known_of(column: Array | None) -> Iterator[tuple[int, list[Any]]]:
-    """Yield place and numbers of those rows of a column, (n, ...), that have them all."""
-    if column is not None and column.size:
-        known = np.isfinite(column).all(axis=tuple(range(1, column.ndim)))
-        yield from ((at, column[at].tolist()) for at in np.flatnonzero(known).tolist())
 
 
 def _nulls(values: list[float]) -> list[float | None]:

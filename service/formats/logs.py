@@ -37,20 +37,15 @@ def zeroed(
                 message = f"tare={count}, and only {len(piece)} good rows are there for it"
                 report.mistakes.ruin(0, "tare", message)
                 return
-            offset = _means(piece, count)
+            moved = piece.displacement[:count]
+            known = np.isfinite(moved)  # 0 where nothing was measured
+            sums = np.where(known, moved, 0.0).sum(axis=0)
+            offset = piece.wrench[:count].mean(axis=0), sums / np.maximum(known.sum(axis=0), 1)
             offset[0][len(options.columns.loads) :] = 0.0  # a temperature has its own zero
             report.zeroed = count
             piece = piece.take(np.arange(len(piece)) >= count)
         wrench, displacement = piece.wrench - offset[0], piece.displacement - offset[1]
         yield replace(piece, wrench=wrench, displacement=displacement)
-
-
-def _means(piece: ParsedTable, count: int) -> tuple[Array, Array]:
-    """Return the mean wrench and displacement of the first rows; 0 where nothing was measured."""
-    moved = piece.displacement[:count]
-    known = np.isfinite(moved)
-    sums = np.where(known, moved, 0.0).sum(axis=0)
-    return piece.wrench[:count].mean(axis=0), sums / np.maximum(known.sum(axis=0), 1)
 
 
 def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Array, Array] | None:
@@ -73,7 +68,7 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
     return time, np.concatenate([one.wrench for one in parts])
 
 
-def applied_lag(
+def _applied_lag(
     pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
 ) -> float | None:
     """Return the seconds to add to the displacements' times; None after a mistake.
@@ -116,18 +111,10 @@ def with_loads(
 ) -> Iterator[ParsedTable]:
     """Yield the displacements whose times lie between two loads, with the interpolated wrench.
 
-    Parameters
-    ----------
-    pieces : sequence of ParsedTable
-        The log of the displacements.
-    time : ndarray, shape (n,), s
-    wrench : ndarray, shape (n, inputs), N and N·m
-    options : Options
-    report : ReadReport
-        Of the log of the displacements.
+    `time` (n,), s, and `wrench` (n, inputs), N and N·m, are the log of the loads.
     """
     longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))
-    lag = applied_lag(pieces, time, wrench, options, report)
+    lag = _applied_lag(pieces, time, wrench, options, report)
     for piece in () if lag is None else pieces:
         assert piece.time is not None
         if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):

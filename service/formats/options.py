@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
@@ -17,62 +17,35 @@ from wrenchbook.surrogate.table.space import DEFAULT, Space
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat"]
 Role = Literal["table", "loads", "displacements"]
 
-MOST_ROWS = 5_000_000  # of a file: 0.6 GB as arrays without tangents
-MOST_ZERO_ROWS = 10_000  # all in the first piece of a file
-MOST_LISTED = 1000
+MAX_ROWS = 5_000_000  # of a file: 0.6 GB as arrays without tangents
+MAX_ZERO_ROWS = 10_000  # all in the first piece of a file
+MAX_LISTED = 1000
 """Mistakes listed at most; one more line then counts the others."""
 
-MOST_MISTAKES = 100 * MOST_LISTED
+MAX_MISTAKES = 100 * MAX_LISTED
 """Reading stops after so many: 8.8 KB of gzip can hold six million, 78 s of processor time."""
 
-_MOST_FIELD = 200  # characters: a key of a row can have a million
-_MOST_CAUSES = 100
-_MOST_SHOWN = 10  # rows and columns of a cause
+_MAX_FIELD = 200  # characters: a key of a row can have a million
+_MAX_CAUSES = 100
+_MAX_SHOWN = 10  # rows and columns of a cause
 _VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")  # differs between two mistakes of one cause
-_MOST_KEPT = 20 * MOST_LISTED  # until they are sorted at the end of a piece
+_MAX_KEPT = 20 * MAX_LISTED  # until they are sorted at the end of a piece
 
 
 @dataclass(frozen=True)
 class Options:
     """Options of an import.
 
-    Attributes
-    ----------
-    format : str or None
-        The format of the file; found from its content if None.
-    decimal : {".", ","} or None
-        The decimal mark of numbers in text; found from them if None. Numbers that an XLSX or a
-        JSON stores as such have a point.
-    ignore : tuple of str
-        Labels of columns to leave out.
-    ignore_extra : bool
-        Whether all unknown columns are left out.
-    mapping : mapping of str to str
-        From a label in the file to a column: ``fz [N]``, or ``-fz [N]`` to turn the sign.
-    missing_loads : {"zero"} or None
-        The value of loads without a column; None refuses such a file.
-    zero_rows : int
-        The mean of so many first rows, the zero offset, is subtracted from all others.
-    sheet : str or None
-        Of an XLSX; the first one if None.
-    rig : str
-        The TOML of the rig of the readings; empty if they are the interface's.
-    time_offset_s : float or "auto"
-        Added to the times of displacements to match the clock of the loads, s; "auto" is the lag
-        that the logs show.
-    max_gap_s : float or None
-        Longest interval between two loads to interpolate in, s.
-    load_range : LoadRange or None
-        Of the component, N and N·m: loads far beyond it are mistakes. Its space is that of the
-        rows; one interface without further inputs if None.
-    fingerprint : str or None
-        Of the component's setup: solves of any other are mistakes.
-    solved : sequence of sequences of float, or None
-        Compliance (outputs, inputs), SI, of the component's solves: findings compare rows with it.
-    linear : bool
-        Whether the component is.
-    role : {"table", "loads", "displacements"}
-        A table has loads and displacements; a log has one of them, and times.
+    `format` and `decimal` (the mark of numbers in text) are found from the content if None.
+    `ignore` has labels of columns to leave out, `mapping` labels and what they are: ``fz [N]``, or
+    ``-fz [N]`` to turn the sign. `missing_loads` is the value of loads without a column; None
+    refuses such a file. The mean of the first `zero_rows` is subtracted from all others. `rig` is
+    the TOML of the readings' rig. `time_offset_s` is added to the times of displacements, "auto" is
+    the lag that the logs show; `max_gap_s` is the longest interval between loads, s.
+
+    Of the component: the `load_range`, whose space is that of the rows; the `fingerprint` of its
+    setup, since solves of any other are mistakes; the compliance (outputs, inputs), SI, of its
+    solves in `solved`, with which findings compare rows; whether it is `linear`.
     """
 
     format: Format | None = None
@@ -120,17 +93,10 @@ class Options:
 
 @dataclass(frozen=True, order=True)
 class FileMistake:
-    """One mistake in a table file.
+    """A mistake in a table file: where, and what to write.
 
-    Parameters
-    ----------
-    row : int
-        CSV: the line of the file, from 1. XLSX: the row of the sheet. JSON, HDF5, Parquet: the
-        number of the row, from 1. 0: the whole file.
-    field : str
-        The label of the column, or the JSON key with its index.
-    message : str
-        What is wrong and what to write.
+    `row` is the line of a CSV, the row of a sheet, else the number of the row, from 1; 0 is the
+    whole file. `field` is the label of the column, or the JSON key with its index.
     """
 
     row: int
@@ -143,14 +109,9 @@ class FileMistake:
 
 
 class Mistakes:
-    """The mistakes of a file: all are counted, the first by row are kept.
+    """The mistakes of a file: all are counted in `count`, the first by row are kept.
 
-    Attributes
-    ----------
-    count : int
-        Of all mistakes.
-    whole : bool
-        Whether one of them concerns the whole file; no row of it is loaded then.
+    `whole`: one of them concerns the whole file; no row of it is loaded then.
     """
 
     def __init__(self) -> None:
@@ -162,17 +123,14 @@ class Mistakes:
     def __bool__(self) -> bool:
         return self.count > 0
 
-    def __iter__(self) -> Iterator[FileMistake]:
-        return iter(self.listed())
-
     def add(self, row: int, field: str, message: str) -> None:
         """Add a mistake of a row."""
         self.count += 1
-        mistake = FileMistake(row, field[:_MOST_FIELD], message)
-        if len(self._kept) < _MOST_KEPT:
+        mistake = FileMistake(row, field[:_MAX_FIELD], message)
+        if len(self._kept) < _MAX_KEPT:
             self._kept.append(mistake)
         key = _VALUE.sub("", message)
-        if key in self._causes or len(self._causes) < _MOST_CAUSES:
+        if key in self._causes or len(self._causes) < _MAX_CAUSES:
             self._causes.setdefault(key, MistakeCause(mistake)).add(mistake)
 
     def ruin(self, row: int, field: str, message: str) -> None:
@@ -183,7 +141,7 @@ class Mistakes:
     def settle(self) -> None:
         """Keep the first by row, at the end of a piece: later pieces have higher rows."""
         self._kept.sort(key=lambda mistake: mistake.row)
-        del self._kept[MOST_LISTED + 1 :]
+        del self._kept[MAX_LISTED + 1 :]
 
     def causes(self) -> list[dict[str, Any]]:
         """Return the mistakes by cause: the first of each, their count and the first rows."""
@@ -193,28 +151,18 @@ class Mistakes:
     def listed(self) -> tuple[FileMistake, ...]:
         """Return the first by row; a last one counts those that are not listed."""
         self.settle()
-        if self.count <= MOST_LISTED:
+        if self.count <= MAX_LISTED:
             return tuple(self._kept)
-        message = f"{self.count - MOST_LISTED} more errors are not listed; correct these first"
-        if self.count > MOST_MISTAKES:
-            message += f"; reading stopped after more than {MOST_MISTAKES:,}"
-        row = self._kept[MOST_LISTED].row if len(self._kept) > MOST_LISTED else 0
-        return (*self._kept[:MOST_LISTED], FileMistake(row, "", message))
+        message = f"{self.count - MAX_LISTED} more errors are not listed; correct these first"
+        if self.count > MAX_MISTAKES:
+            message += f"; reading stopped after more than {MAX_MISTAKES:,}"
+        row = self._kept[MAX_LISTED].row if len(self._kept) > MAX_LISTED else 0
+        return (*self._kept[:MAX_LISTED], FileMistake(row, "", message))
 
 
 @dataclass
 class MistakeCause:
-    """Mistakes of one cause.
-
-    Attributes
-    ----------
-    first : FileMistake
-    count : int
-    rows : dict of int to None
-        The first of the rows, each once.
-    fields : dict of str to None
-        The first of the columns, each once.
-    """
+    """Mistakes of one cause: the first, their count, the first rows and columns, each once."""
 
     first: FileMistake
     count: int = 0
@@ -224,9 +172,9 @@ class MistakeCause:
     def add(self, mistake: FileMistake) -> None:
         """Count a mistake."""
         self.count += 1
-        if len(self.rows) < _MOST_SHOWN:
+        if len(self.rows) < _MAX_SHOWN:
             self.rows[mistake.row] = None
-        if len(self.fields) < _MOST_SHOWN:
+        if len(self.fields) < _MAX_SHOWN:
             self.fields[mistake.field] = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -235,38 +183,22 @@ class MistakeCause:
         return self.first.as_dict() | more
 
 
-@dataclass(frozen=True)
-class FoundColumn:
-    """A column of the file that is read: its label, its name, its unit (empty for a text)."""
-
-    label: str
-    name: str
-    unit: str
-
-
 @dataclass
 class ReadReport:
     """Report on reading a file; it is complete after the last piece.
 
-    Attributes
-    ----------
-    columns : list of FoundColumn
-    ignored : list of str
-        Labels of columns that were left out.
-    titles : list of str
-        Lines above the header.
-    clock : dict
-        Of two logs: the seconds added to the displacements' times, and the lag that the logs show.
-    findings : list of RigFinding
-        Of the whole file.
-    read, zeroed, unmatched : int
-        Rows of the file; those in the mean of the zero offset; those with no load at their time.
+    `columns` are label, name and unit of those that are read, `ignored` the labels of the others,
+    `titles` lines above the header. `converted`: some numbers are not in the units of arrays.
+    `clock`, of two logs: the seconds added to the displacements' times, and the lag that the logs
+    show. `read`, `zeroed` and `unmatched` count the rows of the file, those in the mean of the zero
+    offset, and those with no load at their time.
     """
 
     mistakes: Mistakes = field(default_factory=Mistakes)
     format: str = ""
     gzip: bool = False
-    columns: list[FoundColumn] = field(default_factory=list)
+    columns: list[tuple[str, str, str]] = field(default_factory=list)
+    converted: bool = False
     ignored: list[str] = field(default_factory=list)
     titles: list[str] = field(default_factory=list)
     clock: dict[str, float | None] | None = None
@@ -278,17 +210,17 @@ class ReadReport:
     def is_beyond_limits(self) -> bool:
         """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
         self.mistakes.settle()
-        if self.read > MOST_ROWS:
-            message = f"has more than {MOST_ROWS:,} rows; send it in parts"
+        if self.read > MAX_ROWS:
+            message = f"has more than {MAX_ROWS:,} rows; send it in parts"
             self.mistakes.ruin(0, "file", message)
-        elif self.mistakes.count > MOST_MISTAKES:
+        elif self.mistakes.count > MAX_MISTAKES:
             self.mistakes.whole = True
         return self.mistakes.whole
 
     def label(self, name: str, columns: Columns) -> str:
         """Return the label of a column in the file: ``Fz [kN]``; ``wrench[2]`` in JSON and HDF5."""
         if self.columns or self.format not in ("json", "hdf5"):
-            return next((one.label for one in self.columns if one.name == name), name)
+            return next((label for label, own, _ in self.columns if own == name), name)
         keys = ("wrench", "displacement", "uncertainty")
         named = ((key, getattr(columns, key)) for key in keys)
         found = (f"{key}[{names.index(name)}]" for key, names in named if name in names)
@@ -296,25 +228,24 @@ class ReadReport:
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the report as in the HTTP reply, with the number of good rows and a preview."""
-        rows = {
-            "read": self.read,
-            "good": good,
-            "refused": self.read - good - self.zeroed - self.unmatched,
-            "tare": self.zeroed,
-            "unmatched": self.unmatched,
-        }
+        names = ("column", "name", "unit")
         return {
             "format": self.format,
             "gzip": self.gzip,
-            "rows": rows,
+            "rows": {
+                "read": self.read,
+                "good": good,
+                "refused": self.read - good - self.zeroed - self.unmatched,
+                "tare": self.zeroed,
+                "unmatched": self.unmatched,
+            },
             "clock": self.clock,
-            "columns": [
-                {"column": one.label, "name": one.name, "unit": one.unit} for one in self.columns
-            ],
+            "columns": [dict(zip(names, column, strict=True)) for column in self.columns],
             "ignored": self.ignored,
             "above": self.titles,
-            "errors": [mistake.as_dict() for mistake in self.mistakes],
+            "errors": [mistake.as_dict() for mistake in self.mistakes.listed()],
             "causes": self.mistakes.causes(),
             "whole": self.mistakes.whole,
+            "converted": self.converted,
             "preview": preview,
         }

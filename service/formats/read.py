@@ -2,7 +2,7 @@
 
 The format comes from the content. A child process with limits reads the file; it returns arrays and
 JSON, one part a piece and a last one with the report, so a hostile file can at worst give wrong
-numbers.
+numbers. Findings look at a bounded sample of the rows.
 """
 
 from __future__ import annotations
@@ -18,21 +18,28 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.arrow import read_hdf5, read_mat, read_parquet
+from wrenchbook.service.formats.arrow import read_parquet
 from wrenchbook.service.formats.csv import read_csv
-from wrenchbook.service.formats.findings import FindingsSample
+from wrenchbook.service.formats.hdf5 import read_hdf5, read_mat
 from wrenchbook.service.formats.json import read_json
 from wrenchbook.service.formats.logs import joined_loads, with_loads, zeroed
 from wrenchbook.service.formats.options import Format, Options, ReadReport
 from wrenchbook.service.formats.rig import rigged, with_known_point
-from wrenchbook.service.formats.rows import ParsedTable, with_own_setup, within_limits
+from wrenchbook.service.formats.rows import (
+    ParsedTable,
+    is_corrected,
+    with_own_setup,
+    within_limits,
+)
 from wrenchbook.service.formats.units import FORCE, si_factor
 from wrenchbook.service.formats.xlsx import read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
-from wrenchbook.surrogate.table.rows import unknown_column
+from wrenchbook.surrogate.findings.find import MOST, find
+from wrenchbook.surrogate.findings.finding import RigFinding
+from wrenchbook.surrogate.table.rows import Rows, unknown_column
 
-MOST_PREVIEW = 100
-MOST_BYTES = 512 * 1024 * 1024
+MAX_PREVIEW = 100
+MAX_BYTES = 512 * 1024 * 1024
 """Of a file, packed or not: two million rows of 12 numbers, or a million with 17 digits each."""
 
 _LIMITS = Limits(memory=1024 << 20, seconds=60.0, output=1024 << 20)
@@ -48,7 +55,7 @@ _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]
     "json": read_json,
     "mat": read_mat,
 }
-_TEXT_FORMATS = ("csv", "json")  # a damaged file of one can look like the other
+_TEXT_FORMATS = {"csv", "json"}  # a damaged file of one can look like the other
 _BLOCK = 1 << 20
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_OFFSETS = (0, 512, 1024, 2048)  # behind a user block
@@ -80,12 +87,7 @@ class ReadResult:
 def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) -> ReadResult:
     """Read a table file, or two logs to be joined by time, in a child process with limits.
 
-    Raises
-    ------
-    SandboxBusyError
-        If no child is free for a minute.
-    OSError
-        If the disk is full.
+    Raises SandboxBusyError if no child is free for a minute, OSError if the disk is full.
     """
     arguments = {
         "second": str(files[1]) if len(files) > 1 else None,
@@ -109,17 +111,9 @@ def warm_up() -> None:
 def table_parts(
     file: Path, second: str | None, options: Mapping[str, Any], preview: int
 ) -> Iterator[Part]:
-    """Read a file, or two, and yield its pieces; the last part is the report.
+    """Read a file, or the logs of loads and displacements, and yield its pieces, then the report.
 
-    Parameters
-    ----------
-    file : path
-    second : str or None
-        The log of the displacements, if `file` is that of the loads.
-    options : mapping
-        The result of `Options.as_json`.
-    preview : int
-        Number of the first good rows in the report.
+    `options` are those of `Options.as_json`, `preview` the first good rows in the report.
     """
     own, report, good = Options.from_json(options), ReadReport(), 0
     shown: list[dict[str, Any]] = []
@@ -132,7 +126,10 @@ def table_parts(
         if report.mistakes.whole:
             break
         sample.add(piece)
-        shown += _preview(piece, min(preview, MOST_PREVIEW) - len(shown))
+        for at in range(min(preview, MAX_PREVIEW, good + len(piece)) - len(shown)):
+            wrench, moved = piece.wrench[at].tolist(), piece.displacement[at].tolist()
+            moved = [None if np.isnan(value) else value for value in moved]
+            shown.append({"row": int(piece.row[at]), "wrench": wrench, "displacement": moved})
         good += len(piece)
         if len(piece):
             yield _part(piece)
@@ -140,16 +137,44 @@ def table_parts(
     yield Part({**report.as_json(good, shown), "findings": findings})
 
 
-def read_table_file(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the rows of a table file that may be loaded, piece by piece.
+class FindingsSample:
+    """Every k-th row of a file, at most twice as many as findings look at."""
 
-    Parameters
-    ----------
-    path : path
-        The file; a gzipped one is unpacked next to it.
-    options : Options
-    report : ReadReport
-        Complete after the last piece.
+    def __init__(self) -> None:
+        self._parts: list[tuple[np.ndarray, ...]] = []
+        self._stride, self._skip = 1, 0
+
+    def add(self, piece: ParsedTable) -> None:
+        """Take the next rows of the file."""
+        part = piece.wrench, piece.displacement, piece.row
+        self._parts.append(tuple(one[self._skip :: self._stride].copy() for one in part))
+        self._skip = (self._skip - len(piece)) % self._stride
+        if sum(len(row) for _, _, row in self._parts) > 2 * MOST:
+            joined = tuple(np.concatenate(one) for one in zip(*self._parts, strict=True))
+            self._parts = [tuple(one[::2] for one in joined)]
+            if len(joined[0]) % 2:  # the last row is in the sample: the next is two strides on
+                self._skip += self._stride
+            self._stride *= 2
+
+    def findings(self, options: Options, known: Sequence[RigFinding] = ()) -> list[dict[str, Any]]:
+        """Return findings as JSON-able values; `rows` are places in the file, as of mistakes.
+
+        `known` are those of the join of two logs; rows of a wrong join show nothing else. The other
+        findings are on one wrench and its displacement: other spaces have none.
+        """
+        if known or not self._parts or options.load_range is None or not options.space.is_default:
+            return [finding.body() for finding in known]
+        wrench, moved, row = (np.concatenate(one) for one in zip(*self._parts, strict=True))
+        rows = Rows.of(wrench, moved, seq=row)
+        solved = None if options.solved is None else np.array(options.solved)
+        found = find(rows, options.load_range, solved, linear=options.linear)
+        return [finding.body() for finding in found]
+
+
+def read_table_file(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the rows of a table file that may be loaded; `report` is complete after the last piece.
+
+    A gzipped file is unpacked next to it.
     """
     yield from _corrected(_columns(path, options, report), options, report)
 
@@ -159,12 +184,12 @@ def read_logs(
 ) -> Iterator[ParsedTable]:
     """Yield the rows of two logs joined by time; parameters as `read_table_file`."""
     log = _columns(loads, replace(options, role="loads", zero_rows=0), report)
-    found = joined_loads(log, report)
+    joined = joined_loads(log, report)
     report.read, report.format, report.gzip = 0, "", False  # those of the displacements count
-    if found is None:
+    if joined is None:
         return
     log = list(_columns(displacements, replace(options, role="displacements"), report))
-    yield from _corrected(with_loads(log, *found, options, report), options, report)
+    yield from _corrected(with_loads(log, *joined, options, report), options, report)
 
 
 def _corrected(
@@ -178,15 +203,25 @@ def _corrected(
     moments must be known, and outside of this the findings.
     """
     pieces = rigged(zeroed(pieces, options, report), options, report)
-    pieces = (within_limits(piece, options, report) for piece in pieces)
+    if is_corrected(options):  # the readers check other rows, with the label of each column
+        pieces = (within_limits(piece, options, report) for piece in pieces)
     yield from with_known_point(with_own_setup(pieces, options, report), options, report)
 
 
 def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the rows of a file without corrections, whatever their setup."""
     try:
-        plain = _unpacked(path, report)
-        report.format = _checked_format(plain, options)
+        if path.stat().st_size == 0:
+            raise ContentError("the file is empty")
+        if _is_gzip(path):
+            report.gzip = True
+            plain = path.with_name(f"{path.name}.plain")
+            unpack(path, plain)
+            path = plain
+        content, named = _format_of(path), options.format
+        if named not in (None, content) and not {named, content} <= _TEXT_FORMATS:
+            raise ContentError(f"is {content} by its content, not {named}; leave the format out")
+        report.format = named or content
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
@@ -194,27 +229,7 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         message = f"a log with a time is CSV, XLSX or Parquet, and this is {report.format}"
         report.mistakes.ruin(0, "file", message)
         return
-    yield from _READERS[report.format](plain, options, report)
-
-
-def _unpacked(path: Path, report: ReadReport) -> Path:
-    if path.stat().st_size == 0:
-        raise ContentError("the file is empty")
-    if not _is_gzip(path):
-        return path
-    report.gzip = True
-    plain = path.with_name(f"{path.name}.plain")
-    unpack(path, plain)
-    return plain
-
-
-def _checked_format(path: Path, options: Options) -> Format:
-    found, named = _format_of(path), options.format
-    if named is None or named == found:
-        return found
-    if named in _TEXT_FORMATS and found in _TEXT_FORMATS:
-        return named
-    raise ContentError(f"is {found} by its content, not {named}; leave the format out")
+    yield from _READERS[report.format](path, options, report)
 
 
 class ContentError(ValueError):
@@ -226,14 +241,8 @@ def _is_gzip(path: Path) -> bool:
         return file.read(2) == b"\x1f\x8b"
 
 
-def unpack(path: Path, target: Path, most: int = MOST_BYTES) -> None:
-    """Unpack a gzipped file, at most `most` bytes of it.
-
-    Raises
-    ------
-    ContentError
-        If the file is larger, damaged, or gzipped twice.
-    """
+def unpack(path: Path, target: Path, most: int = MAX_BYTES) -> None:
+    """Unpack a gzipped file; ContentError if it is damaged, gzipped twice or above `most` bytes."""
     written = 0
     try:
         with gzip.open(path) as content, target.open("wb") as unpacked:
@@ -264,7 +273,10 @@ def _format_of(path: Path) -> Format:
         if head.startswith(magic):
             raise ContentError(f"is {what}")
     utf16 = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    if _is_wide_text(head, utf16):
+    # A header in Latin letters has a zero in every second byte, or in three of four.
+    start = head[: len(head) // 4 * 4]
+    wide = [start[place::4].count(0) * 4 > 0.8 * len(start) for place in range(4)]
+    if sum(wide) == 3 or (not utf16 and wide in ([True, False] * 2, [False, True] * 2)):
         raise ContentError(
             "is text in UTF-32, or in UTF-16 without the mark at its beginning; save it as UTF-8"
         )
@@ -275,17 +287,6 @@ def _format_of(path: Path) -> Format:
         )
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
     return "json" if text[:1] in (b"{", b"[") else "csv"
-
-
-def _is_wide_text(head: bytes, utf16: bool) -> bool:
-    """Return whether a file is UTF-32, or UTF-16 without a mark.
-
-    A header in Latin letters has a zero in every second byte, or in three of four.
-    """
-    start = head[: len(head) // 4 * 4]
-    zeros = [start[place::4].count(0) * 4 / max(len(start), 1) for place in range(4)]
-    wide = [share > 0.8 for share in zeros]
-    return sum(wide) == 3 or (not utf16 and wide in ([True, False] * 2, [False, True] * 2))
 
 
 def _format_of_zip(path: Path) -> Format:
@@ -299,19 +300,6 @@ def _format_of_zip(path: Path) -> Format:
     raise ContentError("is a zip file and no XLSX workbook; unpack it and send the table")
 
 
-def _preview(piece: ParsedTable, count: int) -> list[dict[str, Any]]:
-    return [
-        {
-            "row": int(piece.row[at]),
-            "wrench": piece.wrench[at].tolist(),
-            "displacement": [
-                None if np.isnan(value) else float(value) for value in piece.displacement[at]
-            ],
-        }
-        for at in range(min(count, len(piece)))
-    ]
-
-
 def _part(piece: ParsedTable) -> Part:
     """Return a piece as a part, without unknown columns; equal texts are one text."""
     numbers = {name: getattr(piece, name) for name in (*_NUMBERS, "curvature")}
@@ -321,7 +309,9 @@ def _part(piece: ParsedTable) -> Part:
         if column is not None and column.size and any(column.strides)
     }
     texts = {name: getattr(piece, name) for name in _TEXTS}
-    packed = {name: one[0] if len(set(one)) == 1 else list(one) for name, one in texts.items()}
+    packed = {
+        name: column[0] if len(set(column)) == 1 else list(column) for name, column in texts.items()
+    }
     return Part({"n": len(piece), **packed}, arrays | {"row": piece.row.astype(np.int64)})
 
 

@@ -30,8 +30,8 @@ from wrenchbook.service.formats.rows import (
 )
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
-MOST_RIG = 4000  # characters of a TOML: it is sent in a URL
-_MOST_NAME = 100  # characters
+MAX_RIG = 4000  # characters of a TOML: it is sent in a URL
+_MAX_NAME = 100  # characters
 _SKEW = 1e-3  # axes written as 0.707 are perpendicular unit vectors to 2e-4
 _FARTHEST = 100.0  # m: a point given in mm is refused
 _KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
@@ -77,23 +77,14 @@ class RigError(ValueError):
 
 @dataclass(frozen=True)
 class Rig:
-    """Axes and reference points of the readings of a test.
+    """Axes and reference points of the readings of a test."""
 
-    Attributes
-    ----------
-    axes : numpy.ndarray
-        Shape (3, 3), dimensionless: the rig's x, y and z axis in the interface's frame, one a row.
-    load_point, displacement_point : numpy.ndarray
-        Shape (3,), m: the point that moments are about, and the one whose translation was measured.
-    name : str
-    load_cell : {"moving", "fixed", ""}
-        Whether the load point moves with the interface or stays where it was; empty: not known.
-    """
-
-    axes: Array
-    load_point: Array
-    displacement_point: Array
+    axes: Array  # (3, 3), the rig's x, y and z axis in the interface's frame, a row each
+    load_point: Array  # (3,), m: the point that moments are about
+    displacement_point: Array  # (3,), m: the point whose translation was measured
     name: str = ""
+    # Whether the load point moves with the interface or stays where it was: moving, fixed; empty if
+    # not known.
     load_cell: str = ""
 
     @classmethod
@@ -106,8 +97,8 @@ class Rig:
         if unknown := [key for key in values if key not in _KEYS]:
             raise RigError(f"the rig has no {unknown[0][:100]!r}; it may have {', '.join(_KEYS)}")
         name = values.get("name", hashlib.sha256(text.encode()).hexdigest()[:8])
-        if not isinstance(name, str) or len(name) > _MOST_NAME or text_problem(name):
-            raise RigError(f"name: is not a text of at most {_MOST_NAME} characters")
+        if not isinstance(name, str) or len(name) > _MAX_NAME or text_problem(name):
+            raise RigError(f"name: is not a text of at most {_MAX_NAME} characters")
         cell = values.get("load_cell", "")
         if cell not in ("", *_LOAD_CELLS):
             raise RigError(f"load_cell: is moving or fixed, not {str(cell)[:100]!r}")
@@ -209,7 +200,7 @@ def with_known_point(
     count, rows, row, value, worst = np.zeros(len(size) + 1), 0, 0, 0.0, 0.0
     for piece in pieces:
         yield piece
-        asked, names = np.ones(len(piece), dtype=bool), {one.name for one in report.columns}
+        asked, names = np.ones(len(piece), dtype=bool), {name for _, name, _ in report.columns}
         if not options.rig:
             asked = ~(_of_interface(piece) | np.array([*map(bool, piece.source)], dtype=bool))
             size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf
@@ -247,12 +238,15 @@ def _shift(wrench: Array, displacement: Array) -> Array:
 
 def _of_interface(piece: ParsedTable) -> Array:
     """Return which rows, (n,), are solves, have slopes, or were imported with a rig before."""
-    known = np.asarray(np.isfinite(piece.compliance).any(axis=(1, 2)))
+    known = np.zeros(len(piece), dtype=bool)
+    if any(piece.compliance.strides):
+        known |= np.isfinite(piece.compliance).any(axis=(1, 2))
     if piece.curvature is not None:
         known |= np.isfinite(piece.curvature).any(axis=1)
-    pairs = zip(piece.source, piece.fingerprint, strict=True)
-    named = [source == FEA or bool(setup) or _MARK in source for source, setup in pairs]
-    return np.asarray(known | np.array(named, dtype=bool))
+    if any(piece.source) or any(piece.fingerprint):
+        pairs = zip(piece.source, piece.fingerprint, strict=True)
+        known |= [source == FEA or bool(setup) or _MARK in source for source, setup in pairs]
+    return known
 
 
 def _problems(

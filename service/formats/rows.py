@@ -43,39 +43,18 @@ MEASURED = "measured"  # the source of rows that name none
 
 @dataclass(frozen=True)
 class ParsedTable:
-    """The rows of a table file without mistakes, in SI.
+    """The rows of a table file without mistakes, in SI; texts are empty where the file has none."""
 
-    Parameters
-    ----------
-    wrench : numpy.ndarray
-        Shape (n, inputs), N and N·m and the units of further inputs.
-    displacement : numpy.ndarray
-        Shape (n, outputs), m and rad; NaN where not measured, but never all of a row.
-    uncertainty : numpy.ndarray
-        Shape (n, outputs), m and rad; NaN where the file gives none.
-    compliance : numpy.ndarray
-        Shape (n, outputs, inputs), the tangent d(displacement)/d(wrench), m and rad over N and N·m;
-        all of a row or NaN where the file gives none.
-    source, note, fingerprint : tuple of str
-        One a row; empty where the file gives none.
-    row : numpy.ndarray
-        Shape (n,), the place of each row: see `FileMistake.row`.
-    time : numpy.ndarray or None
-        Shape (n,), s; of logs that are joined by it.
-    curvature : numpy.ndarray or None
-        As `Rows.curvature`; None if no row has one.
-    """
-
-    wrench: Array
-    displacement: Array
-    uncertainty: Array
-    compliance: Array
+    wrench: Array  # (n, inputs), N and N·m and the units of further inputs
+    displacement: Array  # (n, outputs), m and rad; NaN where not measured, but never all of a row
+    uncertainty: Array  # (n, outputs), m and rad; NaN where the file gives none
+    compliance: Array  # (n, outputs, inputs), d(displacement)/d(wrench); all of a row or NaN
     source: tuple[str, ...]
     note: tuple[str, ...]
     fingerprint: tuple[str, ...]
-    row: Array
-    time: Array | None = None
-    curvature: Array | None = None
+    row: Array  # (n,), places in the file as of `FileMistake.row`
+    time: Array | None = None  # (n,), s; of logs that are joined by it
+    curvature: Array | None = None  # as `Rows.curvature`; None if no row has it
 
     def __len__(self) -> int:
         return len(self.wrench)
@@ -106,7 +85,7 @@ def number_word(count: int) -> str:
 
 
 def known_column(column: Array) -> Array:
-    """Return a column, shape (n, k), m and rad; one without memory if all of it is unknown."""
+    """Return a column, (n, ...), m and rad; without memory if all of it is unknown."""
     return unknown_column(*column.shape) if np.isnan(column).all() else column
 
 
@@ -116,13 +95,23 @@ def _taken(column: Array, which: Array) -> Array:
     return unknown_column(int(which.sum()), *column.shape[1:])
 
 
+def is_corrected(options: Options) -> bool:
+    """Return whether readings are joined or corrected: rows of the interface have limits."""
+    return bool(options.zero_rows or options.rig or options.role != "table")
+
+
+def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadReport) -> ParsedTable:
+    """Return the rows of a mask, shape (n,), that are within the limits, if they are final."""
+    if is_corrected(options):
+        report.mistakes.settle()
+        return piece.take(good)
+    return within_limits(piece, options, report, good)
+
+
 def within_limits(
     piece: ParsedTable, options: Options, report: ReadReport, good: Array | None = None
 ) -> ParsedTable:
-    """Return the rows within all limits; the others become mistakes.
-
-    `good`, shape (n,), dimensionless, masks rows without other mistakes; others are left out.
-    """
+    """Return the rows of a mask, shape (n,), within all limits; the others become mistakes."""
     good = np.ones(len(piece), dtype=bool) if good is None else good
     for at, name, message in _excesses(piece, options):
         good[at] = False
@@ -130,27 +119,6 @@ def within_limits(
         report.mistakes.add(int(piece.row[at]), label, message)
     report.mistakes.settle()
     return piece.take(good)
-
-
-def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadReport) -> ParsedTable:
-    """Return the rows of a mask, shape (n,), dimensionless, that are within all limits.
-
-    Readings that are joined or corrected are not checked here, but as rows of the interface.
-    """
-    if options.zero_rows or options.rig or options.role != "table":
-        report.mistakes.settle()
-        return piece.take(good)
-    return within_limits(piece, options, report, good)
-
-
-def _excesses(piece: ParsedTable, options: Options) -> Iterator[Problem]:
-    """Yield the numbers beyond a limit."""
-    columns = options.columns
-    yield from _rotations(piece.displacement, columns)
-    yield from _translations(piece.displacement, columns)
-    yield from _uncertainties(piece.uncertainty, columns)
-    if options.load_range is not None:
-        yield from _loads(piece.wrench, options.load_range)
 
 
 def largest_loads(load_range: LoadRange) -> Array:
@@ -166,7 +134,10 @@ def largest_loads(load_range: LoadRange) -> Array:
     return np.where(size > 0.0, LOAD_LIMIT * size, np.inf)
 
 
-def _rotations(displacement: Array, columns: Columns) -> Iterator[Problem]:
+def _excesses(piece: ParsedTable, options: Options) -> Iterator[Problem]:
+    """Yield the numbers beyond a limit."""
+    columns, displacement = options.columns, piece.displacement
+    is_rotation = columns.space.is_rotation
     for first in range(0, len(columns.displacement), PER_INTERFACE):
         moved = displacement[:, first : first + PER_INTERFACE]
         angle = rotation_angles(moved)
@@ -177,17 +148,17 @@ def _rotations(displacement: Array, columns: Columns) -> Iterator[Problem]:
                 "(check the unit: rad or deg?)"
             )
             yield at, name, message
-
-
-def _translations(displacement: Array, columns: Columns) -> Iterator[Problem]:
-    beyond = (np.abs(displacement) > TRANSLATION_LIMIT) & ~columns.space.is_rotation
-    for at, axis in np.argwhere(beyond).tolist():
+    for at, axis in np.argwhere((np.abs(displacement) > TRANSLATION_LIMIT) & ~is_rotation).tolist():
         message = (
             f"the translation is {displacement[at, axis]:.4g} m; a table ends at "
             f"{TRANSLATION_LIMIT:g} m, because within 20 degrees only a part longer than 40 m "
             "moves so far (check the unit: m or mm?)"
         )
         yield at, columns.displacement[axis], message
+    if any(piece.uncertainty.strides):
+        yield from _uncertainties(piece.uncertainty, columns)
+    if options.load_range is not None:
+        yield from _loads(piece.wrench, options.load_range)
 
 
 def _uncertainties(uncertainty: Array, columns: Columns) -> Iterator[Problem]:

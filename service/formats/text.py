@@ -1,14 +1,14 @@
-"""Records of text to SI arrays: the part that CSV, XLSX and Parquet have in common.
+"""Columns of numbers and texts to SI arrays: the part that all tables of columns have in common.
 
-A format gives numbered records of cells: a header, an optional row of units, then rows. They are
-converted in pieces, so that a million rows are never in memory as text.
+A format gives a header, an optional row of units, then rows in pieces: of each column an array of
+float64, NaN where empty, or its cells as text. Only CSV, XLSX and JSON bring numbers as text.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain, islice
 
 import numpy as np
@@ -25,17 +25,19 @@ from wrenchbook.service.formats.cells import (
     unguard_formula,
 )
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
-from wrenchbook.service.formats.header import Header, HeaderColumn, read_head
-from wrenchbook.service.formats.options import FoundColumn, Mistakes, Options, ReadReport
-from wrenchbook.service.formats.preamble import Record
+from wrenchbook.service.formats.header import Header, HeaderColumn, Record, read_head
+from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
 from wrenchbook.service.formats.rows import Array, ParsedTable, good_rows
-from wrenchbook.service.formats.units import to_si, vanished
+from wrenchbook.service.formats.units import scaled, vanished
 from wrenchbook.surrogate.table.rows import unknown_column
 
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
 
 RecordCheck = Callable[[list[str], Header], str]
 """Returns what is wrong with the cells of a record; an empty text if nothing is."""
+
+Cells = Array | Sequence[str]
+"""A column of a piece: float64, NaN where empty, or the text of each cell."""
 
 
 class BrokenLineError(ValueError):
@@ -48,18 +50,11 @@ class BrokenLineError(ValueError):
 
 @dataclass(frozen=True)
 class CellFormat:
-    """How the cells of a file are written.
+    """How a file writes its cells.
 
-    Attributes
-    ----------
-    comma : bool
-        Whether the decimal mark is a comma.
-    ambiguous : tuple of (int, str, str), or None
-        Line, column and text of a number if all numbers leave the mark open.
-    declared : bool
-        Whether the sender declared the decimal mark.
-    guarded : bool
-        Whether a text that looks like a formula has a ``'`` before it.
+    `comma`: the decimal mark is a comma; `declared`: the sender says so. `ambiguous` is line,
+    column and text of a number if all numbers leave the mark open. `guarded`: a text that looks
+    like a formula has a ``'`` before it.
     """
 
     comma: bool = False
@@ -69,11 +64,12 @@ class CellFormat:
 
 
 @dataclass
-class TextRows:
-    """Rows of a piece: their lines, and their cells, one a column of the header."""
+class Piece:
+    """Some rows: the place of each in the file, their columns, and how many records these were."""
 
-    line: list[int] = field(default_factory=list)
-    cells: list[list[str]] = field(default_factory=list)
+    row: Sequence[int] | Array
+    columns: Sequence[Cells]
+    read: int
 
 
 def read_records(
@@ -81,49 +77,88 @@ def read_records(
     options: Options,
     report: ReadReport,
     check: RecordCheck = lambda _cells, _header: "",
+) -> Iterator[ParsedTable]:
+    """Yield the good rows of records of text, in which a `Digits` is a stored number."""
+    header, rest = read_head(until_broken(records, report.mistakes), options)
+    pieces = text_pieces(rest, header, report.mistakes, check)
+    yield from read_pieces(header, pieces, options, report)
+
+
+def read_columns(
+    pieces: Iterator[tuple[Sequence[str], Sequence[Cells]]], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield the good rows of columns with labels, all labels with each piece."""
+    empty: tuple[Sequence[str], Sequence[Cells]] = ((), ())
+    labels, first = next(pieces, empty)
+    columns = [column for column in first if len(column)]
+    row = [Digits(c[0]) if isinstance(c, np.ndarray) else c[0] for c in columns]
+    records: list[Record] = [(0, list(labels)), (1, row)]
+    header, rest = read_head(iter(records if row else records[:1]), options)
+    skipped = int(bool(row) and next(rest, None) is None)  # a row of units
+
+    def numbered() -> Iterator[Piece]:
+        end = 0
+        for _, columns in chain([(labels, first)], pieces):
+            start, end = end, end + len(next(iter(columns), ()))
+            skip = max(skipped - start, 0)
+            yield Piece(range(start + skip + 1, end + 1), [c[skip:] for c in columns], end - start)
+
+    yield from read_pieces(header, numbered() if row else iter(()), options, report)
+
+
+def read_pieces(
+    header: Header,
+    pieces: Iterator[Piece],
+    options: Options,
+    report: ReadReport,
     cell_format: CellFormat | None = None,
 ) -> Iterator[ParsedTable]:
-    """Yield the good rows of a table of columns, piece by piece.
+    """Yield the good rows of pieces below a header; `report` gets columns and mistakes.
 
-    Parameters
-    ----------
-    records : iterator of Record
-    options : Options
-    report : ReadReport
-        Gets the columns and the mistakes.
-    check : callable
-        Checks the cells of each record.
-    cell_format : CellFormat or None
-        None in a format that stores numbers as such: there the texts of the first piece that are
-        numbers decide, and a point is a decimal one where none of them has a comma.
+    Without `cell_format`, as in formats that store numbers, the first piece decides.
     """
     mistakes = report.mistakes
-    if cell_format is None and options.decimal is not None:
-        cell_format = CellFormat(options.decimal == ",", declared=True)
-    elif cell_format is None:
-        first = list(islice(until_broken(records, mistakes), PIECE))
-        cell_format = format_in((item for item in first), options)
-        cell_format = cell_format if cell_format.comma else CellFormat()
-        records = chain(first, records)
-    header, rest = read_head(until_broken(records, mistakes), options)
-    report.columns += [FoundColumn(c.label, c.name, c.unit) for c in header.columns.values()]
+    columns = header.columns.values()
+    report.columns += [(column.label, column.name, column.unit) for column in columns]
+    report.converted |= any(column.factor != 1.0 or column.zero for column in columns)
     report.ignored += header.ignored
     report.titles += header.titles
     for mistake in header.mistakes:
         mistakes.ruin(mistake.row, mistake.field, mistake.message)
-    if cell_format.ambiguous is not None and not header.mistakes:
-        line, label, cell = cell_format.ambiguous
-        mistakes.ruin(line, label, _ambiguity(cell))
     if mistakes.whole:
         return
-    for rows, count in text_pieces(rest, header, mistakes, check):
-        report.read += count
-        if rows.line:
-            yield _Conversion(header, rows, cell_format, options, mistakes).table(report)
+    for piece in pieces:
+        cell_format = cell_format or _stored_format(piece, header, options)
+        if cell_format.ambiguous is not None:
+            line, label, cell = cell_format.ambiguous
+            mistakes.ruin(line, label, _ambiguity(cell))
+            return
+        report.read += piece.read
+        if len(piece.row):
+            yield _Conversion(header, piece, cell_format, options, mistakes).table(report)
         if report.is_beyond_limits():
             return
     if not report.read and not mistakes:
         mistakes.ruin(0, "file", "there is a header but no row below it")
+
+
+def _ambiguity(cell: str) -> str:
+    mark, point = (",", ".") if "," in cell else (".", ",")
+    number, other = cell.replace(",", "."), cell.replace(mark, "")
+    return (
+        f"'{cell}' is {number} or {other}, and no number in the file decides; say "
+        f"decimal={mark} for {number}, decimal={point} for {other}"
+    )
+
+
+def _stored_format(piece: Piece, header: Header, options: Options) -> CellFormat:
+    """Return the format of texts beside stored numbers: a point is decimal if none has a comma."""
+    if options.decimal is not None:
+        return CellFormat(options.decimal == ",", declared=True)
+    sure, doubtful = _marks(piece, header)
+    if sure or doubtful is None or "," not in doubtful[2]:
+        return CellFormat("," in sure)
+    return CellFormat(True, doubtful)
 
 
 def format_in(records: Iterator[Record], options: Options) -> CellFormat:
@@ -133,8 +168,8 @@ def format_in(records: Iterator[Record], options: Options) -> CellFormat:
     if header.mistakes:
         return CellFormat()
     ambiguous: tuple[int, str, str] | None = None
-    for rows, _ in text_pieces(rest, header, mistakes, lambda _cells, _header: ""):
-        sure, doubtful = _marks(rows, header)
+    for piece in text_pieces(rest, header, mistakes):
+        sure, doubtful = _marks(piece, header)
         ambiguous = ambiguous or doubtful
         if sure:
             # One decimal comma makes the comma the file's mark; a point is then a mistake.
@@ -142,18 +177,18 @@ def format_in(records: Iterator[Record], options: Options) -> CellFormat:
     return CellFormat("," in ambiguous[2], ambiguous) if ambiguous else CellFormat()
 
 
-def _marks(rows: TextRows, header: Header) -> tuple[set[str], tuple[int, str, str] | None]:
+def _marks(piece: Piece, header: Header) -> tuple[set[str], tuple[int, str, str] | None]:
     """Return the marks that are decimal ones, and line, label and text of a number in doubt."""
     sure: set[str] = set()
     doubtful = None
     for name, column in header.columns.items():
-        if name in TEXTS:
+        cells = piece.columns[column.index] if len(piece.row) else ()
+        if name in TEXTS or isinstance(cells, np.ndarray):
             continue
-        for line, cells in zip(rows.line, rows.cells, strict=True):
-            cell = cells[column.index] if len(cells) > column.index else ""
+        for line, cell in zip(piece.row, cells, strict=False):
             text = "" if type(cell) is Digits else cell.strip()
             if EITHER_MARK.fullmatch(text):
-                doubtful = doubtful or (line, column.label, text)
+                doubtful = doubtful or (int(line), column.label, text)
             elif mark := decimal_mark(text):
                 sure.add(mark)
                 if len(sure) == 2:
@@ -170,45 +205,37 @@ def until_broken(records: Iterator[Record], mistakes: Mistakes) -> Iterator[Reco
 
 
 def text_pieces(
-    records: Iterator[Record], header: Header, mistakes: Mistakes, check: RecordCheck
-) -> Iterator[tuple[TextRows, int]]:
-    """Yield the rows below a header in pieces, each with the number of its records."""
-    rows, count = TextRows(), 0
-    for line, cells in records:
-        count += 1
-        width = header.width
-        if len(cells) > width and not any(cell.strip() for cell in cells[width:]):
-            cells = cells[:width]  # a spreadsheet's empty columns on the right
-        if problem := check(cells, header) or _unnamed_problem(cells, header):
-            mistakes.add(line, "line", problem)
-        else:
-            rows.line.append(line)
-            rows.cells.append(cells)
-        if count == PIECE:
-            yield rows, count
-            rows, count = TextRows(), 0
-    if count:
-        yield rows, count
-
-
-def _ambiguity(cell: str) -> str:
-    mark = "," if "," in cell else "."
-    one, other = cell.replace(",", "."), cell.replace(mark, "")
-    point = "." if mark == "," else ","
-    return (
-        f"'{cell}' is {one} or {other}, and no number in the file decides; say "
-        f"decimal={mark} for {one}, decimal={point} for {other}"
-    )
+    records: Iterator[Record],
+    header: Header,
+    mistakes: Mistakes,
+    check: RecordCheck | None = None,
+) -> Iterator[Piece]:
+    """Yield the rows below a header in pieces; without `check` short ones are filled up."""
+    width = header.width
+    while some := list(islice(records, PIECE)):
+        lines: list[int] = []
+        rows: list[list[str]] = []
+        for line, cells in some:
+            if len(cells) > width and not any(cell.strip() for cell in cells[width:]):
+                cells = cells[:width]  # a spreadsheet's empty columns on the right
+            if check is None:
+                problem, cells = "", [*cells, *[""] * (width - len(cells))][:width]
+            else:
+                problem = check(cells, header) or _unnamed_problem(cells, header)
+            if problem:
+                mistakes.add(line, "line", problem)
+            else:
+                lines.append(line)
+                rows.append(cells)
+        yield Piece(lines, list(zip(*rows, strict=True)), len(some))
 
 
 def _unnamed_problem(cells: list[str], header: Header) -> str:
-    found = next(
-        (index for index in header.unnamed if "".join(cells[index : index + 1]).strip()), None
-    )
-    if found is None:
+    index = next((i for i in header.unnamed if "".join(cells[i : i + 1]).strip()), None)
+    if index is None:
         return ""
     return (
-        f"has a value in column {found + 1}, which has no name in the header; name it, or "
+        f"has a value in column {index + 1}, which has no name in the header; name it, or "
         "leave it out with ignore_extra"
     )
 
@@ -219,41 +246,46 @@ class _Conversion:
     def __init__(
         self,
         header: Header,
-        rows: TextRows,
+        piece: Piece,
         cell_format: CellFormat,
         options: Options,
         mistakes: Mistakes,
     ) -> None:
         self._options, self._names = options, options.columns
-        self._header = header
-        self._line = rows.line
-        self._format = cell_format
-        self._mistakes = mistakes
-        self._good = np.ones(len(rows.line), dtype=bool)
-        self._columns = list(zip(*rows.cells, strict=True))
+        self._header, self._format, self._mistakes = header, cell_format, mistakes
+        self._row, self._columns = np.asarray(piece.row, dtype=np.int64), piece.columns
+        self._good = np.ones(len(self._row), dtype=bool)
 
     def table(self, report: ReadReport) -> ParsedTable:
         """Return the good rows."""
-        options, names = self._options, self._names
+        options, names, columns = self._options, self._names, self._header.columns
         wrench = self._block(names.wrench, missing=0.0)
         displacement = self._block(names.displacement, missing=np.nan)
-        uncertainty, compliance, curvature = map(
-            self._known, (names.uncertainty, names.compliance, names.curvature)
+        uncertainty, compliance, curvature = (
+            self._block(block, missing=np.nan)
+            if any(name in columns for name in block)
+            else unknown_column(len(self._row), len(block))
+            for block in (names.uncertainty, names.compliance, names.curvature)
         )
         time = self._times() if options.role != "table" else None
         self._check_status()
         if options.role != "loads":
-            self._check_measured(displacement)
+            labels = [columns[name].label for name in names.displacement if name in columns]
+            for at in np.flatnonzero(np.isnan(displacement).all(axis=1) & self._good).tolist():
+                message = "no displacement is given; a row needs at least one"
+                self._refuse(at, labels[0] if labels else "displacement", message)
         self._check_whole(compliance, names.compliance, "tangents")
         self._check_whole(curvature, names.curvature, "third derivatives")
-        texts = [self._texts(name) for name in TEXTS]
+        source, note, fingerprint = (self._texts(name) for name in TEXTS)
         piece = ParsedTable(
             wrench,
             displacement,
             uncertainty,
-            compliance.reshape(len(self._line), len(names.displacement), len(names.wrench)),
-            *texts,
-            row=np.array(self._line, dtype=np.int64),
+            compliance.reshape(len(self._row), len(names.displacement), len(names.wrench)),
+            source,
+            note,
+            fingerprint,
+            row=self._row,
             time=time,
             curvature=curvature if any(curvature.strides) else None,
         )
@@ -261,113 +293,133 @@ class _Conversion:
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:
         """Return columns that belong together, shape (n, k), SI."""
-        block = np.full((len(self._line), len(names)), missing)
+        block = np.full((len(self._row), len(names)), missing)
         for index, name in enumerate(names):
             if name in self._header.columns:
                 block[:, index] = self._numbers(self._header.columns[name])
         return block
 
-    def _known(self, names: tuple[str, ...]) -> Array:
-        """Return a block, NaN where unknown; of no memory if the file has none of its columns."""
-        if any(name in self._header.columns for name in names):
-            return self._block(names, missing=np.nan)
-        return unknown_column(len(self._line), len(names))
-
     def _numbers(self, column: HeaderColumn) -> Array:
-        """Convert a column at once if all cells are finite numbers, else cell by cell."""
+        """Return a column, shape (n,), SI; at once if all cells are numbers, else cell by cell."""
         cells = self._columns[column.index]
-        values = _finite_column(cells, self._format.comma, column)
+        values = cells if isinstance(cells, np.ndarray) else _floats(cells, self._format.comma)
         if values is None:
             values = np.array([self._number(column, at) for at in range(len(cells))])
-        zeros = np.flatnonzero(values == 0.0).tolist()
-        gone = {cell for cell in {cells[at] for at in zeros} if vanished(cell, 0.0)}
-        for at in zeros if gone and not column.zero else ():
-            if cells[at] in gone:
-                message = f"{quoted(cells[at])} is too small a number and would become 0; write 0"
-                self._refuse(at, column.label, message)
+        elif not np.isfinite(values).all():
+            empty = np.isnan(values) if column.name in self._names.wrench else False
+            for at in np.flatnonzero(np.isinf(values) | empty).tolist():
+                self._refuse(at, column.label, number_problem(self._cell(column, at), False))
+        with np.errstate(over="ignore"):
+            converted = scaled(values, column.factor)
+            if column.zero:  # 0.1 K is -273.05 degC
+                converted = np.round(converted + column.zero, 10)
+        self._refuse_lost(column, values, converted)
         if column.name in self._names.uncertainty:
-            for at in np.flatnonzero(values < 0.0).tolist():
-                message = f"{quoted(cells[at])}: an uncertainty is not negative"
+            for at in np.flatnonzero(converted < 0.0).tolist():
+                message = f"{quoted(self._cell(column, at))}: an uncertainty is not negative"
                 self._refuse(at, column.label, message)
-        return values
+        return converted
+
+    def _refuse_lost(self, column: HeaderColumn, values: Array, converted: Array) -> None:
+        """Refuse numbers that are too large or too small for a float, shapes (n,)."""
+        cells = self._columns[column.index]
+        for at in np.flatnonzero(np.isinf(converted) & np.isfinite(values)).tolist():
+            message = f"{quoted(self._cell(column, at))} is too large a number"
+            self._refuse(at, column.label, message)
+        zero = np.flatnonzero(converted == 0.0) if not column.zero else np.empty(0, dtype=int)
+        if isinstance(cells, np.ndarray):
+            zero = zero[values[zero] != 0.0]
+        elif not any(map(vanished, {cells[at] for at in zero.tolist()})):
+            zero = zero[:0]  # a file has many zeros, in few spellings
+        for at in zero.tolist():
+            if vanished(cell := self._cell(column, at)):
+                message = f"{quoted(cell)} is too small a number and would become 0; write 0"
+                self._refuse(at, column.label, message)
+
+    def _cell(self, column: HeaderColumn, at: int) -> str:
+        """Return a cell as the file writes it, empty for NaN in an array."""
+        cell = self._columns[column.index][at]
+        if isinstance(cell, str):
+            return cell.strip()
+        return "" if math.isnan(cell) else repr(float(cell))
 
     def _number(self, column: HeaderColumn, at: int) -> float:
-        """Convert a cell; NaN and a mistake if it is not a finite number."""
+        """Return a cell's number in its unit; NaN and a mistake if it is not a finite number."""
         cell = self._columns[column.index][at]
-        comma, cell = self._format.comma and type(cell) is not Digits, cell.strip()
-        if not cell and column.name not in self._names.wrench:
+        comma, text = self._format.comma and type(cell) is not Digits, str(cell).strip()
+        if not text and column.name not in self._names.wrench:
             return np.nan  # not measured, or unknown
-        text = number_text(cell, comma, self._format.declared)
-        value = math.nan if text is None else to_si(text, column.factor, column.zero)
+        number = number_text(text, comma, self._format.declared)
+        value = math.nan if number is None else float(number)
         if not math.isfinite(value):
-            self._refuse(at, column.label, number_problem(cell, comma))
+            self._refuse(at, column.label, number_problem(text, comma))
             return np.nan
         return value
 
     def _times(self) -> Array:
         """Return the times of the rows, shape (n,), s, from a sequence or a column of times."""
         sequence, rate = self._header.sequence, self._header.preamble.rate
-        column = self._header.columns.get(TIME_COLUMN)
+        column, factor = self._header.columns.get(TIME_COLUMN), None
         if sequence is not None and rate:
-            column = sequence
-            cells = [cell.strip() for cell in self._columns[sequence.index]]
-            values = np.array([_float(cell) for cell in cells]) / rate
-        elif column is not None:
-            cells, factor = self._columns[column.index], column.factor if column.unit else None
-            comma = self._format.comma
+            column, factor = sequence, 1.0
+        elif column is None:
+            return np.full(len(self._row), np.nan)
+        elif column.unit:
+            factor = column.factor
+        cells = self._columns[column.index]
+        if isinstance(cells, np.ndarray):
+            values = cells * (column.factor if factor is None else factor)
+        else:
+            comma = self._format.comma and column is not sequence
             values = np.array(
                 [time_seconds(c, comma and type(c) is not Digits, factor) for c in cells]
             )
-        else:
-            return np.full(len(self._line), np.nan)
         for at in np.flatnonzero(~np.isfinite(values)).tolist():
-            message = f"{quoted(cells[at])} is no time; write seconds with time [s]"
+            message = f"{quoted(self._cell(column, at))} is no time; write seconds with time [s]"
             self._refuse(at, column.label, message)
-        return values
+        return values / rate if column is sequence and rate else values
 
     def _check_status(self) -> None:
         """Refuse readings that the sensor itself marks as bad."""
         column = self._header.status
         for at, cell in enumerate(self._columns[column.index] if column else ()):
-            if column and cell.strip().lower().removeprefix("0x").strip("0"):
-                message = f"the sensor's status is {quoted(cell)}, not 0: leave the row out"
+            if column and str(cell).strip().lower().removeprefix("0x").strip("0"):
+                message = f"the sensor's status is {quoted(str(cell))}, not 0: leave the row out"
                 self._refuse(at, column.label, message)
 
-    def _check_measured(self, displacement: Array) -> None:
-        columns = self._header.columns
-        for at in np.flatnonzero(np.isnan(displacement).all(axis=1)).tolist():
-            if self._good[at]:
-                names = [name for name in self._names.displacement if name in columns]
-                labels = [columns[name].label for name in names]
-                message = "no displacement is given; a row needs at least one"
-                self._refuse(at, labels[0] if labels else "displacement", message)
-
-    def _check_whole(self, block: Array, names: tuple[str, ...], what: str) -> None:
+    def _check_whole(self, block: Array, names: tuple[str, ...], kind: str) -> None:
+        if not any(block.strides):
+            return
         missing = np.isnan(block)
         for at in np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1)).tolist():
             if self._good[at]:
                 name = names[int(np.argmax(missing[at]))]
-                self._refuse(at, name, f"is missing; a row has all {len(names)} {what} or none")
+                self._refuse(at, name, f"is missing; a row has all {len(names)} {kind} or none")
 
     def _texts(self, name: str) -> tuple[str, ...]:
         """Return a column of texts; empty ones if the file has none."""
         column = self._header.columns.get(name)
         if column is None:
-            return ("",) * len(self._line)
+            return ("",) * len(self._row)
         cells = self._columns[column.index]
-        for at, cell in enumerate(cells if text_problem("".join(cells)) else ()):
-            if problem := text_problem(cell):
-                self._refuse(at, column.label, problem)
-        texts = [cell.strip() for cell in cells]
-        return tuple(map(unguard_formula, texts) if self._format.guarded else texts)
+        if isinstance(cells, np.ndarray):
+            cells = [self._cell(column, at) for at in range(len(cells))]
+        texts: dict[str, str] = {}
+        for cell in dict.fromkeys(cells):
+            texts[cell] = unguard_formula(cell.strip()) if self._format.guarded else cell.strip()
+        if text_problem("".join(texts)):
+            for at, cell in enumerate(cells):
+                if problem := text_problem(cell):
+                    self._refuse(at, column.label, problem)
+        return tuple(map(texts.__getitem__, cells))
 
     def _refuse(self, at: int, label: str, message: str) -> None:
         self._good[at] = False
-        self._mistakes.add(self._line[at], label, message)
+        self._mistakes.add(int(self._row[at]), label, message)
 
 
-def _finite_column(cells: tuple[str, ...], comma: bool, column: HeaderColumn) -> Array | None:
-    """Convert a column of finite numbers, shape (n,), SI; None if a cell is anything else."""
+def _floats(cells: Sequence[str], comma: bool) -> Array | None:
+    """Return a column of finite numbers, shape (n,); None if a cell is anything else."""
     joined = "".join(cells)
     if "_" in joined or not joined.isascii() or (comma and "." in joined):
         return None
@@ -376,14 +428,4 @@ def _finite_column(cells: tuple[str, ...], comma: bool, column: HeaderColumn) ->
         values = np.fromiter(map(float, texts), dtype=float, count=len(texts))
     except ValueError:
         return None
-    if column.factor != 1 or column.zero:
-        converted = (to_si(text, column.factor, column.zero) for text in texts)
-        values = np.fromiter(converted, float, len(texts))
     return values if np.isfinite(values).all() else None
-
-
-def _float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

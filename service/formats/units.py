@@ -1,13 +1,8 @@
-"""Units of columns: their exact factors to SI, and numbers converted with one rounding.
+"""Units of columns and their factors to SI.
 
 Pint knows the units. This module decides which spellings reach it, because pint misreads three:
 ``Nm`` is a textile count (hgrecco/pint issue 817), ``N-m`` a subtraction, ``mil`` an angle. Only
 products of letters pass, so a header can hold no arithmetic either.
-
-A factor is a decimal number, and a number of a file is one too. Their product is exact and becomes
-a float64 in one correct rounding; `in_unit` finds digits that `to_si` converts to the same bits.
-Float arithmetic rounds three times: of 500 rows exported in lbf and mm, 380 came back one bit apart
-and were loaded a second time.
 """
 
 from __future__ import annotations
@@ -19,6 +14,8 @@ from decimal import Context, Decimal, localcontext
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 
 class UnitError(ValueError):
     """A unit is unknown or measures another quantity; the message has the remedy."""
@@ -28,15 +25,15 @@ class UnitError(ValueError):
 class Quantity:
     """A physical quantity: its name, the unit of arrays, units that messages offer.
 
-    A further input of a component has its spellings as the name of a column, and the factor and
-    the zero of each unit in that of arrays: 1 and 273.15 of degC in K.
+    A further input has its spellings as the name of a column, and the factor and the zero of each
+    unit in that of arrays: 1 and 273.15 of degC in K.
     """
 
     name: str
     si: str
     examples: tuple[str, ...]
     spellings: tuple[str, ...] = ()
-    scales: tuple[tuple[str, Decimal, Decimal], ...] = ()
+    scales: tuple[tuple[str, float, float], ...] = ()
 
 
 FORCE = Quantity("force", "N", ("N", "kN", "lbf", "kgf"))
@@ -47,16 +44,15 @@ TIME = Quantity("time", "s", ("s", "ms", "us"))
 QUANTITIES = (FORCE, MOMENT, TRANSLATION, ROTATION)  # an export has a unit for each
 
 # Units of further inputs, which pint reads as others or not at all: factor and zero.
-_NONE = Decimal(0)
 _SCALES = {
     "temperature": (
-        *((unit, Decimal(1), Decimal("273.15")) for unit in ("degC", "°C", "C", "celsius")),
-        *((unit, Decimal(1), _NONE) for unit in ("kelvin", "K")),
+        *((unit, 1.0, 273.15) for unit in ("degC", "°C", "C", "celsius")),
+        *((unit, 1.0, 0.0) for unit in ("kelvin", "K")),
     ),
     "acceleration": (
-        *((unit, Decimal(1), _NONE) for unit in ("m/s^2", "m/s2", "m/s²", "m/s**2")),
-        *((unit, Decimal("0.001"), _NONE) for unit in ("mm/s^2", "mm/s2", "mm/s²")),
-        ("g", Decimal("9.80665"), _NONE),
+        *((unit, 1.0, 0.0) for unit in ("m/s^2", "m/s2", "m/s²", "m/s**2")),
+        *((unit, 0.001, 0.0) for unit in ("mm/s^2", "mm/s2", "mm/s²")),
+        ("g", 9.80665, 0.0),
     ),
 }
 _SPELLINGS = {"temperature": ("t", "temp", "temperature", "temperatur")}
@@ -75,33 +71,15 @@ _NEWTON_METRE = re.compile(r"((?:k|m|M|d|da|c|u|µ|μ)?N)((?:m|c|d|k)?m)")
 _PRODUCT = re.compile(r"\s*[*·⋅∙×.\-\s]\s*")
 _WORD = re.compile(r"[A-Za-z_µμ°Å]+")
 _LONGEST = 40
-# Pint divides with 28 digits (an inch is a yard over 36), the last ones rounded.
-# 25 digits give every decimal factor exactly, such as lbf*in.
-_DIGITS = Context(prec=25)
 _PINT = Context(prec=50)  # pi as pint writes it
 
 
 @cache
-def si_factor(unit: str, quantity: Quantity) -> Decimal:
-    """Return the factor from `unit` to the SI unit of `quantity`.
+def si_factor(unit: str, quantity: Quantity) -> float:
+    """Return the factor from a unit such as `lbf` or `N*mm` to that of arrays; UnitError.
 
-    Parameters
-    ----------
-    unit : str
-        A unit, or units joined by ``*``, ``·``, ``-``, ``.`` or a space: ``lbf``, ``N*mm``,
-        ``in-lbf``, ``Nm``, ``deg``. Upper and lower case differ.
-    quantity : Quantity
-        What the column measures.
-
-    Returns
-    -------
-    Decimal
-        Positive factor of at most 25 digits: SI value = factor times value.
-
-    Raises
-    ------
-    UnitError
-        If the unit is unknown or measures something else.
+    A unit is letters, or such joined by ``*``, ``·``, ``-``, ``.`` or a space; upper and lower case
+    differ.
     """
     words = _words(unit)
     if quantity.scales:
@@ -114,48 +92,32 @@ def si_factor(unit: str, quantity: Quantity) -> Decimal:
         raise UnitError(
             f"[{unit[:_LONGEST]}] is not a unit that can be read; {_offer(quantity, unit)}"
         )
-    one, si = _parsed("*".join(words)), _parsed(quantity.si)
-    if one is None:
+    parsed, si = _parsed("*".join(words)), _parsed(quantity.si)
+    if parsed is None:
         raise UnitError(f"the unit [{unit}] is not known; {_offer(quantity, unit)}")
     # Pint's root units keep the radian, so that a percent is not taken for an angle.
-    if one.units != si.units:
+    if parsed.units != si.units:
         raise UnitError(f"[{unit}] is not a unit of {quantity.name}; {_offer(quantity, unit)}")
-    return _DIGITS.divide(one.magnitude, si.magnitude).normalize(_DIGITS)
+    return float(_PINT.divide(parsed.magnitude, si.magnitude))
 
 
 @cache
 def further_quantity(name: str, unit: str) -> Quantity:
     """Return the quantity of an input that is no load, whose arrays are in `unit`."""
     for kind, scales in _SCALES.items():
-        own = next((one for one in scales if one[0] == unit), None)
-        if own is not None:
-            _, factor, zero = own
-            found = ((u, quotient(f, factor), quotient(z - zero, factor)) for u, f, z in scales)
-            examples = dict.fromkeys((unit, *(one for one, _, _ in scales[:: len(scales) - 1])))
-            return Quantity(name, unit, tuple(examples), _SPELLINGS.get(kind, ()), tuple(found))
-    return Quantity(name, unit, (unit,), (), ((unit, Decimal(1), _NONE),))
+        unit_zero = next((zero for scale, _, zero in scales if scale == unit), None)
+        if unit_zero is not None:
+            factor = next(factor for scale, factor, _ in scales if scale == unit)
+            converted = tuple((u, f / factor, (z - unit_zero) / factor) for u, f, z in scales)
+            examples = dict.fromkeys((unit, *(u for u, _, _ in scales[:: len(scales) - 1])))
+            return Quantity(name, unit, tuple(examples), _SPELLINGS.get(kind, ()), converted)
+    return Quantity(name, unit, (unit,), (), ((unit, 1.0, 0.0),))
 
 
-def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, Decimal]]:
-    """Return the units of an export, completed by SI units.
-
-    Parameters
-    ----------
-    units : mapping or None
-        Any of ``force``, ``moment``, ``translation``, ``rotation`` to a unit; the rest stay SI.
-
-    Returns
-    -------
-    dict
-        Per quantity the unit as written and its SI factor.
-
-    Raises
-    ------
-    UnitError
-        If a key is no quantity or a unit does not measure it.
-    """
+def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, float]]:
+    """Return the unit of each quantity in an export, else SI, and its factor; UnitError."""
     others = dict(units or {})
-    chosen: dict[Quantity, tuple[str, Decimal]] = {}
+    chosen: dict[Quantity, tuple[str, float]] = {}
     for quantity in QUANTITIES:
         unit = others.pop(quantity.name, quantity.si)
         chosen[quantity] = (unit, si_factor(unit, quantity))
@@ -166,7 +128,7 @@ def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, D
 
 
 def _words(unit: str) -> list[str] | None:
-    """Split a unit into its factors, or return None if it holds more than letters."""
+    """Return the factors of a unit; None if it holds more than letters."""
     words: list[str] = []
     for word in _PRODUCT.split(unit.strip()):
         if not _WORD.fullmatch(word):
@@ -189,7 +151,7 @@ def _offer(quantity: Quantity, unit: str) -> str:
 
 
 def _parsed(text: str) -> Any:
-    """Return one unit in pint's root units, or None if pint does not know it."""
+    """Return a unit in pint's root units, or None if pint does not know it."""
     registry = _registry()
     try:
         with localcontext(_PINT):
@@ -201,7 +163,7 @@ def _parsed(text: str) -> Any:
 
 @cache
 def _registry() -> Any:
-    """Return pint's registry."""
+    """Return pint's registry of decimal factors."""
     # Imported on first use: 0.3 s.
     import pint
 
@@ -210,56 +172,25 @@ def _registry() -> Any:
         return pint.UnitRegistry(non_int_type=Decimal)  # pyright: ignore[reportArgumentType]
 
 
-# 25 digits of a factor times the digits of a number. Exponents out of range are no error here:
-# the caller checks the float.
-_WIDE = Context(prec=120, Emin=-(10**6), Emax=10**6, traps=[])
-_SHORT = tuple(Context(prec=digits, traps=[]) for digits in (15, 16))
-_FULL = Context(prec=17, traps=[])  # separates neighbouring float64 (IEEE 754)
-_ONE = Decimal(1)
+def scaled(values: np.ndarray, factor: float) -> np.ndarray:
+    """Return numbers, shape (n,), times a factor, in one rounding if it is 1 over an integer."""
+    inverse = float(round(1.0 / factor))
+    return values / inverse if inverse and 1.0 / inverse == factor else values * factor
 
 
-def to_si(text: str | Decimal, factor: Decimal, zero: Decimal = _NONE) -> float:
-    """Return the float64 nearest to `text` times `factor` plus `zero`; inf or 0 beyond its range.
+def in_unit(value: float, factor: float) -> str:
+    """Return the digits of an SI value in a unit; read back they agree to rounding.
 
-    Parameters
-    ----------
-    text : str or Decimal
-    factor, zero : Decimal
-        From the unit to SI: of a temperature in degC 1 and 273.15.
+    15 digits restore what a person wrote; 17 are written where 15 lose more than rounding.
     """
-    if factor == _ONE and not zero:
-        return float(text)
-    product = _WIDE.multiply(_WIDE.create_decimal(text), factor)
-    return float(_WIDE.add(product, zero) if zero else product)
-
-
-def in_unit(value: float, factor: Decimal) -> str:
-    """Return the shortest digits, at most 17, that `to_si` converts back to `value`."""
-    if factor == _ONE:
+    if factor == 1.0:
         return repr(value)
-    exact = _WIDE.divide(Decimal(value), factor)
-    for context in _SHORT:
-        short = exact.normalize(context)
-        if to_si(short, factor) == value:
-            return _plain(short)
-    return _plain(exact.normalize(_FULL))
+    inverse = float(round(1.0 / factor))
+    number = value * inverse if inverse and 1.0 / inverse == factor else value / factor
+    short = f"{number:.15g}"
+    return short if abs(float(short) - number) <= 3e-16 * abs(number) else repr(number)
 
 
-def quotient(upper: Decimal, lower: Decimal) -> Decimal:
-    """Return a factor over a factor."""
-    return upper if lower == _ONE else _WIDE.divide(upper, lower)
-
-
-def product(factor: Decimal, other: Decimal) -> Decimal:
-    """Return a factor times a factor."""
-    return factor if other == _ONE else _WIDE.multiply(factor, other)
-
-
-def vanished(text: str, value: float) -> bool:
-    """Return whether the text is not zero and its float is: 1e-400."""
-    return value == 0.0 and any(mark in "123456789" for mark in text.lower().partition("e")[0])
-
-
-def _plain(number: Decimal) -> str:
-    """Write 1000 for 1E+3; Python's exponents otherwise."""
-    return f"{number:f}" if 0 <= number.adjusted() <= 16 else str(number)
+def vanished(text: str) -> bool:
+    """Return whether a text that reads as zero is none: 1e-400."""
+    return any(mark in "123456789" for mark in text.lower().partition("e")[0])

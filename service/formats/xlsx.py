@@ -1,8 +1,8 @@
 """XLSX tables: a sheet of a workbook to records of text, and back.
 
-openpyxl finds the sheet, and its parser gives the cells row by row: neither a sheet that claims a
-billion cells nor a million rows are in memory. Formulas give the value that the spreadsheet saved.
-Numbers are read and written as digits: openpyxl writes 16 of them, too few for every third float.
+openpyxl gives the cells row by row: neither a sheet that claims a billion cells nor a million rows
+are in memory. Formulas give the value that the spreadsheet saved. Numbers are written as digits:
+openpyxl writes 16 of them, too few for every third float.
 """
 
 from __future__ import annotations
@@ -11,28 +11,26 @@ import re
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from wrenchbook.service.formats.cells import NO_VALUE, Digits
 from wrenchbook.service.formats.columns import Layout, WritableRows
-from wrenchbook.service.formats.header import Header
+from wrenchbook.service.formats.header import Header, Record
 from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.preamble import Record
 from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.service.formats.text import read_records
 
-MOST_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
-MOST_IN_MEMORY = 64 * 1024 * 1024  # of a member that is no sheet: texts, styles
-MOST_MEMBERS = 1000
-MOST_SHEET_ROWS = 1_048_575  # below the header (ECMA-376)
+MAX_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
+MAX_IN_MEMORY = 64 * 1024 * 1024  # of a member that is no sheet: texts, styles
+MAX_MEMBERS = 1000
+MAX_SHEET_ROWS = 1_048_575  # below the header (ECMA-376)
 ABOUT_SHEET = "about"  # of an export; it has no rows
 _BLOCK = 1 << 20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # ST_Xstring (ECMA-376, 22.9.2.19): characters that XML 1.0 lacks, and texts that look like escapes.
 _UNFIT = re.compile("[\x00-\x08\x0b-\x0d\x0e-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{4}_)")
-_TOO_LARGE = "unpacks to more than {} MiB; send the table in parts"
 _ESCAPE = re.compile(r"_x([0-9A-Fa-f]{4})_")
 
 
@@ -51,9 +49,16 @@ class ZipBoundsError(ValueError):
 def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a sheet piece by piece; `report` gets the mistakes."""
     try:
+        for entry, size in entry_sizes(path, MAX_UNPACKED).items():
+            if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
+                raise ZipBoundsError(f"holds more than {MAX_IN_MEMORY >> 20} MiB in {entry}")
         # Opened here, because openpyxl checks the ending of a name.
-        with path.open("rb") as file:
-            records = _records(_sheet(path, file, options.sheet), options.columns.most)
+        with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of styles and extensions
+            sheet = _sheet(values, options.sheet, values=True)
+            records = _records(
+                sheet, lambda: _sheet(formulas, sheet.title, values=False), options.columns.most
+            )
             yield from read_records(records, options, report, _record_problem)
     except Exception as error:  # openpyxl raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
@@ -62,13 +67,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
 def write_xlsx(
     path: Path, pieces: Iterable[WritableRows], layout: Layout, about: Mapping[str, str]
 ) -> None:
-    """Write pieces of a table to one sheet, and `about` to another.
-
-    Raises
-    ------
-    SheetFullError
-        If the table has more rows than a sheet can.
-    """
+    """Write pieces of a table to one sheet, and `about` to another; SheetFullError."""
     from openpyxl import Workbook
 
     book = Workbook(write_only=True)
@@ -79,9 +78,9 @@ def write_xlsx(
         numbers = [column.digits(piece) for column in layout.numbers]
         texts = layout.words(piece)
         count += len(piece.wrench)
-        if count > MOST_SHEET_ROWS:
+        if count > MAX_SHEET_ROWS:
             raise SheetFullError(
-                f"the table has more than {MOST_SHEET_ROWS:,} rows, the most of a sheet; export it "
+                f"the table has more than {MAX_SHEET_ROWS:,} rows, the most of a sheet; export it "
                 "as CSV, Parquet or HDF5"
             )
         kinds = ["n"] * len(numbers) + ["s"] * len(texts)
@@ -105,98 +104,64 @@ def _write_cell(sheet: Any, text: str, kind: str) -> Any:
     return cell
 
 
-def _sheet(path: Path, file: BinaryIO, name: str | None) -> Any:
-    """Return the sheet of a name, or the first one."""
-    for entry, size in entry_sizes(path, MOST_UNPACKED).items():
-        if size > MOST_IN_MEMORY and not entry.startswith("xl/worksheets/"):
-            raise ZipBoundsError(f"holds more than {MOST_IN_MEMORY >> 20} MiB in {entry}")
+def _sheet(file: BinaryIO, name: str | None, *, values: bool) -> Any:
+    """Return the sheet of a name, or the first with rows, with stored values or with formulas."""
     # Imported on first use: 0.2 s and 20 MB.
     import openpyxl
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of styles and extensions
-        book = openpyxl.load_workbook(file, read_only=True, data_only=True, keep_links=False)
-    found = [sheet for sheet in book.worksheets if name is None or sheet.title == name]
-    if not found:
+    book = openpyxl.load_workbook(file, read_only=True, data_only=values, keep_links=False)
+    sheets = [sheet for sheet in book.worksheets if name is None or sheet.title == name]
+    if not sheets:
         known = ", ".join(sheet.title for sheet in book.worksheets)
         raise NoSheetError(f"there is no sheet {name!r}; it has {known or 'none'}: say sheet=NAME")
-    if name is None and len(found) > 1 and found[0].title == ABOUT_SHEET:
-        return found[1]
-    return found[0]
+    sheet = sheets[name is None and len(sheets) > 1 and sheets[0].title == ABOUT_SHEET]
+    sheet.reset_dimensions()  # those that a file states may be wrong
+    return sheet
 
 
-def _records(sheet: Any, most: int) -> Iterator[Record]:
-    """Yield the number and the cells of each row with text, numbers as their digits."""
-    book = sheet.parent
-    with warnings.catch_warnings(), sheet._get_source() as source:
-        warnings.simplefilter("ignore")
-        parser = _digits_parser(
-            sheet.title,
-            source,
-            sheet._shared_strings,
-            data_only=True,
-            epoch=book.epoch,
-            date_formats=book._date_formats,
-            timedelta_formats=book._timedelta_formats,
-        )
-        for count, (number, cells) in enumerate(parser.parse()):
-            if count > MOST_SHEET_ROWS:
-                raise ValueError(f"a sheet has more than {MOST_SHEET_ROWS + 1:,} rows")
-            texts = _texts([cell for cell in cells if cell["value"] is not None], most)
-            if any(texts):
-                yield number, texts
+def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Record]:
+    """Yield the number and the cells of each row with text.
 
-
-def _texts(cells: list[dict[str, Any]], most: int) -> list[str]:
-    width = max((cell["column"] for cell in cells), default=0)
-    if width > most:
-        raise ValueError(f"a row has {width} columns; a table has at most {most}")
-    texts = [""] * width
-    for cell in cells:
-        texts[cell["column"] - 1] = _text(cell["value"])
-    return texts
+    A cell whose formula has no stored value is its place after `NO_VALUE`. The formulas are read
+    once a row has an empty cell.
+    """
+    below = None
+    for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+        if number > MAX_SHEET_ROWS + 1:
+            raise ValueError(f"a sheet has more than {MAX_SHEET_ROWS + 1:,} rows")
+        width = max((at for at, value in enumerate(row, start=1) if value is not None), default=0)
+        if width > most:
+            raise ValueError(f"a row has {width} columns; a table has at most {most}")
+        cells = [_text(value) for value in row[:most]]
+        if not any(cells):
+            continue
+        if None in row[:most]:
+            below = below or enumerate(formulas().iter_rows(), start=1)
+            _, computed = next(pair for pair in below if pair[0] == number)
+            for at, cell in enumerate(computed[: len(cells)]):
+                if not cells[at] and cell.value is not None:
+                    cells[at] = f"{NO_VALUE}{sheet.title}!{cell.coordinate}"
+        yield number, cells
 
 
 def _text(value: Any) -> str:
-    if type(value) is Digits:
-        return value
-    if isinstance(value, str):
-        return unescape(value)
+    if value is None:
+        return ""
     if isinstance(value, bool):
         return "TRUE" if value else "FALSE"
+    if isinstance(value, int | float):
+        return Digits(value)
+    if isinstance(value, str):
+        return unescape(value)
     return value.isoformat(sep=" ") if hasattr(value, "hour") else str(value)
 
 
 def _record_problem(cells: list[str], header: Header) -> str:
-    """Return what is wrong with a row, which is filled up with empty cells."""
+    """Say what is wrong with a row, which is filled up with empty cells."""
     if len(cells) > header.width:
         return f"has {len(cells)} cells, the header {header.width}"
     cells.extend([""] * (header.width - len(cells)))
     return ""
-
-
-def _digits_parser(title: str, *args: Any, **options: Any) -> Any:
-    """Return openpyxl's parser of a sheet; the value of a number is its digits in the file.
-
-    A formula without a value gets its place in `title` after `NO_VALUE`.
-    """
-    from openpyxl.worksheet._reader import FORMULA_TAG, VALUE_TAG, WorkSheetParser
-
-    class _DigitsParser(WorkSheetParser):
-        def parse_row(self, row: Any) -> tuple[int, list[dict[str, Any]]]:
-            self.row_dimensions.clear()  # the heights of a million rows
-            return super().parse_row(row)
-
-        def parse_cell(self, element: Any) -> dict[str, Any]:
-            has_formula = element.find(FORMULA_TAG) is not None  # the parser clears the element
-            cell = super().parse_cell(element)
-            if cell["data_type"] == "n" and cell["value"] is not None:
-                cell["value"] = Digits(element.findtext(VALUE_TAG))
-            elif cell["value"] is None and cell["data_type"] == "n" and has_formula:
-                cell["value"] = f"{NO_VALUE}{title}!{element.get('r')}"
-            return cell
-
-    return _DigitsParser(*args, **options)
 
 
 def escape(text: str) -> str:
@@ -212,47 +177,34 @@ def unescape(text: str) -> str:
 def entry_sizes(path: Path, most: int) -> dict[str, int]:
     """Return the bytes of each member of a zip file that unpacks to at most `most`.
 
-    Every member is unpacked and dropped: the sizes in the directory may be wrong.
-
-    Raises
-    ------
-    ZipBoundsError
-        If the archive is damaged or larger.
+    Every member is unpacked and dropped: the sizes in the directory may be wrong. ZipBoundsError if
+    the archive is damaged or larger.
     """
+    too_large = f"unpacks to more than {most >> 20} MiB; send the table in parts"
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
-            if problem := _directory_problem(entries, most):
-                raise ZipBoundsError(problem)
+            if len(entries) > MAX_MEMBERS:
+                raise ZipBoundsError(f"has {len(entries)} members; at most {MAX_MEMBERS} are read")
+            if len({entry.filename for entry in entries}) < len(entries):
+                raise ZipBoundsError("has two members of one name")
+            if any(entry.compress_type not in _METHODS or entry.flag_bits & 1 for entry in entries):
+                raise ZipBoundsError(
+                    "is encrypted or packed in a way no spreadsheet is; save it plainly"
+                )
+            if sum(entry.file_size for entry in entries) > most:
+                raise ZipBoundsError(too_large)
             sizes: dict[str, int] = {}
             for entry in entries:
-                left = most - sum(sizes.values())
-                sizes[entry.filename] = _size(archive, entry, left)
-                if sizes[entry.filename] > left:
-                    raise ZipBoundsError(_TOO_LARGE.format(most >> 20))
+                size, remaining = 0, most - sum(sizes.values())
+                with archive.open(entry) as content:
+                    while size <= remaining and (block := content.read(_BLOCK)):
+                        size += len(block)
+                if size > remaining:
+                    raise ZipBoundsError(too_large)
+                sizes[entry.filename] = size
             return sizes
+    except ZipBoundsError:
+        raise
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError) as error:
-        if isinstance(error, ZipBoundsError):
-            raise
         raise ZipBoundsError(f"is a damaged zip file ({error})") from error
-
-
-def _directory_problem(entries: list[zipfile.ZipInfo], most: int) -> str:
-    if len(entries) > MOST_MEMBERS:
-        return f"has {len(entries)} members; at most {MOST_MEMBERS} are read"
-    if len({entry.filename for entry in entries}) < len(entries):
-        return "has two members of one name"
-    if any(entry.compress_type not in _METHODS or entry.flag_bits & 1 for entry in entries):
-        return "is encrypted or packed in a way no spreadsheet is; save it plainly"
-    if sum(entry.file_size for entry in entries) > most:
-        return _TOO_LARGE.format(most >> 20)
-    return ""
-
-
-def _size(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, most: int) -> int:
-    """Return what a member unpacks to, measured until it is more than `most`."""
-    size = 0
-    with archive.open(entry) as content:
-        while size <= most and (block := content.read(_BLOCK)):
-            size += len(block)
-    return size

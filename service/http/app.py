@@ -17,7 +17,7 @@ from wrenchbook.service.events import Events
 from wrenchbook.service.http import instrumentation, openapi, problems
 from wrenchbook.service.http.access import AccessControl, SecuritySettings
 from wrenchbook.service.http.access.permission import Rates
-from wrenchbook.service.http.fast_path import FastPath
+from wrenchbook.service.http.protocol import FastPath
 from wrenchbook.service.http.routes import (
     components,
     coverage,

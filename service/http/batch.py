@@ -18,7 +18,6 @@ from fastapi import Request
 from pydantic import Field
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
-from wrenchbook.service.answering.queries import BatchQuery
 from wrenchbook.service.contract import MAX_BATCH
 from wrenchbook.service.http.bodies import (
     BatchBody,
@@ -37,10 +36,11 @@ from wrenchbook.service.http.parsing import (
     parsed_json,
     plain_rows,
     plain_wrenches,
+    query_of,
 )
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
+from wrenchbook.service.query import Query
 from wrenchbook.service.sandbox import MIB, Limits, Part, run
-from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
 
 # A million wrenches as Python's lists and numbers are 400 MB, next to the text of 250 MB.
@@ -81,66 +81,48 @@ BINARY_REPLY: Final = {
 _JSONS = Field(description="binary form: as in JSON")
 
 
-def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> BatchQuery:
-    """Return the batch that a JSON body is, whatever its size, of wrenches of `inputs` numbers.
+def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndarray, Query]:
+    """Return the wrenches (n, inputs) and the options of a JSON batch, whatever its size.
 
-    Raises
-    ------
-    HttpProblemError
-        422, with mistakes' places.
-    SandboxError, SandboxBusyError
-        If it takes too much to be read, or too many others are being read.
+    Raises HttpProblemError 422 with mistakes' places, and SandboxError or SandboxBusyError if it
+    takes too much to be read, or too many others are being read.
     """
     if body.path is None:
-        return batch_of(*batch_parts(body.content, inputs))
-    how = {"inputs": inputs}
-    (part,) = run("wrenchbook.service.http.batch:parsed", body.path, how, LIMITS)
+        full, wrenches = batch_parts(body.content, inputs)
+        return wrenches, query_of(full)
+    arguments = {"inputs": inputs}
+    (part,) = run("wrenchbook.service.http.batch:parsed", body.path, arguments, LIMITS)
     if refused := part.fields["refused"]:
-        raise refusal(refused)
-    return batch_of(part.fields["batch"], np.array(part.arrays["wrenches"]))
+        detail = str(refused["body"].get("detail", ""))
+        problem = HttpProblemError(int(refused["status"]), "", "", detail)
+        problem.body = dict(refused["body"])
+        raise problem
+    full = BatchBody(wrenches=[], **part.fields["batch"])
+    return np.array(part.arrays["wrenches"]), query_of(full)
 
 
-def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[dict[str, Any], np.ndarray]:
-    """Return the checked fields of a JSON batch, and its wrenches, (n, inputs), SI."""
-    _few_lists(body)
+def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.ndarray]:
+    """Return the checked options of a JSON batch, and its wrenches, (n, inputs)."""
+    # Before a parser makes 64 bytes of each list.
+    if body.count(b"[") > MAX_BATCH + 64 or body.count(b"{") > 1024:
+        raise _too_many()
     fields = parsed_json(body)
-    return checked_batch(fields, plain_wrenches(fields, inputs=inputs), inputs)
+    return _checked_batch(fields, plain_wrenches(fields, inputs=inputs), inputs)
 
 
-def checked_batch(
+def _checked_batch(
     fields: Any, wrenches: np.ndarray | None, inputs: int
-) -> tuple[dict[str, Any], np.ndarray]:
-    """Check a batch's fields, as `batch_parts` does.
-
-    Parameters
-    ----------
-    fields : object
-        As parsed from JSON.
-    wrenches : array or None
-        Those in it, shape (n, inputs), SI, if they have been found to be in order.
-    """
+) -> tuple[BatchBody, np.ndarray]:
+    """As `batch_parts`; `wrenches` are those in the fields if they have been found in order."""
     if wrenches is not None:
         if len(wrenches) > MAX_BATCH:
             raise _too_many()
         fields = {**fields, "wrenches": []}
-    full = checked(BatchBody, fields)
+    full: BatchBody = checked(BatchBody, fields)
     if wrenches is None:
         wrenches = even_rows(full.wrenches, inputs)
     known_method(full.method)
-    return full.model_dump(exclude={"wrenches"}), wrenches + 0.0
-
-
-def batch_of(fields: dict[str, Any], wrenches: np.ndarray) -> BatchQuery:
-    """Return the query that a batch's parts are, see `batch_parts`; wrenches (n, inputs), SI."""
-    limit = fields["tolerance"]
-    rest = {name: value for name, value in fields.items() if name != "tolerance"}
-    return BatchQuery(wrenches, tolerance=Tolerance(**limit) if limit else None, **rest)
-
-
-def _few_lists(body: bytes) -> None:
-    """Refuse a batch of more lists than it may have, before a parser makes 64 bytes of each."""
-    if body.count(b"[") > MAX_BATCH + 64 or body.count(b"{") > 1024:
-        raise _too_many()
+    return full, wrenches + 0.0
 
 
 def _too_many() -> HttpProblemError:
@@ -148,28 +130,22 @@ def _too_many() -> HttpProblemError:
 
 
 def parsed(path: Path, inputs: int) -> Iterator[Part]:
-    """Read a JSON batch in the child: its fields and its wrenches, or its refusal."""
+    """Read a JSON batch in the child: its options and its wrenches, or its refusal."""
     body = path.read_bytes()
     try:
-        fields, wrenches = in_pieces(body, inputs) or batch_parts(body, inputs)
+        full, wrenches = in_pieces(body, inputs) or batch_parts(body, inputs)
     except HttpProblemError as error:
         yield Part({"refused": {"status": error.status, "body": error.body}})
     else:
-        yield Part({"refused": None, "batch": fields}, {"wrenches": np.asarray(wrenches)})
+        options = full.model_dump(exclude={"wrenches"})
+        yield Part({"refused": None, "batch": options}, {"wrenches": np.asarray(wrenches)})
 
 
-def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[dict[str, Any], np.ndarray] | None:
-    """Return what `batch_parts` does, from a body of which the parser sees a megabyte at a time.
-
-    The wrenches are of shape (n, inputs), SI.
+def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.ndarray] | None:
+    """As `batch_parts`, from a body of which the parser sees a megabyte at a time.
 
     It takes nine times the text's memory at once. None if the body is not plain; `batch_parts` then
     finds what it is.
-
-    Raises
-    ------
-    HttpProblemError
-        422, if its other fields have mistakes.
     """
     at, end = body.find(_WRENCHES), body.rfind(b"]]") + 1
     start = body.find(b"[", at)
@@ -181,43 +157,25 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[dict[str, Any],
     blocks, place = [], start + 1
     while place < end:
         cut = body.find(b"]", min(place + PIECE, end - 1)) + 1
-        block = _rows(body[place:cut], inputs, first=not blocks)
+        text = body[place:cut].strip()
+        if blocks:
+            if not text.startswith(b","):
+                return None
+            text = text[1:]
+        try:
+            block = plain_rows(orjson.loads(b"[" + text + b"]"), inputs=inputs)
+        except orjson.JSONDecodeError:
+            return None
         if block is None:
             return None
         blocks.append(block)
         place = cut
-    return checked_batch(parsed_json(rest), np.concatenate(blocks), inputs)
-
-
-def _rows(text: bytes, inputs: int, *, first: bool) -> np.ndarray | None:
-    """Return some wrenches of a list as an array, (n, inputs), SI; None if they are not plain."""
-    text = text.strip()
-    if not first:
-        if not text.startswith(b","):
-            return None
-        text = text[1:]
-    try:
-        return plain_rows(orjson.loads(b"[" + text + b"]"), inputs=inputs)
-    except orjson.JSONDecodeError:
-        return None
-
-
-def refusal(sent: dict[str, Any]) -> HttpProblemError:
-    """Return the problem that a child came to."""
-    found = HttpProblemError(int(sent["status"]), "", "", str(sent["body"].get("detail", "")))
-    found.body = dict(sent["body"])
-    return found
+    return _checked_batch(parsed_json(rest), np.concatenate(blocks), inputs)
 
 
 @asynccontextmanager
 async def few_large(wrenches: int) -> AsyncIterator[None]:
-    """Wait, before a large batch is answered, until at most one other is being answered.
-
-    Raises
-    ------
-    HttpProblemError
-        503, after WAIT_S.
-    """
+    """Wait until at most one other large batch is being answered; 503 after WAIT_S."""
     if wrenches < LARGE:
         yield
         return
@@ -246,50 +204,45 @@ class BinaryOptions(Body):
 
 
 def is_binary(request: Request) -> bool:
-    """Tell whether a batch comes as float64."""
+    """Whether a batch comes as float64."""
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     return kind == BINARY_TYPE
 
 
-def read_binary(body: bytes, options: dict[str, str], space: Space = DEFAULT) -> BatchQuery:
-    """Read a binary batch of a component with the inputs of `space`, and its query parameters."""
+def read_binary(
+    body: Spooled, options: dict[str, str], space: Space = DEFAULT
+) -> tuple[np.ndarray, Query]:
+    """Return the wrenches and options of a binary batch, whose options are query parameters."""
     full: BinaryOptions = checked(BinaryOptions, options)
-    return BatchQuery(
-        read_wrenches(body, space=space),
-        full.on_thin,
-        full.wait_s,
-        both_tolerances(full.translation, full.rotation),
-        known_method(full.method),
-        full.beyond_range,
-        full.derivatives,
-    )
+    wrenches = read_wrenches(body.read(), space=space)
+    limit = both_tolerances(full.translation, full.rotation)
+    method, flags = known_method(full.method), (False, full.beyond_range, full.derivatives)
+    return wrenches, Query((), full.on_thin, full.wait_s, limit, method, *flags)
 
 
 def read_wrenches(
     body: bytes,
-    most: int = MAX_BATCH,
+    count: int = MAX_BATCH,
     largest: float = LARGEST_LOAD,
     space: Space = DEFAULT,
 ) -> np.ndarray:
-    """Read little-endian float64 as wrenches, shape (n, inputs), SI.
+    """Wrenches (n, inputs), SI, of little-endian float64.
 
-    Raises
-    ------
-    HttpProblemError
-        422, if they are no whole wrenches, more than `most`, or a number is not finite.
+    Raises HttpProblemError 422 if they are no whole wrenches, more than `count`, or if a number is
+    not finite or beyond `largest`.
     """
     inputs = len(space.inputs)
     if len(body) % (8 * inputs):
         message = f"{len(body)} bytes are no whole number of wrenches, {8 * inputs} bytes each"
         raise bad_body([{"loc": "body", "msg": message}])
-    if len(body) > most * 8 * inputs:
-        raise bad_body([{"loc": "body", "msg": f"at most {most} wrenches a call"}])
+    if len(body) > count * 8 * inputs:
+        raise bad_body([{"loc": "body", "msg": f"at most {count} wrenches a call"}])
     wrenches = np.frombuffer(body, dtype="<f8").reshape(-1, inputs).astype(float) + 0.0
     bad = np.argwhere(~(np.isfinite(wrenches) & (np.abs(wrenches) <= largest)))
     if len(bad):
         row, load = bad[0].tolist()
-        found = wrenches[row, load]
-        why = f"beyond {largest:g}" if np.isfinite(found) else "not finite"
-        message = f"{space.input_names[load]} is {found}, {why}"
+        value = wrenches[row, load]
+        why = f"beyond {largest:g}" if np.isfinite(value) else "not finite"
+        message = f"{space.input_names[load]} is {value}, {why}"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches

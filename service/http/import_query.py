@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 import orjson
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from wrenchbook.service.formats import MOST_PREVIEW, MOST_ZERO_ROWS, Options
-from wrenchbook.service.formats.rig import MOST_RIG, Rig, rig_text
+from wrenchbook.service.formats import MAX_PREVIEW, MAX_ZERO_ROWS, Options
+from wrenchbook.service.formats.rig import MAX_RIG, Rig, rig_text
 from wrenchbook.service.http.bodies import Body
-from wrenchbook.service.tables.importing import ImportRequest
 
-_MOST_COLUMNS = 1000
+_MAX_COLUMNS = 1000
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MOST_WAIT_S = 600.0  # a million rows take minutes
 _POINT = "x,y,z from the interface's point in its frame, m: the point that"
@@ -34,7 +34,7 @@ class ImportQuery(Body):
         False
     )
     preview: Annotated[
-        int, Field(ge=0, le=MOST_PREVIEW, description="so many first good rows come back")
+        int, Field(ge=0, le=MAX_PREVIEW, description="so many first good rows come back")
     ] = 0
     decimal: Annotated[
         Literal[".", ","] | None,
@@ -42,7 +42,7 @@ class ImportQuery(Body):
     ] = None
     ignore: Annotated[
         list[_Text],
-        Field(default_factory=list, max_length=_MOST_COLUMNS, description="columns to leave out"),
+        Field(default_factory=list, max_length=_MAX_COLUMNS, description="columns to leave out"),
     ]
     ignore_extra: Annotated[bool, Field(description="leave out all unknown columns")] = False
     mapping: Annotated[
@@ -57,7 +57,7 @@ class ImportQuery(Body):
         Literal["zero"] | None, Field(description="loads without a column were zero")
     ] = None
     tare: Annotated[
-        int, Field(ge=0, le=MOST_ZERO_ROWS, description="rows whose mean is taken off all others")
+        int, Field(ge=0, le=MAX_ZERO_ROWS, description="rows whose mean is taken off all others")
     ] = 0
     sheet: Annotated[str | None, Field(max_length=200, description="xlsx: its name")] = None
     frame: Annotated[
@@ -69,7 +69,7 @@ class ImportQuery(Body):
         Literal["moving", "fixed"] | None, Field(description=f"moments are about {_LOAD_CELL}")
     ] = None
     rig: Annotated[
-        str, Field(max_length=MOST_RIG, description="TOML: these four, name; kept with the import")
+        str, Field(max_length=MAX_RIG, description="TOML: these four, name; kept with the import")
     ] = ""
     time_offset_s: Annotated[
         Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
@@ -130,24 +130,17 @@ class ImportQuery(Body):
         return text
 
     def options(self) -> Options:
-        """Return what reading the file has to know."""
+        """Return the options of reading the file."""
+        same = self.model_dump(include={field.name for field in fields(Options)})
         return Options(
-            format=self.format,
-            decimal=self.decimal,
-            ignore=tuple(self.ignore),
-            ignore_extra=self.ignore_extra,
-            mapping=_pairs(self.mapping) if self.mapping else {},
-            missing_loads=self.missing_loads,
-            zero_rows=self.tare,
-            sheet=self.sheet,
-            rig=self._rig_text(),
-            time_offset_s=self.time_offset_s,
-            max_gap_s=self.max_gap_s,
+            **same
+            | {
+                "ignore": tuple(self.ignore),
+                "mapping": _pairs(self.mapping) if self.mapping else {},
+                "zero_rows": self.tare,
+                "rig": self._rig_text(),
+            }
         )
-
-    def wish(self) -> ImportRequest:
-        """Return what is to become of the rows."""
-        return ImportRequest(self.dry_run, self.partial, self.preview)
 
 
 def _pairs(text: str) -> dict[str, str]:
@@ -157,6 +150,6 @@ def _pairs(text: str) -> dict[str, str]:
         raise ValueError(f"is not JSON: {error}") from None
     if not isinstance(pairs, dict) or not all(isinstance(one, str) for one in pairs.values()):
         raise ValueError('is not of the form {"column in the file": "fz [N]"}')
-    if len(pairs) > _MOST_COLUMNS:
-        raise ValueError(f"names more than {_MOST_COLUMNS} columns")
+    if len(pairs) > _MAX_COLUMNS:
+        raise ValueError(f"names more than {_MAX_COLUMNS} columns")
     return pairs

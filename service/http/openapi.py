@@ -14,8 +14,8 @@ from pydantic import TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.problems import MEDIA_TYPE
+from wrenchbook.service.http.replies import holds, naming
 from wrenchbook.service.http.schemas import Problem
 
 Schema = dict[str, Any]

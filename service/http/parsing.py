@@ -5,8 +5,7 @@ A mistake is a `HttpProblemError` of status 422 with the place of each mistake.
 
 from __future__ import annotations
 
-from math import hypot
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import orjson
@@ -14,66 +13,51 @@ from pydantic import ValidationError
 from starlette.datastructures import QueryParams
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
-from wrenchbook.service.answering.queries import Query
 from wrenchbook.service.contract import MAX_BLOCK
 from wrenchbook.service.http.bodies import (
+    BatchBody,
     BlockBody,
     Body,
     DisplacementBody,
     LoadsBody,
-    OnThin,
-    SolveBody,
+    ToleranceBody,
 )
 from wrenchbook.service.http.problems import bad_body, plain_errors
+from wrenchbook.service.query import Query, plain_query
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space, SpaceError
 
-_PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
-_NUMBERS = frozenset({int, float})  # not bool, which is an int to isinstance
-_ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}
-
 
 def read_query(body: bytes, space: Space = DEFAULT) -> Query:
-    """Read the main call's body, of a component with the inputs of `space`.
+    """Return the query of the main call's body, of a component with the inputs of `space`.
 
     A body of only force, moment and on_thin, which is what a simulator sends in its loop, is
-    checked here; anything else, and every mistake, goes through pydantic.
+    checked without pydantic; anything else, and every mistake, goes through it.
     """
     fields = parsed_json(body)
-    plain = _plain_query(fields) if space.is_default else None
+    plain = plain_query(fields) if space.is_default else None
     if plain is not None:
         return plain
-    full = checked(DisplacementBody, fields)
-    return Query(
-        loads_of(full, space),
-        full.on_thin,
-        full.wait_s,
-        _tolerance(full.tolerance),
-        known_method(full.method),
-        full.detail,
-        full.beyond_range,
-        full.derivatives,
-    )
+    full: DisplacementBody = checked(DisplacementBody, fields)
+    wrench = loads_of(full, space)
+    return query_of(full)._replace(wrench=wrench, detail=full.detail)
 
 
-def read_plain_query(body: bytes) -> Query | None:
-    """Read the main call's body if it is of only force, moment and on_thin; None if it is not."""
-    try:
-        return _plain_query(orjson.loads(body))
-    except orjson.JSONDecodeError:
-        return None
+def query_of(body: DisplacementBody | BatchBody) -> Query:
+    """Return the options of a body, as those of a query without a wrench."""
+    limit, method = tolerance_of(body.tolerance), known_method(body.method)
+    flags = False, body.beyond_range, body.derivatives
+    return Query((), body.on_thin, body.wait_s, limit, method, *flags)
 
 
 def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
-    """Return the inputs of a component, shape (n,), SI: loads that are not given are zero.
+    """Return the inputs of a component, (n,), SI: loads that a body does not have are zero.
 
-    Raises
-    ------
-    HttpProblemError
-        422, with each interface or input that is unknown, and each further input that is missing.
+    Raises HttpProblemError 422 with each interface or input that is unknown, and each further input
+    that is missing.
     """
-    loads = {name: one.wrench() for name, one in body.loads.items()}
+    loads = {name: wrench.wrench() for name, wrench in body.loads.items()}
     if not super(LoadsBody, body).is_empty():
         if loads or space.several:
             names = " or ".join(space.several) or "one of both"
@@ -84,12 +68,6 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
         return space.vector(loads, {name: value + 0.0 for name, value in body.inputs.items()})
     except SpaceError as error:
         raise bad_body([{"loc": place, "msg": text} for place, text in error.mistakes]) from None
-
-
-def read_solve(body: bytes, space: Space = DEFAULT) -> Query:
-    """Read DirectFEA's body, of a component with the inputs of `space`."""
-    full = checked(SolveBody, parsed_json(body))
-    return Query(loads_of(full, space), "solve", full.wait_s, beyond_range=full.beyond_range)
 
 
 def read_block(body: bytes, inputs: int = PER_INTERFACE) -> tuple[np.ndarray, BlockBody]:
@@ -103,7 +81,7 @@ def read_block(body: bytes, inputs: int = PER_INTERFACE) -> tuple[np.ndarray, Bl
 
 
 def known_method(method: str | None, where: str = "method") -> str | None:
-    """Return a method's name as it is, at `where` in the request; 422 if there is none such."""
+    """Return a method's name; 422, at `where` in the request, if there is no such method."""
     if method is not None and method not in METHODS:
         message = f"unknown method {method!r}: one of {', '.join(METHODS)}"
         raise bad_body([{"loc": where, "msg": message}])
@@ -116,15 +94,7 @@ def read_body(kind: type[Body], body: bytes) -> Any:
 
 
 def parsed_json(body: bytes) -> Any:
-    """Return what a body holds as JSON.
-
-    Raises
-    ------
-    HttpProblemError
-        422.
-    MemoryError
-        If it is too large for the parser.
-    """
+    """Return the values of JSON; 422, or MemoryError if it is too large for the parser."""
     try:
         return orjson.loads(body)
     except orjson.JSONDecodeError as error:
@@ -135,7 +105,7 @@ def parsed_json(body: bytes) -> Any:
 
 
 def checked(kind: type[Body], fields: Any) -> Any:
-    """Return the body that parsed JSON is; 422 with every mistake's place."""
+    """Return the body of parsed JSON; 422 with every mistake's place."""
     try:
         return kind.model_validate(fields)
     except ValidationError as error:
@@ -152,34 +122,17 @@ def both_tolerances(translation: float | None, rotation: float | None) -> Tolera
     raise bad_body([{"loc": missing, "msg": "a tolerance is translation and rotation, both"}])
 
 
-def _plain_query(fields: Any) -> Query | None:
-    """Return the query that a well-formed plain body is, or None if anything is unusual."""
-    if type(fields) is not dict or not fields.keys() <= _PLAIN_FIELDS:
-        return None
-    force, moment = fields.get("force"), fields.get("moment")
-    if type(force) is not list or type(moment) is not list or len(force) != 3 or len(moment) != 3:
-        return None
-    numbers = (*force, *moment)
-    # Finite loads that are too large together: pydantic finds the one that is, if any.
-    if not _NUMBERS.issuperset(map(type, numbers)) or hypot(*numbers) > LARGEST_LOAD:
-        return None
-    word = fields.get("on_thin", "queue")
-    on_thin = _ON_THIN.get(word) if type(word) is str else None
-    # Adding zero makes floats of all, and 0 of -0.
-    return Query(tuple([number + 0.0 for number in numbers]), on_thin) if on_thin else None
-
-
 def plain_wrenches(
     fields: Any, largest: float = LARGEST_LOAD, inputs: int = PER_INTERFACE
 ) -> np.ndarray | None:
-    """Return the batch as an array of shape (n, inputs), or None if anything is unusual."""
+    """Return the wrenches of a batch (n, inputs); None if anything is unusual in them."""
     return plain_rows(fields.get("wrenches"), largest, inputs) if isinstance(fields, dict) else None
 
 
 def plain_rows(
     rows: Any, largest: float = LARGEST_LOAD, inputs: int = PER_INTERFACE
 ) -> np.ndarray | None:
-    """Return wrenches as an array, (n, inputs), SI; None if there is anything unusual in them."""
+    """Wrenches as an array (n, inputs); None if anything is unusual in them."""
     if not isinstance(rows, list) or not rows:
         return None
     try:
@@ -194,26 +147,21 @@ def plain_rows(
 
 
 def even_rows(wrenches: list[list[float]], inputs: int) -> np.ndarray:
-    """Return wrenches that pydantic has checked as an array, (n, inputs), SI; 422 if one is not."""
-    uneven = [place for place, one in enumerate(wrenches) if len(one) != inputs]
+    """Wrenches that pydantic has checked as an array (n, inputs); 422 if a length is wrong."""
+    uneven = [place for place, wrench in enumerate(wrenches) if len(wrench) != inputs]
     if uneven:
         message = f"has {len(wrenches[uneven[0]])} numbers, and the component {inputs} inputs"
         raise bad_body([{"loc": f"wrenches.{uneven[0]}", "msg": message}])
     return np.array(wrenches, dtype=float).reshape(-1, inputs) + 0.0
 
 
-def _tolerance(body: Any) -> Tolerance | None:
+def tolerance_of(body: ToleranceBody | None) -> Tolerance | None:
+    """Return the tolerance of a body, m and rad."""
     return Tolerance(body.translation, body.rotation) if body else None
 
 
 def refuse_query(query: QueryParams) -> None:
-    """Refuse the query parameters of a call that takes none, so that none is overlooked.
-
-    Raises
-    ------
-    HttpProblemError
-        422, with the name of each.
-    """
+    """Refuse the query parameters of a call that takes none: 422 with the name of each."""
     if query:
         message = "this call takes no query parameters: send its options in the body"
         raise bad_body([{"loc": f"query.{name}", "msg": message} for name in query])

@@ -16,14 +16,8 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError
-from wrenchbook.service.answering.refusals import (
-    BeyondRangeError,
-    NotCoveredError,
-    SolveFailedError,
-)
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.http.links import job_link
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.ledger import (
     BlockKeyError,
@@ -44,6 +38,12 @@ from wrenchbook.service.library.component import (
     UnknownComponentError,
 )
 from wrenchbook.service.ops.logs import REQUEST_ID
+from wrenchbook.service.query import (
+    BeyondRangeError,
+    NotCoveredError,
+    SolveFailedError,
+    job_link,
+)
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.served import TableBehindError

@@ -1,7 +1,9 @@
 """HTTP/1.1 protocol of the server: uvicorn's, with timeouts and a fast path for single queries.
 
 uvicorn makes a scope, a task and two messages of each request; that costs more than most answers.
-The fast path answers a query from its bytes (`fast_path.py`). All other requests are uvicorn's.
+The fast path answers from its bytes a query that is `POST /v1/components/{name}/displacement` with
+a small JSON body of force, moment and on_thin. All else, and each problem, is a request of the
+application, with what the fast path knows about it.
 """
 
 from __future__ import annotations
@@ -9,18 +11,25 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import re
 import select
-from collections.abc import Sized
-from typing import Any, ClassVar, Final
+from collections.abc import Iterable, Sized
+from time import perf_counter
+from typing import Any, ClassVar, Final, NamedTuple
 
+import orjson
 from httptools import HttpParserError, HttpParserUpgrade, HttpRequestParser
+from starlette.datastructures import State
 from uvicorn.config import Config
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from wrenchbook.service.http.fast_path import FastPath, Head, reply_bytes
+from wrenchbook.service.http.access.headers import PLAIN
+from wrenchbook.service.http.access.permission import PERMISSION, Permission
+from wrenchbook.service.http.instrumentation import HEADER, id_of
 from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.query import answered_at_once, fields_of, plain_query
 
 log = logging.getLogger(__name__)
 
@@ -62,6 +71,129 @@ _TOO_LONG: Final = HttpProblemError(
     f"URL and header fields may have {MOST_HEAD_BYTES:,} bytes together; nothing was changed. "
     "Send what is long as the body.",
 )
+
+
+ANSWERED: Final = "wrenchbook.answered"  # key in a scope: the fast path's query and its outcome
+ROUTE: Final = "/v1/components/{name}/displacement"
+_FIRST_LINE: Final = re.compile(rb"POST /v1/components/([\w-]+)/displacement HTTP/1\.1\r\n")
+_BLANK_LINE: Final = b"\r\n\r\n"
+_UNUSUAL: Final = frozenset({b"expect", b"transfer-encoding", b"upgrade"})
+_LENGTH: Final = re.compile(rb"[1-9]\d{0,2}|[1-3]\d{3}")  # of a body; the longest have some 400
+_MAX_PLAIN_HEAD: Final = 2048  # bytes: a loop's heads have some 200
+_MAX_HEADS: Final = 1024  # 2 MiB: a loop's heads differ by component and content-length
+
+
+class Head(NamedTuple):
+    """The head of a query; `request_id` is empty without one."""
+
+    component: str
+    permission: Permission
+    request_id: bytes
+    size: int
+    body_bytes: int
+
+
+class _Fields:
+    """Header fields of one head, as a parser calls back."""
+
+    def __init__(self) -> None:
+        self.fields: list[tuple[bytes, bytes]] = []
+        self.is_whole = False
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        self.fields.append((name.lower(), value))
+
+    def on_headers_complete(self) -> None:
+        self.is_whole = True
+
+    def on_body(self, _: bytes) -> None:
+        self.is_whole = False  # the parser has seen the end of the head earlier
+
+
+class FastPath:
+    """Answers queries without a request of the application.
+
+    `state` is the application's, with `access`, `counts` and, while the server runs, `workspace`.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+        self._heads: dict[bytes, Head] = state.access.heads
+
+    def head(self, data: bytes) -> Head | None:
+        """Return the head that `data` begins with; None if it is not that of a permitted query."""
+        start = data[: data.find(_BLANK_LINE) + 4]
+        head = self._heads.get(start)
+        if head is None:
+            head = self._read(start)
+            # A proxy gives each request another id.
+            if head is not None and not head.request_id:
+                if len(self._heads) >= _MAX_HEADS:
+                    self._heads.clear()
+                self._heads[start] = head
+        return head
+
+    def answer(self, head: Head, body: bytes) -> bytes | dict[str, Any]:
+        """Return the JSON of a 200 to a query, or what its request's scope is to have besides."""
+        started, state, permission = perf_counter(), self._state, head.permission
+        if permission.key is not None and permission.wait() > 0.0:
+            return {}
+        known: dict[str, Any] = {PERMISSION: permission}
+        try:
+            query = plain_query(orjson.loads(body))
+            if query is not None:
+                outcome, is_complete = answered_at_once(state.workspace, head.component, query)
+                known[ANSWERED] = query, outcome
+                if is_complete:
+                    content, reply = orjson.dumps(fields_of(outcome)), outcome.reply
+                    state.counts.add(reply.coverage, reply.method, outcome.elapsed_us)
+                    state.counts.add_request(ROUTE, "POST", 200, perf_counter() - started)
+                    return content
+        except Exception:  # the request meets the error again, and answers it
+            return {PERMISSION: permission}
+        return known
+
+    def _read(self, start: bytes) -> Head | None:
+        """Parse a head."""
+        line = _FIRST_LINE.match(start)
+        if line is None or len(start) > _MAX_PLAIN_HEAD:
+            return None
+        head = _Fields()
+        parser = HttpRequestParser(head)
+        try:
+            parser.feed_data(start)
+        except (HttpParserError, HttpParserUpgrade):
+            return None
+        named = dict(head.fields)
+        length, request_id = named.get(b"content-length", b""), id_of(head.fields)
+        if (
+            not head.is_whole
+            or not parser.should_keep_alive()
+            or named.keys() & _UNUSUAL
+            or [name for name, _ in head.fields].count(b"host") > 1
+            or not _LENGTH.fullmatch(length)
+            or request_id is None
+        ):
+            return None
+        path = line[0].split()[1].decode()
+        permission = self._state.access.admit(path, named)
+        if permission is None:
+            return None
+        return Head(line[1].decode(), permission, request_id, len(start), int(length))
+
+
+def reply_bytes(
+    fields: Iterable[tuple[bytes, bytes]], head: Head, content: bytes, *, close: bool
+) -> bytes:
+    """Return a 200 with the server's `fields`, byte for byte as the application's route has it."""
+    lines = [b"%b: %b\r\n" % field for field in fields]
+    lines += [b"content-length: %d\r\n" % len(content)]
+    if close:
+        lines += [b"connection: close\r\n"]
+    lines += [b"content-type: application/json\r\n", PLAIN]
+    if head.request_id:
+        lines += [b"%b: %b\r\n" % (HEADER, head.request_id)]
+    return b"HTTP/1.1 200 OK\r\n%b\r\n%b" % (b"".join(lines), content)
 
 
 class _Flow(FlowControl):

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
+from urllib.parse import urlencode
 
 import numpy as np
 import orjson
-from numpy.typing import NDArray
 from starlette.responses import Response, StreamingResponse
 
-from wrenchbook.service.answering.queries import BatchOutcome, Outcome, QueuedWrench
-from wrenchbook.service.contract import COVERAGE, OUTPUTS, by_part
+from wrenchbook.service.contract import COVERAGE, OUTPUTS
 from wrenchbook.service.http.batch import BINARY_TYPE
-from wrenchbook.service.http.links import job_link
+from wrenchbook.service.query import BatchOutcome, Outcome, fields_of, job_link, known_slopes
 from wrenchbook.surrogate.answer import within_tolerance_many
-
-Floats = NDArray[np.float64]
 
 PIECE = 20_000  # wrenches laid out at once, in hundredths of a second
 
@@ -29,70 +26,33 @@ def json_reply(
     return Response(content, status, headers, "application/json")
 
 
-def write_outcome(outcome: Outcome, *, derivatives: bool = False) -> Response:
-    """Answer one query, with du/dw on request: 200, or 202 while its solve has not answered."""
-    fields = _fields(outcome)
-    if derivatives:
-        fields["derivative"] = _known(outcome.derivative)
-    if outcome.axes is not None:
-        fields["axes"] = outcome.axes
-    if outcome.method_detail is not None:
-        fields["method_detail"] = outcome.method_detail
-    if outcome.error_parts is not None:
-        fields["error_parts"] = outcome.error_parts
-    if outcome.error_of_a_reading is not None:
-        fields["error_of_a_reading"] = outcome.error_of_a_reading
-    if outcome.job is not None:
-        fields["job"] = job_link(outcome.job, outcome.began)
+def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:
+    """Return the URL of a list's next page, and put it into the header Link (RFC 8288)."""
+    parameters = {
+        name: "true" if value is True else value for name, value in query.items() if value
+    }
+    url = f"{path}?{urlencode(parameters)}"
+    response.headers["Link"] = f'<{url}>; rel="next"'
+    return url
+
+
+def naming(tag: str) -> dict[str, str]:
+    """Return the headers of a version: its entity tag, and that caches revalidate it."""
+    return {"ETag": tag, "Cache-Control": "no-cache"}
+
+
+def holds(if_none_match: str | None, tag: str) -> bool:
+    """Return whether the caller has this version (RFC 9110, section 13.1.2)."""
+    tags = [tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")]
+    return tag in tags or "*" in tags
+
+
+def write_outcome(outcome: Outcome) -> Response:
+    """Answer one query: 200, or 202 while its solve has not answered."""
+    fields = fields_of(outcome)
     if not outcome.unsolved:
         return json_reply(fields)
-    job = fields.setdefault("job", None)
-    return json_reply(fields, 202, {"Location": job["url"]} if job else None)
-
-
-def plain_content(outcome: Outcome) -> bytes:
-    """Return the body that `write_outcome` gives an outcome that is the table's alone."""
-    return orjson.dumps(_fields(outcome))
-
-
-def _fields(outcome: Outcome) -> dict[str, Any]:
-    """Return the fields of every answer."""
-    value, error = outcome.displacement, outcome.error
-    if outcome.interfaces:
-        moved: dict[str, Any] = {"displacements": _by_interface(outcome)}
-    else:
-        moved = {
-            "translation": value[:3] if value else None,
-            "rotation": value[3:] if value else None,
-            "error": by_part(error) if error else None,
-        }
-    fields: dict[str, Any] = {
-        "component": outcome.component,
-        **moved,
-        "coverage": outcome.coverage,
-        "within_tolerance": outcome.within_tolerance,
-        "source": outcome.source,
-        "method": outcome.method,
-        "table_version": outcome.table_version,
-        "elapsed_us": outcome.elapsed_us,
-    }
-    if outcome.reason:
-        fields["reason"] = outcome.reason
-    if outcome.missing:
-        fields["missing"] = outcome.missing
-    if outcome.row is not None:
-        fields["row"] = outcome.row
-    if outcome.notes:
-        fields["notes"] = outcome.notes
-    return fields
-
-
-def _by_interface(outcome: Outcome) -> dict[str, Any]:
-    """Return displacement and error bar of each interface."""
-    names, unknown = outcome.interfaces, {"translation": None, "rotation": None}
-    moved = by_part(outcome.displacement, names) if outcome.displacement else {}
-    errors = by_part(outcome.error, names) if outcome.error else {}
-    return {name: moved.get(name, unknown) | {"error": errors.get(name)} for name in names}
+    return json_reply(fields, 202, {"Location": fields["job"]["url"]} if fields["job"] else None)
 
 
 def write_batch(outcome: BatchOutcome) -> Response:
@@ -102,79 +62,69 @@ def write_batch(outcome: BatchOutcome) -> Response:
     """
     fields: dict[str, Any] = {
         "component": outcome.component,
-        "jobs": [_wrench_job(one) for one in outcome.jobs],
+        "jobs": [
+            {"index": place, "id": None, "status": None, "url": None, "reason": placed.reason}
+            if placed.job is None
+            else {"index": place, **job_link(placed.job)}
+            for place, placed in outcome.jobs.items()
+        ],
         "method": outcome.method,
-        "table_version": outcome.table_version,
+        "table_version": outcome.table.version,
         "elapsed_us": outcome.elapsed_us,
     }
-    if len(outcome.coverage) <= PIECE:
-        lists = {name: list_(0, PIECE) for name, list_ in _lists(outcome).items()}
-        return json_reply({**lists, **fields}, _status(outcome))
+    if len(outcome.replies.coverage) <= PIECE:
+        columns = {name: column(slice(None)) for name, column in _columns(outcome).items()}
+        return json_reply({**columns, **fields}, _status(outcome))
     return StreamingResponse(_pieces(outcome, fields), _status(outcome), None, "application/json")
 
 
-def _lists(outcome: BatchOutcome) -> dict[str, Callable[[int, int], Any]]:
-    """Return the lists of a batch with an entry a wrench, as functions of start and end."""
-    codes = outcome.coverage
-    lists: dict[str, Callable[[int, int], Any]] = {
-        "displacements": lambda start, end: outcome.displacements[start:end],
-        "errors": lambda start, end: outcome.errors[start:end],
-        "coverage": lambda start, end: [COVERAGE[code] for code in codes[start:end].tolist()],
+def _columns(outcome: BatchOutcome) -> dict[str, Callable[[slice], Any]]:
+    """Return the lists of a batch with an entry a wrench, as functions of the wrenches' places."""
+    replies, limit, slopes = outcome.replies, outcome.tolerance, outcome.derivatives
+    columns: dict[str, Callable[[slice], Any]] = {
+        "displacements": lambda some: replies.outputs[some],
+        "errors": lambda some: replies.errors[some],
+        "coverage": lambda some: [COVERAGE[code] for code in replies.coverage[some].tolist()],
     }
-    if outcome.tolerance is not None:
-        lists["within_tolerance"] = lambda start, end: within_tolerance_many(
-            outcome.errors[start:end], outcome.tolerance
+    if limit is not None:
+        columns["within_tolerance"] = lambda some: within_tolerance_many(
+            replies.errors[some], limit
         )
-    slopes = outcome.derivatives
     if slopes is not None:
-        lists["derivatives"] = lambda start, end: [_known(one) for one in slopes[start:end]]
-    return lists
+        columns["derivatives"] = lambda some: [known_slopes(matrix) for matrix in slopes[some]]
+    return columns
 
 
 def _pieces(outcome: BatchOutcome, fields: dict[str, Any]) -> Iterator[bytes]:
     yield orjson.dumps(fields)[:-1]
-    for name, list_ in _lists(outcome).items():
+    for name, column in _columns(outcome).items():
         yield b',"%b":[' % name.encode()
-        for start in range(0, len(outcome.coverage), PIECE):
-            some = orjson.dumps(list_(start, start + PIECE), option=orjson.OPT_SERIALIZE_NUMPY)
-            yield (b"," if start else b"") + some[1:-1]
+        for start in range(0, len(outcome.replies.coverage), PIECE):
+            some = column(slice(start, start + PIECE))
+            content = orjson.dumps(some, option=orjson.OPT_SERIALIZE_NUMPY)
+            yield (b"," if start else b"") + content[1:-1]
         yield b"]"
     yield b"}"
 
 
 def write_binary(outcome: BatchOutcome) -> Response:
     """Answer a batch as little-endian float64: displacements, errors, coverage; derivatives."""
-    columns = outcome.displacements, outcome.errors, outcome.coverage[:, None]
-    block = np.hstack(columns).astype("<f8")
+    displacements, errors, coverage = outcome.replies
+    content = np.hstack((displacements, errors, coverage[:, None])).astype("<f8").tobytes()
     headers = {
-        "Wrenchbook-Table-Version": str(outcome.table_version),
+        "Wrenchbook-Table-Version": str(outcome.table.version),
         "Wrenchbook-Method": outcome.method,
         "Wrenchbook-Elapsed-Us": f"{outcome.elapsed_us:.1f}",
-        "Wrenchbook-Jobs": str(len({one.job.id for one in outcome.jobs if one.job})),
+        "Wrenchbook-Jobs": str(len({job.job.id for job in outcome.jobs.values() if job.job})),
     }
-    if outcome.displacements.shape[1] != len(OUTPUTS):
-        headers["Wrenchbook-Outputs"] = str(outcome.displacements.shape[1])
+    if displacements.shape[1] != len(OUTPUTS):
+        headers["Wrenchbook-Outputs"] = str(displacements.shape[1])
     if outcome.tolerance is not None:  # the block's form has no column for it
         limit = outcome.tolerance
         headers["Wrenchbook-Tolerance"] = f"{limit.translation!r}, {limit.rotation!r}"
-    content = block.tobytes()
     if outcome.derivatives is not None:
         content += outcome.derivatives.astype("<f8").tobytes()
     return Response(content, _status(outcome), headers, BINARY_TYPE)
-
-
-def _wrench_job(one: QueuedWrench) -> dict[str, Any]:
-    if one.job is None:
-        none = {"id": None, "status": None, "url": None, "reason": one.reason}
-        return {"index": one.index, **none}
-    return {"index": one.index, **job_link(one.job)}
-
-
-def _known(derivative: Floats | None) -> Floats | None:
-    """Return du/dw (6, 6), or None where none of it is known."""
-    if derivative is None or np.isnan(derivative).all():
-        return None
-    return np.ascontiguousarray(derivative)  # all that orjson takes
 
 
 def _status(outcome: BatchOutcome) -> int:

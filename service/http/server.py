@@ -63,7 +63,7 @@ class Server(uvicorn.Server):
         app = self.config.app
         if isinstance(app, Application) and (events := getattr(app.state, "events", None)):
             events.feed.close()
-            app.state.workspace.let_go()
+            app.state.workspace.polls.stop()
         await super().shutdown(sockets)
         log.info("stopped; %d requests were answered", self.server_state.total_requests)
 

@@ -28,7 +28,7 @@ from wrenchbook.service.jobs.attempt import (
     solver_seconds,
     tidy,
 )
-from wrenchbook.service.ledger import Beat, Change, JobRecord, Ledger, StaleAttemptError
+from wrenchbook.service.ledger import Beat, JobRecord, Ledger, StaleAttemptError
 from wrenchbook.service.library.component import estimate_of
 from wrenchbook.service.tables.solver_errors import SolverErrors
 
@@ -202,7 +202,7 @@ class Dispatcher:
                 self._lease.close()
                 self._lease = None
 
-    def _on_change(self, change: Change) -> None:
+    def _on_change(self) -> None:
         if threading.current_thread() is not self._thread:
             self._changed = True
             self._wake.set()

@@ -10,10 +10,12 @@ import sqlite3
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from wrenchbook.service.files.durable import sync_folder
 from wrenchbook.service.ledger import earlier
 from wrenchbook.service.ledger.records import (
+    JobRecord,
     LedgerDamagedError,
     LedgerFileError,
     LedgerFullError,
@@ -21,7 +23,6 @@ from wrenchbook.service.ledger.records import (
 )
 from wrenchbook.service.ledger.schema import APPLICATION_ID, STEPS, TABLES, VERSION
 
-Connection = sqlite3.Connection
 # Errors of a file in use; damaged text need not be UTF-8.
 USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
@@ -42,6 +43,16 @@ LOOK_AGAIN_SECONDS = 0.001  # between attempts: a tenth of a short transaction
 # after a large import, is then truncated to this.
 LOG_BYTES = 16 * 1024 * 1024
 CHECKPOINT_SECONDS = 0.2  # how long a checkpoint waits for readers, and writers for it
+
+
+class Connection(sqlite3.Connection):
+    """SQLite's, with what its transaction has changed, for listeners of the ledger."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.jobs: dict[int, JobRecord] = {}
+        self.rows = 0  # added, withdrawn or restored
+        self.damaged: dict[int, str] = {}  # rows, with their component: the ledger's own dict
 
 
 def can_be_read_frozen(path: Path) -> bool:
@@ -80,6 +91,7 @@ def connect(path: Path, *, frozen: bool = False) -> Connection:
         isolation_level=None,
         check_same_thread=False,
         uri=frozen,
+        factory=Connection,
     )
     try:
         # A damaged text must not keep other rows from being read.
@@ -305,7 +317,7 @@ def copy_file(source: Connection, target: Path) -> None:
     LedgerFileError
         If the copy is not whole.
     """
-    copy = sqlite3.connect(target, isolation_level=None)
+    copy = sqlite3.connect(target, isolation_level=None, factory=Connection)
     try:
         source.backup(copy)
         _check_whole(copy, target)

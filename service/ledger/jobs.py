@@ -1,56 +1,80 @@
-"""Jobs in SQL: functions of the caller's transaction, and what a `Ledger` reads of jobs."""
+"""Jobs in SQL. Each function takes a connection inside the caller's transaction."""
 
 import json
-import logging
+import secrets
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
 
-from wrenchbook.service.ledger import rows, states
+from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.connection import Connection
-from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
-from wrenchbook.service.ledger.records import STATUSES, JobRecord, OpenJob, Status, UnknownJobError
-
-_log = logging.getLogger(__name__)
-
-_COLUMNS = (
-    "id, component, fingerprint, wrench, status, priority, attempt, lost, owner, "
-    "created, started, finished, error, row, not_before, asked_by, engine, task, began"
+from wrenchbook.service.ledger.records import (
+    FINAL,
+    STATUSES,
+    Beat,
+    InvalidTransitionError,
+    JobRecord,
+    LedgerRow,
+    OpenJob,
+    StaleAttemptError,
+    Status,
+    UnknownJobError,
 )
+
+# Seconds a job waits after its solver's first, second and third death; the fourth ends it.
+# The cause of deaths, such as a lack of memory, has often passed a minute or two later.
+BACKOFF_SECONDS = (1.0, 10.0, 100.0)
+FORGOTTEN_SECONDS = 24 * 3600.0  # leases of owners that were killed without a job are deleted then
+
+# The state machine: the status after an event. A done job is reopened if its row is withdrawn.
+TRANSITIONS: dict[tuple[Status, str], Status] = {
+    ("waiting", "claim"): "running",
+    ("waiting", "cancel"): "cancelled",
+    ("running", "begin"): "running",
+    ("running", "adopt"): "running",
+    ("running", "commit"): "done",
+    ("running", "fail"): "failed",
+    ("running", "lose"): "waiting",
+    ("running", "give up"): "failed",
+    ("running", "release"): "waiting",
+    ("running", "cancel"): "cancelled",
+    ("failed", "retry"): "waiting",
+    ("cancelled", "retry"): "waiting",
+    ("cancelled", "reopen"): "waiting",
+    ("done", "reopen"): "waiting",
+    ("cancelled", "cancel"): "cancelled",
+}
+SOLVER_DIED = {
+    "kind": "solver_died",
+    "message": f"the solver ended without an answer {len(BACKOFF_SECONDS) + 1} times",
+    "remedy": "read log.txt in the attempt's folder; often memory ran out: "
+    "use fewer solvers at a time or a coarser mesh, then retry the job",
+}
+_UNSTARTED: dict[str, Any] = {"owner": None, "started": None, "began": None}
+_FRESH = {**_UNSTARTED, "lost": 0, "finished": None, "error": None, "not_before": None}
+
+_NAMES = [field.name for field in fields(JobRecord)]
+_COLUMNS = ", ".join(_NAMES)
+_SET = ", ".join(f"{name} = :{name}" for name in _NAMES[_NAMES.index("status") :])
 _QUEUED = "status = 'running' AND began IS NULL AND coalesce(engine, 'local') != 'local'"
-_LEVELS = {"done": logging.INFO, "failed": logging.WARNING, "cancelled": logging.INFO}
 # Upper ends of the histogram of solves, s: a small plate in a warm solver, a large nonlinear one.
 SOLVE_EDGES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)
-MOST_KINDS = 30  # of failures; a deck's own program may make up more, which are then one
+MAX_KINDS = 30  # of failures; a deck's own program may make up more, which count as "other"
 _BEGIN = "coalesce(began, started)"  # without the time in the queue of a cluster
-_RECENT = 20  # solves that estimate the time of the next one
+_RECENT = 20  # solves that estimate the time of the next
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Numbers of all jobs.
+    """Numbers of all jobs."""
 
-    Attributes
-    ----------
-    jobs : dict of str to int
-        Jobs by status.
-    failures : dict of str to int
-        Failed jobs by kind.
-    solve_buckets : tuple of int
-        Done solves in each bucket of `SOLVE_EDGES`, and those beyond the last.
-    solve_seconds : float
-        Total time of the solvers of all done jobs, s; see `Job.seconds`.
-    oldest_waiting : float or None
-        When the oldest waiting job was accepted, seconds since the epoch.
-    """
-
-    jobs: dict[str, int]
-    failures: dict[str, int]
-    solve_buckets: tuple[int, ...]
-    solve_seconds: float
-    oldest_waiting: float | None
+    jobs: dict[str, int]  # by status
+    failures: dict[str, int]  # by kind
+    solve_buckets: tuple[int, ...]  # done solves up to each of `SOLVE_EDGES`, and those beyond
+    solve_seconds: float  # total time of the solvers of all done jobs
+    oldest_waiting: float | None  # when it was accepted, seconds since the epoch
 
 
 class Ahead(NamedTuple):
@@ -61,229 +85,350 @@ class Ahead(NamedTuple):
     seconds: float | None
 
 
+# -- accepting --------------------------------------------------------------------------------
+
+
 def accept(
     db: Connection,
-    same: tuple[str, str, bytes],
-    priority: int,
-    reopen_cancelled: bool,
+    component: str,
+    fingerprint: str,
+    wrench: Sequence[float] | bytes,
+    *,
+    priority: int = 0,
+    reopen_cancelled: bool = True,
     asked_by: str = "",
 ) -> tuple[JobRecord, bool]:
-    """Return the one job of (component, fingerprint, wrench), and whether it is new."""
-    job = find_same(db, *same)
-    if job is not None:
-        lacks_row = lacks_its_row(db, job)
-        again = states.accepted_again(job, priority, reopen_cancelled, lacks_row, asked_by)
-        return save(db, again), False
-    added = db.execute(
-        "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
-        " created, asked_by) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?, ?)",
-        (*same, priority, time.time(), asked_by),
-    )
-    assert added.lastrowid is not None
-    return get(db, added.lastrowid), True
+    """Return the job for this wrench (packed, or N and N·m), and whether it is new.
 
-
-def lacks_its_row(db: Connection, job: JobRecord) -> bool:
-    """Return whether the row that a done job gave is withdrawn or damaged."""
-    return job.row is not None and not rows.is_usable(db, job.row)
-
-
-def save(db: Connection, job: JobRecord) -> JobRecord:
-    """Write all fields of a job that can change."""
-    error = None if job.error is None else json.dumps(job.error)
-    now = (job.status, job.priority, job.attempt, job.lost, job.owner)
-    times, where = (job.started, job.finished), (job.engine, job.task, job.began)
-    db.execute(
-        "UPDATE jobs SET status = ?, priority = ?, attempt = ?, lost = ?, owner = ?,"
-        " started = ?, finished = ?, error = ?, row = ?, not_before = ?, asked_by = ?,"
-        " engine = ?, task = ?, began = ? WHERE id = ?",
-        (*now, *times, error, job.row, job.not_before, job.asked_by, *where, job.id),
-    )
-    return job
-
-
-def get(db: Connection, job_id: int) -> JobRecord:
-    """Return a job by its number; raises UnknownJobError."""
-    found = _select(db, "WHERE id = ?", (job_id,))
-    if not found:
-        raise UnknownJobError(f"there is no job {job_id}; GET /v1/jobs lists all")
-    return found[0]
-
-
-def find_same(db: Connection, component: str, fingerprint: str, wrench: bytes) -> JobRecord | None:
-    """Return the one job there can be for this wrench, whatever its status."""
+    There is one job for one (component, fingerprint, wrench), whatever its status: a waiting,
+    running, done or failed one is returned as it is (a waiting one with the higher of both
+    priorities), a cancelled one goes back to waiting, and so does a done one whose row was
+    withdrawn or is damaged. Raises ValueError if the wrench is not six or more finite numbers.
+    """
+    key = wrench if isinstance(wrench, bytes) else pack_vector(wrench)
     where = "WHERE component = ? AND fingerprint = ? AND wrench = ?"
-    found = _select(db, where, (component, fingerprint, wrench))
-    return found[0] if found else None
+    known = _select(db, where, (component, fingerprint, key))
+    if not known:
+        added = db.execute(
+            "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
+            " created, asked_by) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?, ?)",
+            (component, fingerprint, key, priority, time.time(), asked_by),
+        )
+        assert added.lastrowid is not None
+        job = db.jobs[added.lastrowid] = get(db, added.lastrowid)
+        return job, True
+    job = known[0]
+    if _lacks_its_row(db, job) or (job.status == "cancelled" and reopen_cancelled):
+        job = _moved(db, job, "reopen", row=None, asked_by=asked_by, **_FRESH)
+    if job.status == "waiting" and priority > job.priority:
+        job = _save(db, replace(job, priority=priority))
+    return job, False
 
 
-def opened(db: Connection, component: str, fingerprint: str) -> list[OpenJob]:
-    """Return the waiting and running jobs of one setup, oldest first."""
-    found = db.execute(
-        "SELECT id, wrench, asked_by FROM jobs WHERE component = ? AND fingerprint = ?"
-        " AND status IN ('waiting', 'running') ORDER BY id",
-        (component, fingerprint),
-    )
-    return [OpenJob(*record) for record in found]
+def accept_many(
+    db: Connection,
+    component: str,
+    fingerprint: str,
+    wrenches: Iterable[Sequence[float] | bytes],
+    **options: Any,
+) -> list[JobRecord]:
+    """Accept jobs, all or none; one job a wrench, in their order; options as of `accept`."""
+    return [accept(db, component, fingerprint, wrench, **options)[0] for wrench in wrenches]
 
 
-def next_waiting(db: Connection, now: float, most: int) -> list[JobRecord]:
+def accept_chosen(
+    db: Connection,
+    component: str,
+    fingerprint: str,
+    choose: Callable[[list[OpenJob]], Sequence[bytes]],
+    **options: Any,
+) -> list[JobRecord]:
+    """Accept the packed wrenches that `choose` picks once it has seen the open jobs.
+
+    Choosing and accepting are one transaction, so a limit on open jobs holds however many
+    processes accept at once.
+    """
+    chosen = choose(open_jobs(db, component, fingerprint))
+    return accept_many(db, component, fingerprint, chosen, **options)
+
+
+# -- attempts ---------------------------------------------------------------------------------
+
+
+def next_waiting(db: Connection, most: int) -> list[JobRecord]:
     """Return the waiting jobs that start next, at most `most`."""
     where = (
         "WHERE status = 'waiting' AND coalesce(not_before, 0) <= ?"
         " ORDER BY priority DESC, id LIMIT ?"
     )
-    return _select(db, where, (now, most))
+    return _select(db, where, (time.time(), most))
+
+
+def claim(db: Connection, owner: str, engine: str, most: int) -> list[JobRecord]:
+    """Start the next attempts of the next waiting jobs.
+
+    Each gets a task key; it is submitted, not running, until `beat` reports its begin. The claim
+    counts as a heartbeat of the owner.
+    """
+    claimed = []
+    for job in next_waiting(db, most):
+        attempt = job.attempt + 1
+        # Engines may serve many data directories, whose jobs have the same numbers.
+        task = f"{job.id}-{attempt}-{secrets.token_hex(6)}"
+        claimed.append(
+            _moved(
+                db,
+                job,
+                "claim",
+                attempt=attempt,
+                owner=owner,
+                engine=engine,
+                task=task,
+                started=time.time(),
+                finished=None,
+                not_before=None,
+                began=None,
+            )
+        )
+    if claimed:
+        _beat(db, owner, engine)
+    return claimed
+
+
+def adopt(db: Connection, job_id: int, attempt: int, previous: str, owner: str) -> JobRecord | None:
+    """Take a running attempt over from a dead owner; None if another one was faster."""
+    job = get(db, job_id)
+    if (job.status, job.attempt, job.owner) != ("running", attempt, previous):
+        return None
+    return _moved(db, job, "adopt", owner=owner)
+
+
+def beat(
+    db: Connection, owner: str, engine: str, began: Mapping[tuple[int, int], float] | None = None
+) -> list[JobRecord]:
+    """Write a heartbeat of `owner`, and return the jobs that are running rather than submitted now.
+
+    `began` has, by job and attempt, the time in seconds since the epoch at which a solver was seen
+    at it; attempts that have ended, or have another owner now, are ignored.
+    """
+    _beat(db, owner, engine)
+    begun = []
+    for (job_id, attempt), start in (began or {}).items():
+        job = get(db, job_id)
+        if (job.status, job.attempt, job.owner) == ("running", attempt, owner):
+            begun.append(_moved(db, job, "begin", began=job.began or start))
+    return begun
+
+
+def commit(
+    db: Connection,
+    job_id: int,
+    attempt: int,
+    displacement: Sequence[float],
+    *,
+    compliance: Sequence[Sequence[float]] | None = None,
+    curvature: Sequence[float] | None = None,
+    uncertainty: Sequence[float] | None = None,
+    source: str = "fea",
+    origin: str = "",
+    seconds: float | None = None,
+) -> LedgerRow:
+    """Write the row of a job and the job's end, exactly once.
+
+    A job that is done already keeps the row it has, and that row is returned. Its solver took
+    `seconds`, if known. Raises StaleAttemptError if the attempt is not the running one, ValueError
+    if a number is not finite or a length is wrong.
+    """
+    job = get(db, job_id)
+    if job.row is not None:
+        return rows.get(db, job.row)
+    _check_attempt(job, attempt)
+    solved = rows.solved_row(
+        job.wrench,
+        displacement,
+        source,
+        job.fingerprint,
+        compliance=compliance,
+        curvature=curvature,
+        uncertainty=uncertainty,
+    )
+    now = time.time()
+    row = rows.add_solved(db, job.component, solved, origin, job.id, now)
+    _moved(db, job, "commit", owner=None, row=row.seq, **_end(job, now, seconds))
+    return row
+
+
+def fail(
+    db: Connection, job_id: int, attempt: int, error: dict[str, str], seconds: float | None = None
+) -> JobRecord:
+    """End a running attempt as failed; `error` holds kind, message and remedy."""
+    job = _check_attempt(get(db, job_id), attempt)
+    return _moved(db, job, "fail", owner=None, error=error, **_end(job, time.time(), seconds))
+
+
+def lose(db: Connection, job_id: int, attempt: int, cause: str = "") -> JobRecord:
+    """Record that an attempt's solver died: waiting for longer and longer, then failed.
+
+    `cause` describes the death.
+    """
+    job, now = _check_attempt(get(db, job_id), attempt), time.time()
+    if job.lost < len(BACKOFF_SECONDS):
+        later = now + BACKOFF_SECONDS[job.lost]
+        return _moved(db, job, "lose", lost=job.lost + 1, **_UNSTARTED, not_before=later)
+    error = dict(SOLVER_DIED)
+    if cause:
+        error["message"] += f"; the last time: {cause}"
+    return _moved(db, job, "give up", owner=None, lost=job.lost + 1, error=error, finished=now)
+
+
+def release(db: Connection, job_id: int, attempt: int, *, delay: float = 0.0) -> JobRecord:
+    """Give an attempt back that did not die by itself; it does not count as lost.
+
+    The next one starts after `delay` seconds.
+    """
+    job = _check_attempt(get(db, job_id), attempt)
+    later = time.time() + delay if delay else None
+    return _moved(db, job, "release", not_before=later, **_UNSTARTED)
+
+
+def end_lease(db: Connection, owner: str) -> None:
+    """Delete the lease of an owner that has ended; its attempts can then be adopted."""
+    db.execute("DELETE FROM leases WHERE owner = ?", (owner,))
+    db.execute(
+        "DELETE FROM leases WHERE at < ?"
+        " AND owner NOT IN (SELECT owner FROM jobs WHERE owner IS NOT NULL)",
+        (time.time() - FORGOTTEN_SECONDS,),
+    )
+
+
+# -- on request -------------------------------------------------------------------------------
+
+
+def cancel(db: Connection, job_id: int) -> JobRecord:
+    """Cancel a waiting or running job; its dispatcher then stops the solver."""
+    job = get(db, job_id)
+    finished = job.finished if job.status == "cancelled" else time.time()
+    return _moved(db, job, "cancel", owner=None, finished=finished)
+
+
+def cancel_many(db: Connection, component: str | None, status: Status) -> int:
+    """Cancel all jobs of a status (of one component), and return how many there were.
+
+    Raises InvalidTransitionError if jobs of that status cannot be cancelled; then none is.
+    """
+    jobs = listed(db, component, status, limit=-1)  # no limit, to SQLite
+    return len([cancel(db, job.id) for job in jobs])
+
+
+def retry(db: Connection, job_id: int) -> JobRecord:
+    """Let a failed or cancelled job wait again."""
+    return _moved(db, get(db, job_id), "retry", **_FRESH)
+
+
+# -- reading ----------------------------------------------------------------------------------
+
+
+def get(db: Connection, job_id: int) -> JobRecord:
+    """Return a job by its number; raises UnknownJobError."""
+    jobs = _select(db, "WHERE id = ?", (job_id,))
+    if not jobs:
+        raise UnknownJobError(f"there is no job {job_id}; GET /v1/jobs lists all")
+    return jobs[0]
 
 
 def listed(
     db: Connection,
-    component: str | None,
-    status: str | None,
-    limit: int,
+    component: str | None = None,
+    status: Status | None = None,
+    limit: int = 100,
     below: int | None = None,
 ) -> list[JobRecord]:
     """Return jobs, newest first, those of a number below `below` if given."""
-    conditions = {"component": component, "status": status}
-    used = {name: value for name, value in conditions.items() if value is not None}
-    terms = [f"{name} = ?" for name in used] + ["id < ?"] * (below is not None)
-    where = f"WHERE {' AND '.join(terms)}" if terms else ""
-    start = () if below is None else (below,)
-    return _select(db, f"{where} ORDER BY id DESC LIMIT ?", (*used.values(), *start, limit))
+    terms = {"component = ?": component, "status = ?": status, "id < ?": below}
+    used = {term: value for term, value in terms.items() if value is not None}
+    where = f"WHERE {' AND '.join(used)}" if used else ""
+    return _select(db, f"{where} ORDER BY id DESC LIMIT ?", (*used.values(), limit))
 
 
-def log_jobs(touched: Iterable[JobRecord]) -> None:
-    """Log the statuses of jobs after a commit; waiting and running ones at the level DEBUG."""
-    if not _log.isEnabledFor(logging.WARNING):
-        return
-    for job in touched:
-        level = _LEVELS.get(job.status, logging.DEBUG)
-        if _log.isEnabledFor(level):
-            about = {"job": job.id, "attempt": job.attempt, "component": job.component}
-            _log.log(level, "job %d of %s: %s", job.id, job.component, _words(job), extra=about)
-
-
-def _words(job: JobRecord) -> str:
-    took = "" if job.seconds is None else f" after {job.seconds:.2f} s"
-    if job.status == "done":
-        return f"done{took}, row {job.row}"
-    if job.error is not None:
-        return f"failed{took}, {job.error.get('kind')}: {job.error.get('message')}"
-    return f"{job.status}, attempt {job.attempt}" if job.attempt else job.status
-
-
-class Jobs(Database):
-    """The jobs of the ledger, read."""
-
-    def job(self, job_id: int) -> JobRecord:
-        """Return a job; raises UnknownJobError."""
-        with self.reading() as db:
-            return get(db, job_id)
-
-    def jobs(
-        self,
-        component: str | None = None,
-        status: Status | None = None,
-        limit: int = 100,
-        below: int | None = None,
-    ) -> list[JobRecord]:
-        """Return jobs, newest first, those of a number below `below` if given."""
-        with self.reading() as db:
-            return listed(db, component, status, limit, below)
-
-    def open_jobs(self, component: str, fingerprint: str) -> list[OpenJob]:
-        """Return the waiting and running jobs of one setup, oldest first."""
-        with self.reading() as db:
-            return opened(db, component, fingerprint)
-
-    def jobs_for(
-        self, component: str, fingerprint: str, wrenches: Iterable[bytes]
-    ) -> dict[bytes, JobRecord]:
-        """Return, by packed wrench, the jobs there are for any of these wrenches.
-
-        Without those whose row is withdrawn or damaged: they can be accepted again.
-        """
-        found = {}
-        with self.reading() as db:
-            for marks, part in rows.in_parts(wrenches):
-                tail = f"WHERE component = ? AND fingerprint = ? AND wrench IN ({marks})"
-                same = _select(db, tail, (component, fingerprint, *part))
-                found |= {
-                    pack_vector(job.wrench): job for job in same if not lacks_its_row(db, job)
-                }
-        return found
-
-    def running(self) -> list[JobRecord]:
-        """Return all running jobs, oldest first."""
-        with self.reading() as db:
-            return _select(db, "WHERE status = 'running' ORDER BY id", ())
-
-    def unfinished(self, after: int | None = None) -> list[JobRecord]:
-        """Return all open jobs, and with `after` also those that ended of a number above it."""
-        newer = "" if after is None else " OR id > ?"
-        where = f"WHERE status IN ('waiting', 'running'){newer} ORDER BY id"
-        with self.reading() as db:
-            return _select(db, where, () if after is None else (after,))
-
-    def ended(self, job_ids: Iterable[int]) -> set[int]:
-        """Return those of some jobs that neither wait nor run."""
-        found = self.attempts(job_ids)
-        return {job for job, (status, *_) in found.items() if status not in ("waiting", "running")}
-
-    def attempts(self, job_ids: Iterable[int]) -> dict[int, tuple[str, int, float | None]]:
-        """Return status, newest attempt and time of the end of those of some jobs that exist."""
-        found = {}
-        with self.reading() as db:
-            for marks, part in rows.in_parts(job_ids):
-                select = f"SELECT id, status, attempt, finished FROM jobs WHERE id IN ({marks})"
-                found |= {job: (status, n, end) for job, status, n, end in db.execute(select, part)}
-        return found
-
-    def counts(self, component: str | None = None) -> dict[str, int]:
-        """Return the number of jobs of each status; those that `Job.is_queued` count as waiting."""
-        with self.reading() as db:
-            return _counts(db, component)
-
-    def statistics(self) -> Statistics:
-        """Return numbers of all jobs, in one committed state."""
-        with self.reading() as db:
-            return _statistics(db)
-
-    def ahead(self, job_id: int, priority: int, now: float) -> list[Ahead]:
-        """Return the waiting jobs that start before one, by component, with the time of a solve."""
-        with self.reading() as db:
-            found = db.execute(
-                "SELECT component, count(*) FROM jobs WHERE status = 'waiting'"
-                " AND (priority > :priority OR (priority = :priority AND id < :id))"
-                " AND coalesce(not_before, 0) <= :now GROUP BY component",
-                {"priority": priority, "id": job_id, "now": now},
-            ).fetchall()
-            return [Ahead(name, n, _mean_seconds(db, name)) for name, n in found]
-
-    def solve_seconds(self, component: str) -> float | None:
-        """Return the mean time of the newest done solves of a component, s; None without any."""
-        with self.reading() as db:
-            return _mean_seconds(db, component)
-
-
-def _counts(db: Connection, component: str | None) -> dict[str, int]:
-    where = "" if component is None else "WHERE component = ?"
-    found = db.execute(
-        f"SELECT CASE WHEN {_QUEUED} THEN 'waiting' ELSE status END, count(*)"
-        f" FROM jobs {where} GROUP BY 1",
-        () if component is None else (component,),
+def open_jobs(db: Connection, component: str, fingerprint: str) -> list[OpenJob]:
+    """Return the waiting and running jobs of one setup, oldest first."""
+    records = db.execute(
+        "SELECT id, wrench, asked_by FROM jobs WHERE component = ? AND fingerprint = ?"
+        " AND status IN ('waiting', 'running') ORDER BY id",
+        (component, fingerprint),
     )
-    return dict.fromkeys(STATUSES, 0) | dict(found.fetchall())
+    return [OpenJob(*record) for record in records]
 
 
-def _statistics(db: Connection) -> Statistics:
+def jobs_for(
+    db: Connection, component: str, fingerprint: str, wrenches: Iterable[bytes]
+) -> dict[bytes, JobRecord]:
+    """Return, by packed wrench, the jobs there are for any of these wrenches.
+
+    Without those whose row is withdrawn or damaged: they can be accepted again.
+    """
+    jobs = {}
+    for marks, part in rows.in_parts(wrenches):
+        tail = f"WHERE component = ? AND fingerprint = ? AND wrench IN ({marks})"
+        same = _select(db, tail, (component, fingerprint, *part))
+        jobs |= {pack_vector(job.wrench): job for job in same if not _lacks_its_row(db, job)}
+    return jobs
+
+
+def running(db: Connection) -> list[JobRecord]:
+    """Return all running jobs, oldest first."""
+    return _select(db, "WHERE status = 'running' ORDER BY id", ())
+
+
+def unfinished(db: Connection, after: int | None = None) -> list[JobRecord]:
+    """Return all open jobs, and with `after` also those that ended of a number above it."""
+    newer = "" if after is None else " OR id > ?"
+    where = f"WHERE status IN ('waiting', 'running'){newer} ORDER BY id"
+    return _select(db, where, () if after is None else (after,))
+
+
+def attempts(db: Connection, job_ids: Iterable[int]) -> dict[int, tuple[Status, int, float | None]]:
+    """Return status, newest attempt and time of the end of those of some jobs that exist."""
+    ends = {}
+    for marks, part in rows.in_parts(job_ids):
+        select = f"SELECT id, status, attempt, finished FROM jobs WHERE id IN ({marks})"
+        ends |= {job: tuple(rest) for job, *rest in db.execute(select, part)}
+    return ends
+
+
+def ended(db: Connection, job_ids: Iterable[int]) -> set[int]:
+    """Return those of some jobs that neither wait nor run."""
+    return {job for job, (status, *_) in attempts(db, job_ids).items() if status in FINAL}
+
+
+def attempts_of(db: Connection, owner: str) -> set[tuple[int, int]]:
+    """Return job and attempt of all attempts of `owner`; cheaper than `running`."""
+    return set(db.execute("SELECT id, attempt FROM jobs WHERE owner = ?", (owner,)))
+
+
+def leases(db: Connection) -> dict[str, Beat]:
+    """Return the heartbeat of each owner."""
+    records = db.execute("SELECT owner, engine, beat, at FROM leases")
+    return {owner: Beat(*rest) for owner, *rest in records}
+
+
+def counts(db: Connection, component: str | None = None) -> dict[str, int]:
+    """Return the number of jobs of each status; those that `Job.is_queued` count as waiting."""
+    where = "" if component is None else "WHERE component = :component"
+    select = f"SELECT CASE WHEN {_QUEUED} THEN 'waiting' ELSE status END, count(*) FROM jobs"
+    records = db.execute(f"{select} {where} GROUP BY 1", {"component": component})
+    return dict.fromkeys(STATUSES, 0) | dict(records.fetchall())
+
+
+def statistics(db: Connection) -> Statistics:
+    """Return numbers of all jobs, in one committed state."""
     kinds = db.execute(
         "SELECT coalesce(json_extract(error, '$.kind'), 'unknown'), count(*) FROM jobs"
         " WHERE status = 'failed' GROUP BY 1 ORDER BY 2 DESC"
     ).fetchall()
-    failures = {str(kind)[:60]: number for kind, number in kinds[:MOST_KINDS]}
-    if rest := sum(number for _, number in kinds[MOST_KINDS:]):
-        failures["other"] = rest
+    failures = {str(kind)[:60]: number for kind, number in kinds[:MAX_KINDS]}
+    if others := sum(number for _, number in kinds[MAX_KINDS:]):
+        failures["other"] = others
     steps = " ".join(f"WHEN took <= {edge!r} THEN {n}" for n, edge in enumerate(SOLVE_EDGES))
     # A clock that was set back makes a solve that ended before it began: it took no time.
     solves = db.execute(
@@ -296,10 +441,22 @@ def _statistics(db: Connection) -> Statistics:
         buckets[place] = number
     oldest = db.execute("SELECT min(created) FROM jobs WHERE status = 'waiting'").fetchone()[0]
     seconds = sum(took for _, _, took in solves)
-    return Statistics(_counts(db, None), failures, tuple(buckets), seconds, oldest)
+    return Statistics(counts(db), failures, tuple(buckets), seconds, oldest)
 
 
-def _mean_seconds(db: Connection, component: str) -> float | None:
+def ahead(db: Connection, job_id: int, priority: int, now: float) -> list[Ahead]:
+    """Return the waiting jobs that start before one, by component, with the time of a solve."""
+    records = db.execute(
+        "SELECT component, count(*) FROM jobs WHERE status = 'waiting'"
+        " AND (priority > :priority OR (priority = :priority AND id < :id))"
+        " AND coalesce(not_before, 0) <= :now GROUP BY component",
+        {"priority": priority, "id": job_id, "now": now},
+    ).fetchall()
+    return [Ahead(name, number, solve_seconds(db, name)) for name, number in records]
+
+
+def solve_seconds(db: Connection, component: str) -> float | None:
+    """Return the mean time of the newest done solves of a component, s; None without any."""
     select = (
         f"SELECT avg(took) FROM (SELECT finished - {_BEGIN} AS took FROM jobs WHERE component = ?"
         f" AND status = 'done' AND finished >= {_BEGIN} ORDER BY id DESC LIMIT ?)"
@@ -307,15 +464,62 @@ def _mean_seconds(db: Connection, component: str) -> float | None:
     return db.execute(select, (component, _RECENT)).fetchone()[0]
 
 
+# -- shared -----------------------------------------------------------------------------------
+
+
+def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRecord:
+    """Write and return a job after an event; raises InvalidTransitionError."""
+    status = TRANSITIONS.get((job.status, event))
+    if status is None:
+        allowed = sorted(name for before, name in TRANSITIONS if before == job.status)
+        possible = f"possible now: {', '.join(allowed)}"
+        if job.status == "done":
+            possible = "it is final unless its row is withdrawn"
+        raise InvalidTransitionError(f"job {job.id} is {job.status}: cannot {event} it; {possible}")
+    return _save(db, replace(job, status=status, **changes))
+
+
+def _save(db: Connection, job: JobRecord) -> JobRecord:
+    error = None if job.error is None else json.dumps(job.error)
+    db.execute(f"UPDATE jobs SET {_SET} WHERE id = :id", {**vars(job), "error": error})
+    db.jobs[job.id] = job
+    return job
+
+
+def _check_attempt(job: JobRecord, attempt: int) -> JobRecord:
+    """Return the job; raises StaleAttemptError unless `attempt` is its running one."""
+    if job.status != "running" or job.attempt != attempt:
+        raise StaleAttemptError(
+            f"job {job.id} is {job.status} at attempt {job.attempt}; "
+            f"a report of attempt {attempt} no longer counts"
+        )
+    return job
+
+
+def _end(job: JobRecord, now: float, seconds: float | None) -> dict[str, Any]:
+    return {"finished": now, "began": job.began if seconds is None else now - seconds}
+
+
+def _lacks_its_row(db: Connection, job: JobRecord) -> bool:
+    """Return whether the row that a done job gave is withdrawn or damaged."""
+    return job.row is not None and not rows.is_usable(db, job.row)
+
+
+def _beat(db: Connection, owner: str, engine: str) -> None:
+    db.execute(
+        "INSERT INTO leases (owner, engine, beat, at) VALUES (?, ?, 1, ?)"
+        " ON CONFLICT (owner) DO UPDATE SET engine = excluded.engine, beat = beat + 1,"
+        " at = excluded.at",
+        (owner, engine, time.time()),
+    )
+
+
 def _select(db: Connection, tail: str, values: Iterable[object]) -> list[JobRecord]:
-    found = db.execute(f"SELECT {_COLUMNS} FROM jobs {tail}", tuple(values))
-    return [_job(*record) for record in found]
-
-
-def _job(*record: object) -> JobRecord:
-    fields = list(record)
-    wrench, error = fields[3], fields[12]
-    assert isinstance(wrench, bytes)
-    fields[3] = unpack_vector(wrench)
-    fields[12] = json.loads(error) if isinstance(error, str) else None
-    return JobRecord(*fields)  # pyright: ignore[reportArgumentType]
+    jobs = []
+    for record in db.execute(f"SELECT {_COLUMNS} FROM jobs {tail}", tuple(values)):
+        columns: dict[str, Any] = dict(zip(_NAMES, record, strict=True))
+        columns["wrench"] = unpack_vector(columns["wrench"])
+        error = columns["error"]
+        columns["error"] = json.loads(error) if isinstance(error, str) else None
+        jobs.append(JobRecord(**columns))
+    return jobs

@@ -1,119 +1,176 @@
-"""The durable record of jobs and rows; see `Ledger`."""
+"""The ledger: one writing connection, short transactions, and notices of changes."""
 
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import logging
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
 
-from wrenchbook.service.ledger import jobs, rows, states
-from wrenchbook.service.ledger.connection import Connection
-from wrenchbook.service.ledger.imports import ImportTable
-from wrenchbook.service.ledger.packing import pack_vector
-from wrenchbook.service.ledger.records import (
-    Beat,
-    Change,
-    JobRecord,
-    LedgerRow,
-    NewRow,
-    OpenJob,
-    Status,
+from wrenchbook.service.ledger import imports as import_sql
+from wrenchbook.service.ledger import jobs as job_sql
+from wrenchbook.service.ledger import rows as row_sql
+from wrenchbook.service.ledger.connection import (
+    USE_ERRORS,
+    Connection,
+    begin,
+    can_be_read_frozen,
+    checkpoint,
+    connect,
+    copy_file,
+    damaged_file,
+    inode,
+    is_damage,
+    open_file,
+    raise_sequences,
+    sequences,
+    sync_log,
+    unavailable,
 )
-from wrenchbook.service.ledger.tables import TableRows
+from wrenchbook.service.ledger.records import (
+    JobRecord,
+    LedgerError,
+    LedgerFileError,
+    LedgerUnavailableError,
+    TableAt,
+)
+from wrenchbook.service.ledger.repair import Acknowledged, Numbers
+from wrenchbook.surrogate.table.space import DEFAULT, Space
 
-# Leases of owners that were killed without a job are deleted then.
-FORGOTTEN_SECONDS = 24 * 3600.0
+_log = logging.getLogger(__name__)
+_LEVELS = {"done": logging.INFO, "failed": logging.WARNING, "cancelled": logging.INFO}
+
+Listener = Callable[[], object]
+P = ParamSpec("P")
+R = TypeVar("R")
+Method = Callable[Concatenate["Ledger", P], R]
 
 
-class Ledger(jobs.Jobs, TableRows, ImportTable):
+def _reads(function: Callable[Concatenate[Connection, P], R]) -> Method[P, R]:
+    """Return a function of a connection as a method that sees one committed state."""
+
+    @wraps(function)
+    def method(self: "Ledger", *arguments: P.args, **options: P.kwargs) -> R:
+        with self.reading() as db:
+            return function(db, *arguments, **options)
+
+    return method
+
+
+def _writes(function: Callable[Concatenate[Connection, P], R]) -> Method[P, R]:
+    """Return a function of a connection as a method that is one transaction, all or nothing."""
+
+    @wraps(function)
+    def method(self: "Ledger", *arguments: P.args, **options: P.kwargs) -> R:
+        with self.writing() as db:
+            return function(db, *arguments, **options)
+
+    return method
+
+
+class Ledger:
     """Jobs and rows in one SQLite file, for many threads and several processes at once.
 
-    A method that returned has committed to disk; one that raised changed nothing. Parameters and
-    errors are those of `Database`.
+    A method that returned has committed to disk; one that raised changed nothing. Its methods are
+    the functions of `jobs`, `rows` and `imports`, each in a transaction of its own;
+    all raise LedgerUnavailableError if the file cannot be used now. Readers never wait for the
+    writer (WAL); writers of this process wait for each other here and for other processes in
+    SQLite.
+
+    Parameters
+    ----------
+    path : path
+        The file; it and its folder are made if there are none.
+    patient : bool
+        Whether to continue without a file that cannot be used now, on a full disk for example:
+        `trouble` then returns the reason, every use raises LedgerUnavailableError, and each
+        `writing` tries to open it again.
+
+    Raises
+    ------
+    LedgerFileError
+        If the file is foreign, damaged or of a newer schema, and `patient` is false.
     """
 
-    def accept(
-        self,
-        component: str,
-        fingerprint: str,
-        wrench: Sequence[float],
-        *,
-        priority: int = 0,
-        reopen_cancelled: bool = True,
-        asked_by: str = "",
-    ) -> tuple[JobRecord, bool]:
-        """Return the job for this wrench, and whether it is new.
+    def __init__(self, path: str | Path, *, patient: bool = False) -> None:
+        self.path = Path(path).absolute()
+        self.damaged: dict[int, str] = {}
+        """Rows found to be damaged on the disk, with their component."""
+        self._closed = False
+        self._write_lock = threading.Lock()
+        self._watch_lock = threading.Lock()
+        self._idle: list[Connection] = []
+        self._writer: Connection | None = None
+        self._watcher: Connection | None = None
+        self._inode = (0, 0)
+        self._refused: LedgerFileError | None = None
+        self._acknowledged = Acknowledged(self.path)
+        self._frozen = False  # refused for writing, but whole enough to be read as it is
+        self._logged = ""  # the error logged last
+        self._listeners: tuple[Listener, ...] = ()
+        self._listeners_lock = threading.Lock()
+        try:
+            self._open()
+        except LedgerFileError as error:
+            if not patient:
+                raise
+            self._refuse(error)
 
-        There is one job for one (component, fingerprint, wrench), whatever its status: a
-        waiting, running, done or failed one is returned as it is (a waiting one with the
-        higher of both priorities), a cancelled one goes back to waiting, and so does a done
-        one whose row was withdrawn or is damaged.
+    accept = _writes(job_sql.accept)
+    accept_many = _writes(job_sql.accept_many)
+    accept_chosen = _writes(job_sql.accept_chosen)
+    adopt = _writes(job_sql.adopt)
+    beat = _writes(job_sql.beat)
+    commit = _writes(job_sql.commit)
+    fail = _writes(job_sql.fail)
+    lose = _writes(job_sql.lose)
+    release = _writes(job_sql.release)
+    end_lease = _writes(job_sql.end_lease)
+    cancel = _writes(job_sql.cancel)
+    cancel_many = _writes(job_sql.cancel_many)
+    retry = _writes(job_sql.retry)
+    job = _reads(job_sql.get)
+    jobs = _reads(job_sql.listed)
+    open_jobs = _reads(job_sql.open_jobs)
+    jobs_for = _reads(job_sql.jobs_for)
+    running = _reads(job_sql.running)
+    unfinished = _reads(job_sql.unfinished)
+    ended = _reads(job_sql.ended)
+    attempts = _reads(job_sql.attempts)
+    attempts_of = _reads(job_sql.attempts_of)
+    leases = _reads(job_sql.leases)
+    counts = _reads(job_sql.counts)
+    statistics = _reads(job_sql.statistics)
+    ahead = _reads(job_sql.ahead)
+    solve_seconds = _reads(job_sql.solve_seconds)
 
-        Raises
-        ------
-        ValueError
-            If the wrench is not six finite numbers.
-        LedgerUnavailableError
-            If the job could not be written; it is then not accepted.
-        """
-        key = pack_vector(wrench)
-        with self.reading() as db:
-            found = jobs.find_same(db, component, fingerprint, key)
-            gone = found is not None and jobs.lacks_its_row(db, found)
-        if (
-            found
-            and states.accepted_again(found, priority, reopen_cancelled, gone, asked_by) == found
-        ):
-            return found, False
-        with self.writing() as db:
-            same = (component, fingerprint, key)
-            job, created = jobs.accept(db, same, priority, reopen_cancelled, asked_by)
-        self._committed(job)
-        return job, created
+    insert_rows = _writes(row_sql.insert)
+    withdraw = _writes(row_sql.withdraw)
+    restore = _writes(row_sql.restore)
+    rewrite = _writes(row_sql.rewrite)
+    replay = _writes(row_sql.replay)
+    row = _reads(row_sql.get)
+    rows_of = _reads(row_sql.numbered)
+    row_changes = _reads(row_sql.row_changes)
+    damaged_rows = _reads(row_sql.damaged)
+    is_withdrawn = _reads(row_sql.is_withdrawn)
+    last_seq = _reads(row_sql.last_seq)
+    count_new = _reads(row_sql.count_new)
+    count_rows = _reads(row_sql.count_rows)
+    known_rows = _reads(row_sql.known_rows)
+    of_other_setups = _reads(row_sql.of_other_setups)
+    digest = _reads(row_sql.digest)
+    edits = _reads(row_sql.edits)
 
-    def accept_many(
-        self,
-        component: str,
-        fingerprint: str,
-        wrenches: Iterable[Sequence[float]],
-        *,
-        priority: int = 0,
-        reopen_cancelled: bool = True,
-        asked_by: str = "",
-    ) -> list[JobRecord]:
-        """Accept jobs in one transaction, all or none; one job a wrench, in their order."""
-        keys = [pack_vector(wrench) for wrench in wrenches]
-        return self.accept_chosen(
-            component,
-            fingerprint,
-            lambda _: keys,
-            priority=priority,
-            reopen_cancelled=reopen_cancelled,
-            asked_by=asked_by,
-        )
-
-    def accept_chosen(
-        self,
-        component: str,
-        fingerprint: str,
-        choose: Callable[[list[OpenJob]], Sequence[bytes]],
-        *,
-        priority: int = 0,
-        reopen_cancelled: bool = True,
-        asked_by: str = "",
-    ) -> list[JobRecord]:
-        """Accept the packed wrenches that `choose` picks once it has seen the open jobs.
-
-        Choosing and accepting are one transaction, so a limit on open jobs holds however many
-        processes accept at once.
-        """
-        with self.writing() as db:
-            keys = choose(jobs.opened(db, component, fingerprint))
-            accepted = [
-                jobs.accept(
-                    db, (component, fingerprint, key), priority, reopen_cancelled, asked_by
-                )[0]
-                for key in keys
-            ]
-        self._committed(*accepted)
-        return accepted
+    import_rows = import_sql.import_rows
+    drop_abandoned = import_sql.drop_abandoned
+    edit_import = _writes(import_sql.edit_import)
+    imports = _reads(import_sql.imports)
+    stored_numbers = _reads(import_sql.stored_numbers)
+    import_of = _reads(import_sql.import_of)
+    import_spans = _reads(import_sql.import_spans)
+    findings = _reads(import_sql.findings)
 
     def claim(self, owner: str, engine: str = "local") -> JobRecord | None:
         """Start the next waiting job's next attempt under `owner`; None if none waits."""
@@ -121,190 +178,249 @@ class Ledger(jobs.Jobs, TableRows, ImportTable):
         return claimed[0] if claimed else None
 
     def claim_many(self, owner: str, engine: str, most: int) -> list[JobRecord]:
-        """Start the next attempts of the next waiting jobs, in one transaction.
-
-        Each gets a task key; it is submitted, not running, until `beat` reports its begin. The
-        claim counts as a heartbeat of the owner.
-        """
-        now = time.time()
+        """Start the next attempts of the next waiting jobs; without a write if none waits."""
         with self.reading() as db:
-            if not jobs.next_waiting(db, now, 1):
+            if not job_sql.next_waiting(db, 1):
                 return []
         with self.writing() as db:
-            waiting = jobs.next_waiting(db, now, most)
-            claimed = [jobs.save(db, states.claimed(job, owner, engine, now)) for job in waiting]
-            if claimed:
-                _write_beat(db, owner, engine, now)
-        self._committed(*claimed)
-        return claimed
+            return job_sql.claim(db, owner, engine, most)
 
-    def adopt(self, job_id: int, attempt: int, previous: str, owner: str) -> JobRecord | None:
-        """Take a running attempt over from a dead owner; None if another one was faster."""
-        with self.writing() as db:
-            job = jobs.get(db, job_id)
-            if (job.status, job.attempt, job.owner) != ("running", attempt, previous):
-                return None
-            job = jobs.save(db, states.adopted(job, owner))
-        self._committed(job)
-        return job
-
-    def commit(
+    @contextmanager
+    def table_at(
         self,
-        job_id: int,
-        attempt: int,
-        displacement: Sequence[float],
+        component: str,
+        version: int | None = None,
         *,
-        compliance: Sequence[Sequence[float]] | None = None,
-        curvature: Sequence[float] | None = None,
-        uncertainty: Sequence[float] | None = None,
-        source: str = "fea",
-        origin: str = "",
-        seconds: float | None = None,
-    ) -> LedgerRow:
-        """Write the row of a job and the job's end in one transaction, exactly once.
-
-        A job that is done already keeps the row it has, and that one is returned. Its solver took
-        `seconds`, if known.
-
-        Raises
-        ------
-        StaleAttemptError
-            If the attempt is not the running one.
-        ValueError
-            If a number is not finite or a length is wrong.
-        """
-        with self.writing() as db:
-            job = jobs.get(db, job_id)
-            if job.row is not None:
-                return rows.get(db, job.row)
-            states.check_attempt(job, attempt)
-            new = NewRow(
-                job.wrench,
-                displacement,
-                source,
-                compliance,
-                uncertainty,
-                origin,
-                curvature=curvature,
-            )
-            now = time.time()
-            row = rows.add(db, job.component, job.fingerprint, new, job.id, now)
-            job = jobs.save(db, states.committed(job, row.seq, now, seconds))
-        self._committed(job, rows=1)
-        return row
-
-    def fail(
-        self, job_id: int, attempt: int, error: dict[str, str], seconds: float | None = None
-    ) -> JobRecord:
-        """End a running attempt as failed; `error` holds kind, message and remedy."""
-        now = time.time()
-        return self._end(job_id, attempt, lambda job: states.failed(job, error, now, seconds))
-
-    def lose(self, job_id: int, attempt: int, cause: str = "") -> JobRecord:
-        """Record that an attempt's solver died: waiting for longer and longer, then failed."""
-        return self._end(job_id, attempt, lambda job: states.lost(job, time.time(), cause))
-
-    def release(self, job_id: int, attempt: int, *, delay: float = 0.0) -> JobRecord:
-        """Give an attempt back that did not die by itself; it does not count as lost.
-
-        The next one starts after `delay` seconds.
-        """
-        later = time.time() + delay if delay else None
-        return self._end(job_id, attempt, lambda job: states.released(job, later))
-
-    def cancel(self, job_id: int) -> JobRecord:
-        """Cancel a waiting or running job; its dispatcher then stops the solver."""
-        return self._move(job_id, lambda job: states.cancelled(job, time.time()))
-
-    def cancel_many(self, component: str | None, status: Status) -> int:
-        """Cancel all jobs of a status (of one component), and return how many there were.
-
-        Raises
-        ------
-        InvalidTransitionError
-            If jobs of that status cannot be cancelled; then none is.
-        """
-        with self.writing() as db:
-            found = jobs.listed(db, component, status, limit=-1)  # no limit, to SQLite
-            for job in found:
-                jobs.save(db, states.cancelled(job, time.time()))
-        self._committed(*found)
-        return len(found)
-
-    def retry(self, job_id: int) -> JobRecord:
-        """Let a failed or cancelled job wait again."""
-        return self._move(job_id, states.retried)
-
-    def beat(
-        self, owner: str, engine: str, began: Mapping[tuple[int, int], float] | None = None
-    ) -> list[JobRecord]:
-        """Write a heartbeat of `owner`, which runs its attempts.
-
-        Parameters
-        ----------
-        began : mapping, optional
-            By job and attempt, the time in seconds since the epoch at which a solver was seen at
-            it; attempts that have ended, or have another owner now, are ignored.
-
-        Returns
-        -------
-        list of Job
-            Those that are running rather than submitted from now on.
-        """
-        with self.writing() as db:
-            _write_beat(db, owner, engine, time.time())
-            begun = []
-            for (job_id, attempt), at in (began or {}).items():
-                job = jobs.get(db, job_id)
-                if (job.status, job.attempt, job.owner) == ("running", attempt, owner):
-                    begun.append(jobs.save(db, states.begun(job, at)))
-        return begun
-
-    def leases(self) -> dict[str, Beat]:
-        """Return the heartbeat of each owner."""
+        space: Space = DEFAULT,
+        fingerprint: str | None = None,
+    ) -> Iterator[TableAt]:
+        """Give `rows.table_at`, whose lots are read meanwhile, as one committed state."""
         with self.reading() as db:
-            found = db.execute("SELECT owner, engine, beat, at FROM leases").fetchall()
-        return {owner: Beat(*rest) for owner, *rest in found}
+            yield row_sql.table_at(db, component, version, space=space, fingerprint=fingerprint)
 
-    def attempts_of(self, owner: str) -> set[tuple[int, int]]:
-        """Return job and attempt of all attempts of `owner`; cheaper than `running`."""
-        with self.reading() as db:
-            return set(db.execute("SELECT id, attempt FROM jobs WHERE owner = ?", (owner,)))
+    @contextmanager
+    def writing(self, *, durable: bool = True) -> Iterator[Connection]:
+        """Give the writing connection in a transaction that is committed at the end.
 
-    def end_lease(self, owner: str) -> None:
-        """Delete the lease of an owner that has ended; its attempts can then be adopted."""
-        with self.writing() as db:
-            db.execute("DELETE FROM leases WHERE owner = ?", (owner,))
-            db.execute(
-                "DELETE FROM leases WHERE at < ?"
-                " AND owner NOT IN (SELECT owner FROM jobs WHERE owner IS NOT NULL)",
-                (time.time() - FORGOTTEN_SECONDS,),
+        Listeners are called once it is. Without `durable`, the sync is left to the next durable
+        transaction, which covers the complete log.
+        """
+        with self._write_lock, self.named_errors():
+            writer = self._present_writer()
+            if not durable:
+                writer.execute("PRAGMA synchronous = NORMAL")
+            try:
+                writer.jobs, writer.rows = {}, 0
+                begin(writer)
+                yield writer
+                numbers = _numbers(writer)
+                writer.execute("COMMIT")
+                jobs, rows = writer.jobs, writer.rows
+                self._logged = ""
+                if durable:
+                    self._acknowledged.note(numbers)
+            except BaseException:
+                if writer.in_transaction:
+                    writer.execute("ROLLBACK")
+                raise
+            finally:
+                if not durable:
+                    writer.execute("PRAGMA synchronous = FULL")
+        _log_jobs(jobs.values())
+        for listener in self._listeners if jobs or rows else ():
+            try:
+                listener()
+            except Exception:  # the commit has happened, whatever a listener makes of it
+                _log.exception("a listener of the ledger failed")
+
+    def sync(self) -> None:
+        """Sync what transactions that are not durable have written.
+
+        Between two of them, so that a durable one of another writer does not wait for all of it.
+        """
+        sync_log(self.path)
+
+    @contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """Give a reading connection; all its statements see one and the same committed state."""
+        with self.named_errors():
+            self._check_open()
+            frozen = self._frozen
+            if not frozen:
+                self._check_usable()
+            try:
+                connection = self._idle.pop()
+            except IndexError:
+                connection = connect(self.path, frozen=frozen)
+                connection.damaged = self.damaged
+            try:
+                connection.execute("BEGIN")
+                yield connection
+            finally:
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+                self._keep(connection, frozen)
+
+    def version(self) -> int:
+        """Return a number that differs after any commit of this or another process.
+
+        Takes microseconds. Only equality of two numbers from the same Ledger means anything.
+        """
+        with self._watch_lock, self.named_errors():
+            self._check_open()
+            if self._frozen:
+                return 0
+            self._check_usable()
+            if self._watcher is None:
+                self._watcher = connect(self.path)
+            return self._watcher.execute("PRAGMA data_version").fetchone()[0]
+
+    def on_change(self, listener: Listener) -> Callable[[], None]:
+        """Call `listener` after each commit of jobs or rows, in the thread that committed.
+
+        It must be quick. Returns a function that ends the subscription. Commits of other
+        processes are seen by polling `version`.
+        """
+        with self._listeners_lock:
+            self._listeners = (*self._listeners, listener)
+
+        def remove() -> None:
+            with self._listeners_lock:
+                self._listeners = tuple(other for other in self._listeners if other is not listener)
+
+        return remove
+
+    def trouble(self) -> str | None:
+        """Return why the file can be neither read nor written now; None if it can."""
+        try:
+            self._check_usable()
+        except LedgerUnavailableError as error:
+            return str(error)
+        return None
+
+    def losses(self) -> list[str]:
+        """Return the acknowledged jobs and rows that are gone, as sentences."""
+        return self._acknowledged.losses()
+
+    def sizes(self) -> dict[str, int]:
+        """Return the bytes of the ledger's file and of its log."""
+        files = {"ledger": self.path, "log": self.path.with_name(f"{self.path.name}-wal")}
+        return {name: file.stat().st_size if file.exists() else 0 for name, file in files.items()}
+
+    def checkpoint(self) -> bool:
+        """Move the log into the file and empty it; False if another connection reads just now."""
+        with self._write_lock, self.named_errors():
+            return checkpoint(self._present_writer())
+
+    def copy(self, target: Path) -> None:
+        """Write all that is committed into a new file; raises as `checkpoint` and `copy_file`."""
+        with self.named_errors():
+            self._check_open()
+            self._check_usable()
+            connection = connect(self.path)
+            try:
+                copy_file(connection, target)
+            finally:
+                connection.close()
+
+    def close(self) -> None:
+        """Close all connections, one in use when it comes back; idempotent."""
+        with self._write_lock, self._watch_lock:
+            if self._closed:
+                return
+            self._closed = True
+            for connection in (self._watcher, *self._idle, self._writer):
+                if connection is not None:
+                    connection.close()
+            self._idle.clear()
+
+    @contextmanager
+    def named_errors(self, *more: type[Exception]) -> Iterator[None]:
+        """Raise SQLite's errors, and those of the types `more`, as LedgerUnavailableError."""
+        try:
+            yield
+        except (*USE_ERRORS, *more) as error:
+            if is_damage(error):  # after one damaged page no other is trusted
+                self._refuse(damaged_file(self.path, str(error)))
+            refusal = unavailable(self.path, error)
+            if str(refusal) != self._logged:  # once, however many requests follow
+                self._logged = str(refusal)
+                _log.error("%s", refusal)
+            raise refusal from error
+
+    def _refuse(self, error: LedgerFileError) -> None:
+        self._refused = error
+        self._frozen = can_be_read_frozen(self.path)
+
+    def _open(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+        self._writer = open_file(self.path)
+        self._writer.damaged = self.damaged
+        self._inode = inode(self.path)
+        self._refused, self._frozen = None, False
+        self._check_loss(self._writer)
+        while self._idle:
+            self._idle.pop().close()
+
+    def _present_writer(self) -> Connection:
+        self._check_open()
+        if self._refused is not None:
+            try:
+                self._open()
+            except LedgerFileError as error:
+                raise LedgerUnavailableError(str(error)) from error
+        self._check_usable()
+        assert self._writer is not None
+        return self._writer
+
+    def _check_usable(self) -> None:
+        if self._refused is not None:
+            raise LedgerUnavailableError(str(self._refused))
+        # SQLite goes on writing into a file that has been deleted.
+        if inode(self.path) != self._inode:
+            raise LedgerUnavailableError(
+                f"the ledger {self.path} was deleted or replaced under this server; nothing is "
+                "accepted. Put the file back if you moved it, then restart the server"
             )
 
-    def _end(self, job_id: int, attempt: int, step: Callable[[JobRecord], JobRecord]) -> JobRecord:
-        def checked(job: JobRecord) -> JobRecord:
-            states.check_attempt(job, attempt)
-            return step(job)
+    def _keep(self, connection: Connection, frozen: bool) -> None:
+        if frozen != self._frozen:  # a frozen connection does not see later commits
+            connection.close()
+            return
+        self._idle.append(connection)
+        if self._closed:
+            while self._idle:
+                self._idle.pop().close()
 
-        return self._move(job_id, checked)
+    def _check_open(self) -> None:
+        if self._closed:
+            raise LedgerError("the ledger is closed")
 
-    def _move(self, job_id: int, step: Callable[[JobRecord], JobRecord]) -> JobRecord:
-        with self.writing() as db:
-            job = jobs.save(db, step(jobs.get(db, job_id)))
-        self._committed(job)
-        return job
-
-    def _committed(self, *touched: JobRecord, rows: int = 0) -> None:
-        if touched:
-            jobs.log_jobs(touched)
-            numbers = tuple(dict.fromkeys(job.id for job in touched))
-            self.notify(Change(touched[0].component, numbers, rows))
+    def _check_loss(self, writer: Connection) -> None:
+        """Record acknowledged jobs and rows that are gone; their numbers are never used again."""
+        lost = self._acknowledged.compare(_numbers(writer))
+        if lost is not None:
+            raise_sequences(writer, lost._asdict())
+            _log.error("the ledger has lost what it had: %s", self._acknowledged.losses()[-1:])
 
 
-def _write_beat(db: Connection, owner: str, engine: str, now: float) -> None:
-    db.execute(
-        "INSERT INTO leases (owner, engine, beat, at) VALUES (?, ?, 1, ?)"
-        " ON CONFLICT (owner) DO UPDATE SET engine = excluded.engine, beat = beat + 1,"
-        " at = excluded.at",
-        (owner, engine, now),
-    )
+def _numbers(connection: Connection) -> Numbers:
+    used = sequences(connection)
+    return Numbers(used.get("jobs", 0), used.get("rows", 0))
+
+
+def _log_jobs(jobs: Iterable[JobRecord]) -> None:
+    """Log the statuses of jobs after a commit; waiting and running ones at the level DEBUG."""
+    for job in jobs:
+        level = _LEVELS.get(job.status, logging.DEBUG)
+        if _log.isEnabledFor(level):
+            took = "" if job.seconds is None else f" after {job.seconds:.2f} s"
+            if job.status == "done":
+                text = f"done{took}, row {job.row}"
+            elif job.error is not None:
+                text = f"failed{took}, {job.error.get('kind')}: {job.error.get('message')}"
+            else:
+                text = f"{job.status}, attempt {job.attempt}" if job.attempt else job.status
+            details = {"job": job.id, "attempt": job.attempt, "component": job.component}
+            _log.log(level, "job %d of %s: %s", job.id, job.component, text, extra=details)

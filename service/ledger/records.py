@@ -1,8 +1,10 @@
 """Values that the ledger returns (jobs, rows, changes) and the errors that it raises."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
+
+from wrenchbook.surrogate.table.rows import Rows
 
 Status = Literal["waiting", "running", "done", "failed", "cancelled"]
 STATUSES: tuple[Status, ...] = ("waiting", "running", "done", "failed", "cancelled")
@@ -14,62 +16,27 @@ Matrix = tuple[Vector, ...]
 
 @dataclass(frozen=True)
 class JobRecord:
-    """A queued solve of one wrench on one component.
+    """A queued solve of one wrench on one component; times are seconds since the epoch."""
 
-    Attributes
-    ----------
-    id : int
-        Number of the job, increasing with the order of acceptance.
-    component, fingerprint : str
-        What is solved, and the state of the component the job was accepted for.
-    wrench : tuple of 6 floats
-        Force in N, then moment in N·m.
-    status : str
-        ``waiting``, ``running``, ``done``, ``failed`` or ``cancelled``.
-    priority : int
-        Waiting jobs of a higher priority start first; of equal ones the oldest.
-    attempt : int
-        Attempts started so far; the number of the current one while running.
-    lost : int
-        Attempts whose solver died since the job was accepted, reopened or retried.
-    owner : str or None
-        The dispatcher of the running attempt.
-    created, started, finished : float or None
-        Seconds since the epoch; ``started`` is that of the latest attempt.
-    error : dict or None
-        ``{"kind", "message", "remedy"}`` of a failed job.
-    row : int or None
-        ``seq`` of the row a done job gave.
-    not_before : float or None
-        Seconds since the epoch before which a waiting job is not started: its solver has died.
-    asked_by : str
-        Which call the job comes from, such as ``query`` or ``fill``.
-    engine, task : str or None
-        Which engine has the latest attempt, and the key it has it under.
-    began : float or None
-        Seconds since the epoch: when a solver was first seen at the running attempt. Until then
-        it is submitted, no more.
-    """
-
-    id: int
+    id: int  # grows with the order of acceptance
     component: str
-    fingerprint: str
-    wrench: Vector
+    fingerprint: str  # of the setup that the job was accepted for
+    wrench: Vector  # N, N·m
     status: Status
-    priority: int
-    attempt: int
-    lost: int
-    owner: str | None
+    priority: int  # waiting jobs of a higher one start first, of equal ones the oldest
+    attempt: int  # attempts started; the number of the current one while running
+    lost: int  # attempts whose solver died since the job was accepted, reopened or retried
+    owner: str | None  # the dispatcher of the running attempt
     created: float
-    started: float | None
+    started: float | None  # of the latest attempt
     finished: float | None
-    error: dict[str, str] | None
-    row: int | None
-    not_before: float | None = None
-    asked_by: str = ""
-    engine: str | None = None
-    task: str | None = None
-    began: float | None = None
+    error: dict[str, str] | None  # kind, message and remedy of a failed job
+    row: int | None  # `seq` of the row of a done job
+    not_before: float | None = None  # a waiting job whose solver died is not started before
+    asked_by: str = ""  # which call it comes from, such as `query` or `fill`
+    engine: str | None = None  # that has the latest attempt
+    task: str | None = None  # the engine's key of it
+    began: float | None = None  # when a solver was first seen at it; until then it is submitted
 
     @property
     def seconds(self) -> float | None:
@@ -102,49 +69,16 @@ class Beat(NamedTuple):
 
 
 class OpenJob(NamedTuple):
-    """A job that waits or runs, in short: its number, its wrench as `pack6` writes it, its call."""
+    """A job that waits or runs, in short: its number, its packed wrench, its call."""
 
     id: int
     wrench: bytes
     asked_by: str
 
 
-@dataclass(frozen=True)
-class NewRow:
-    """A row to be inserted.
-
-    Attributes
-    ----------
-    wrench, displacement : sequence of 6 floats
-        N and N·m; m and rad (rotation vector). An output that was not measured is NaN; a solve's
-        never is.
-    source : str
-        Where it comes from: ``"measured"``, ``"fea"`` ...
-    compliance : 6 sequences of 6 floats, or None
-        Tangent d(displacement)/d(wrench) at the wrench.
-    uncertainty : sequence of 6 floats, or None
-        95 % half-width of the displacement, m and rad; NaN where unknown, but not all six.
-    origin : str
-        Free note, such as the file name and line.
-    fingerprint : str or None
-        The setup that was solved; None: the one of the call.
-    curvature : sequence of 56 floats, or None
-        Third derivatives of the complementary energy by the loads, as `Rows.curvature` has them.
-    """
-
-    wrench: Sequence[float]
-    displacement: Sequence[float]
-    source: str = "measured"
-    compliance: Sequence[Sequence[float]] | None = None
-    uncertainty: Sequence[float] | None = None
-    origin: str = ""
-    fingerprint: str | None = None
-    curvature: Sequence[float] | None = None
-
-
 @dataclass(frozen=True, slots=True)
 class LedgerRow:
-    """A row of the ledger; ``seq`` is its id everywhere. Units as in `NewRow`."""
+    """A single row of any space with its provenance; SI, None where unknown."""
 
     seq: int
     component: str
@@ -160,6 +94,17 @@ class LedgerRow:
     curvature: Vector | None = None
 
 
+class NotedRows(NamedTuple):
+    """Rows with each row's note and, of stored rows, the time of storing, seconds since the epoch.
+
+    The numbers of rows that are to be stored do not count.
+    """
+
+    rows: Rows
+    note: Sequence[str]
+    created: Sequence[float] = ()
+
+
 class RowEdit(NamedTuple):
     """A withdrawal or restoring: the row's content key, whether it is withdrawn, and when, s."""
 
@@ -170,37 +115,21 @@ class RowEdit(NamedTuple):
 
 @dataclass(frozen=True)
 class RowChanges:
-    """Changes of a component's rows after some seq, as one committed state.
+    """Changes of a component's rows after some seq, as one committed state."""
 
-    Attributes
-    ----------
-    rows : list of LedgerRow
-        Rows to add: new ones, and old ones that were restored.
-    gone : set of int
-        Seqs to remove before: those withdrawn, or restored and so in `rows`.
-    last_seq : int
-        Up to here the changes are complete.
-    whole : bool
-        Whether these are all changes; else read on from `last_seq`.
-    """
-
-    rows: list[LedgerRow]
-    gone: frozenset[int]
-    last_seq: int
-    whole: bool = True
+    rows: Rows  # to add: new ones, and old ones that were restored
+    gone: frozenset[int]  # to remove before: those withdrawn, or restored and so in `rows`
+    last_seq: int  # up to here the changes are complete
+    whole: bool = True  # whether these are all changes; else read on from `last_seq`
 
 
 @dataclass(frozen=True)
-class Change:
-    """The changes of one committed transaction of this process, for listeners.
+class TableAt:
+    """A component's table at a version, the number of the newest change in it."""
 
-    ``jobs`` are the numbers of the jobs it touched and ``rows`` counts the rows it added,
-    withdrew or restored.
-    """
-
-    component: str
-    jobs: tuple[int, ...] = ()
-    rows: int = 0
+    version: int
+    known: tuple[bool, ...]  # any row has an uncertainty, tangents, a curvature, a note, a setup
+    lots: Iterator[NotedRows]
 
 
 class LedgerError(Exception):
@@ -236,7 +165,7 @@ class UnknownImportError(LedgerError, LookupError):
 
 
 class InvalidTransitionError(LedgerError):
-    """The job's status does not allow this; see the table in ``service.ledger.states``."""
+    """The job's status does not allow this; see `TRANSITIONS`."""
 
 
 class StaleAttemptError(InvalidTransitionError):

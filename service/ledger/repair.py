@@ -25,20 +25,19 @@ from wrenchbook.service.ledger.connection import (
     raise_sequences,
     sequences,
 )
-from wrenchbook.service.ledger.records import NewRow
+from wrenchbook.surrogate.table.rows import Rows
 
-SEQUENCES = ("jobs", "rows")  # of sqlite_sequence; rows and edits share one
 _DIGEST = 8  # bytes
 _TABLES = (
     *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
     *("imports", "import_parts", "catalogue", "demand", "solver_errors"),
 )
-_MOST_ROWID = 10_000_000  # where the highest number is unknown
-_MOST_NUMBER = 1 << 48  # larger numbers are damaged
+_MAX_ROWID = 10_000_000  # where the highest number is unknown
+_MAX_NUMBER = 1 << 48  # larger numbers are damaged
 _HEAD_BYTES = 100  # of a file: https://www.sqlite.org/fileformat.html
 _MAGIC = b"SQLite format 3\0"
-_MOST_BYTES = 1 << 34  # of a ledger; a damaged header may contain more
-_MOST_MISSES = 50_000  # failed reads, 20 µs each
+_MAX_BYTES = 1 << 34  # of a ledger; a damaged header may contain more
+_MAX_MISSES = 50_000  # failed reads, 20 µs each
 
 
 class Numbers(NamedTuple):
@@ -49,12 +48,9 @@ class Numbers(NamedTuple):
 
 
 class Acknowledged:
-    """The highest numbers that a ledger has acknowledged, in a file next to it.
+    """The highest numbers that a ledger has acknowledged, in the file ``<ledger>-acknowledged``.
 
-    Parameters
-    ----------
-    ledger : path
-        The ledger's file; the numbers are in ``<file>-acknowledged``, losses in ``<file>-lost``.
+    Losses are noted in ``<ledger>-lost``.
     """
 
     def __init__(self, ledger: Path) -> None:
@@ -67,21 +63,27 @@ class Acknowledged:
         if numbers.jobs <= self._noted.jobs and numbers.rows <= self._noted.rows:
             return
         # Of two processes that write at once either's numbers stay, until the next commit.
-        known = self.read()
-        self._noted = Numbers(*map(max, numbers, known))
+        self._noted = Numbers(*map(max, numbers, self.read()))
+        text = b"%d %d\n" % self._noted
+        content = text + blake2b(text, digest_size=_DIGEST).digest()
         with suppress(OSError):
-            self._write(self._noted)
+            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            try:
+                # The numbers only grow, so the text never gets shorter; one write is whole or not.
+                os.pwrite(descriptor, content, 0)
+            finally:
+                os.close(descriptor)
 
     def read(self) -> Numbers:
         """Return the numbers written last; zeros if the file is missing or damaged."""
         try:
-            words = self._path.read_bytes()
+            content = self._path.read_bytes()
         except OSError:
             return Numbers()
-        text, digest = words[:-_DIGEST], words[-_DIGEST:]
+        text, digest = content[:-_DIGEST], content[-_DIGEST:]
         if blake2b(text, digest_size=_DIGEST).digest() != digest:
             return Numbers()
-        return Numbers(*(int(word) for word in text.split()))
+        return Numbers(*map(int, text.split()))
 
     def compare(self, present: Numbers) -> Numbers | None:
         """Record a loss and return the acknowledged numbers if they are above the present ones."""
@@ -99,43 +101,39 @@ class Acknowledged:
         return noted
 
     def losses(self) -> list[str]:
-        """Return the losses that have not been settled yet, as sentences."""
-        return [_sentence(loss) for loss in self._unsettled()]
+        """Return the losses that no repair has noted yet, as sentences."""
+        return [_sentence(loss) for loss in self._open_losses()]
 
-    def lost(self) -> tuple[Numbers, int]:
-        """Return how many numbers of jobs and rows were lost, and the highest one of a row."""
-        losses = self._unsettled()
-        count = {
-            what: sum(loss[what][1] - loss[what][0] + 1 for loss in losses) for what in SEQUENCES
-        }
-        return Numbers(**count), max((loss["rows"][1] for loss in losses), default=0)
+    def lost(self, db: Connection) -> Numbers:
+        """Return how many acknowledged jobs and rows are gone, without rows put back since.
 
-    def _unsettled(self) -> list[dict[str, Any]]:
+        Edits share the rows' numbers, so that there may be fewer rows.
+        """
+        losses = self._open_losses()
+        jobs, lost_rows = (
+            sum(loss[name][1] - loss[name][0] + 1 for loss in losses) for name in ("jobs", "rows")
+        )
+        last = max((loss["rows"][1] for loss in losses), default=0)
+        select = "SELECT count(*) FROM rows WHERE origin = 'table file' AND seq > ?"
+        return Numbers(jobs, max(0, lost_rows - db.execute(select, (last,)).fetchone()[0]))
+
+    def close(self, move: Callable[[Path], Path]) -> None:
+        """Move the record of losses aside, so that it is reported no more."""
+        if self._losses.exists():
+            move(self._losses)
+
+    def _open_losses(self) -> list[dict[str, Any]]:
         try:
             lines = self._losses.read_text(encoding="utf-8").splitlines()
         except OSError:
             return []
-        found = []
+        losses = []
         for line in lines:
             with suppress(ValueError, KeyError, TypeError):
                 loss = json.loads(line)
                 _sentence(loss)  # fails for a line that is not whole
-                found.append(loss)
-        return found
-
-    def settle(self, move: Callable[[Path], Path]) -> Path | None:
-        """Move the record of losses aside; return its new path, None if there is none."""
-        return move(self._losses) if self._losses.exists() else None
-
-    def _write(self, numbers: Numbers) -> None:
-        text = b"%d %d\n" % numbers
-        words = text + blake2b(text, digest_size=_DIGEST).digest()
-        descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        try:
-            # The numbers only grow, so the text never gets shorter; one write is whole or absent.
-            os.pwrite(descriptor, words, 0)
-        finally:
-            os.close(descriptor)
+                losses.append(loss)
+        return losses
 
 
 def _sentence(loss: dict[str, Any]) -> str:
@@ -155,48 +153,25 @@ def _sentence(loss: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Salvaged:
-    """Counts of a salvage.
+    """Counts of a salvage."""
 
-    Attributes
-    ----------
-    read : dict of str to int
-        Records read, by table.
-    reopened : int
-        Done jobs whose row is lost; they wait again.
-    given : int
-        The highest number of a job ever used.
-    lost_rows : int
-        Upper bound on the acknowledged rows that are in neither copy: edits and abandoned
-        imports use numbers of rows as well.
-    """
-
-    read: dict[str, int]
-    reopened: int
-    given: int
+    read: dict[str, int]  # records, by table
+    reopened: int  # done jobs whose row is lost; they wait again
+    highest_job: int  # number ever used
+    # Upper bound on the acknowledged rows that are in neither copy: edits and abandoned imports use
+    # numbers of rows as well.
     lost_rows: int
 
 
-Spare = tuple[str, int, NewRow, float]
-"""A row of a table file: component, number in the ledger, row, seconds since the epoch."""
-
-
 def salvage(
-    damaged: Path, target: Path, spare: Iterable[Spare], acknowledged: Acknowledged
+    damaged: Path, target: Path, spare: Iterable[tuple[str, Rows, float]], noted: Numbers
 ) -> Salvaged:
     """Write a new ledger from a damaged one, which is only read, and from the table files.
 
-    Rows come from the table files first, which have digests. A done job whose row is nowhere waits
-    again, and no number that was used is used again.
-
-    Parameters
-    ----------
-    damaged : path
-        A copy that no other process uses, with its log next to it.
-    target : path
-        The new ledger; must not exist.
-    spare : iterable of Spare
-    acknowledged : Acknowledged
-        Of the damaged ledger.
+    Rows come from the table files first, which have digests: `spare` has the component, the rows
+    and the time of each. A done job whose row is nowhere waits again, and no number that was used,
+    or `noted` as acknowledged, is used again. `damaged` is a copy that no other process uses, with
+    its log next to it; `target` must not exist.
     """
     _pad(damaged)
     try:
@@ -205,15 +180,25 @@ def salvage(
         source = connect(damaged.with_name("nothing.sqlite"))
     new = open_file(target)
     try:
-        highest = _highest(source, acknowledged.read()._asdict())
+        highest = noted._asdict()
+        with suppress(*USE_ERRORS):
+            for name, number in sequences(source).items():
+                if isinstance(number, int) and number < _MAX_NUMBER:
+                    highest[name] = max(highest.get(name, 0), number)
         new.execute("PRAGMA foreign_keys = OFF")
         new.execute("BEGIN IMMEDIATE")
-        for one in spare:
-            rows.place(new, *one)
+        for component, some, written in spare:
+            rows.place(new, component, some, written)
         read = {name: _copy(source, new, name, highest) for name in _TABLES}
-        reopened = _detach(new)
+        # References to missing jobs and rows.
+        new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
+        new.execute("DELETE FROM edits WHERE row NOT IN (SELECT seq FROM rows)")
+        reopened = new.execute(
+            "UPDATE jobs SET status = 'waiting', row = NULL, started = NULL, finished = NULL"
+            " WHERE row IS NOT NULL AND row NOT IN (SELECT seq FROM rows)"
+        ).rowcount
         there = "SELECT (SELECT count(*) FROM rows) + (SELECT count(*) FROM edits)"
-        lost_rows = max(0, acknowledged.read().rows - new.execute(there).fetchone()[0])
+        lost_rows = max(0, noted.rows - new.execute(there).fetchone()[0])
         new.execute("COMMIT")
         raise_sequences(new, {name: highest.get(name, 0) for name in ("jobs", "rows")})
     finally:
@@ -229,18 +214,8 @@ def _pad(damaged: Path) -> None:
         pages, size = int.from_bytes(head[28:32]), int.from_bytes(head[16:18])
         size = 65536 if size == 1 else size  # as the format writes it
         whole = pages * size
-        if head.startswith(_MAGIC) and damaged.stat().st_size < whole < _MOST_BYTES:
+        if head.startswith(_MAGIC) and damaged.stat().st_size < whole < _MAX_BYTES:
             file.truncate(whole)  # sparse
-
-
-def _highest(source: Connection, noted: dict[str, int]) -> dict[str, int]:
-    try:
-        known = sequences(source)
-    except USE_ERRORS:
-        return noted
-    known = {name: n for name, n in known.items() if isinstance(n, int) and n < _MOST_NUMBER}
-    both = noted.keys() | known.keys()
-    return {name: max(noted.get(name, 0), known.get(name, 0)) for name in both}
 
 
 def _copy(source: Connection, new: Connection, table: str, highest: dict[str, int]) -> int:
@@ -253,7 +228,7 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
     if not common:
         return 0
     numbered = "rows" if table in ("edits", "import_parts") else table
-    until = highest.get(numbered, _MOST_ROWID)
+    until = highest.get(numbered) or _MAX_ROWID
     select = f"SELECT {', '.join(common)} FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ?"
     marks = ", ".join("?" * len(common))
     insert = f"INSERT OR IGNORE INTO {table} ({', '.join(common)}) VALUES ({marks})"
@@ -269,42 +244,14 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
 def _readable(source: Connection, select: str, until: int) -> Iterator[tuple]:
     """Yield all readable records, halving each range of numbers that is not readable."""
     ranges, misses = [(0, until)], 0
-    while ranges and misses < _MOST_MISSES:
+    while ranges and misses < _MAX_MISSES:
         first, last = ranges.pop()
         try:
-            found = source.execute(select, (first, last)).fetchall()
+            records = source.execute(select, (first, last)).fetchall()
         except USE_ERRORS:
             misses += 1
             if first < last:
                 middle = (first + last) // 2
                 ranges += [(middle + 1, last), (first, middle)]
             continue
-        yield from found
-
-
-def _detach(new: Connection) -> int:
-    """Set references to missing jobs and rows to null; return how many jobs wait again."""
-    new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
-    new.execute("DELETE FROM edits WHERE row NOT IN (SELECT seq FROM rows)")
-    return new.execute(
-        "UPDATE jobs SET status = 'waiting', row = NULL, started = NULL, finished = NULL"
-        " WHERE row IS NOT NULL AND row NOT IN (SELECT seq FROM rows)"
-    ).rowcount
-
-
-def lost(db: Connection, acknowledged: Acknowledged) -> Numbers:
-    """Return how many acknowledged jobs and rows are gone, without rows put back since.
-
-    Edits share the rows' numbers, so that there may be fewer rows.
-    """
-    gone, last = acknowledged.lost()
-    select = "SELECT count(*) FROM rows WHERE origin = 'table file' AND seq > ?"
-    back = db.execute(select, (last,)).fetchone()[0]
-    return Numbers(gone.jobs, max(0, gone.rows - back))
-
-
-def damaged_rows(db: Connection) -> dict[int, str]:
-    """Return the damaged rows of the ledger, with the component they name. All rows are read."""
-    named = dict(db.execute("SELECT seq, component FROM rows ORDER BY seq").fetchall())
-    sound = rows.numbered(db, named)
-    return {seq: str(component) for seq, component in named.items() if seq not in sound}
+        yield from records

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
-from wrenchbook.service.ledger.connections import Database
+from wrenchbook.service.ledger.ledger import Ledger
 from wrenchbook.service.ledger.records import LedgerError
 
 _log = logging.getLogger(__name__)
@@ -33,7 +33,7 @@ class Watcher:
     Files of the data directory that are no part of the ledger are watched along: see `on_change`.
     """
 
-    def __init__(self, ledger: Database) -> None:
+    def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
         self._entries: tuple[_Entry, ...] = ()
         self._lock = threading.Lock()
@@ -43,7 +43,7 @@ class Watcher:
 
     def start(self) -> None:
         """Start the thread."""
-        self._end_notices = self._ledger.on_change(lambda _: self._wake.set())
+        self._end_notices = self._ledger.on_change(self._wake.set)
         self._thread.start()
 
     def stop(self) -> None:

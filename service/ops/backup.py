@@ -53,26 +53,15 @@ class BackupError(RuntimeError):
 
 @dataclass(frozen=True)
 class Manifest:
-    """The contents of a backup.
+    """The contents of a backup; lengths and digests by the files' paths in the data directory."""
 
-    Attributes
-    ----------
-    created : float
-        Seconds since the epoch.
-    ledger_schema : int
-    files : dict of str to [int, str]
-        Length and digest of each file, by its path in the data directory.
-    skipped : tuple of str
-        Files in a backup of an earlier version that this one does not restore, such as keys.
-    """
-
-    created: float
+    created: float  # seconds since the epoch
     ledger_schema: int
     files: Mapping[str, tuple[int, str]] = field(default_factory=dict)
     program: str = field(default_factory=lambda: version("wrenchbook"))
     format: str = FORMAT
     schema: int = SCHEMA
-    skipped: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()  # files of an earlier version that are not restored: keys
 
 
 def back_up(folder: Path, target: Path) -> Manifest:
@@ -80,19 +69,9 @@ def back_up(folder: Path, target: Path) -> Manifest:
 
     Tables are copied before the ledger, so that none in the backup is newer than it, and the
     library after it, so that no row is without its component. The backup is read again and
-    compared before the file gets its name.
-
-    Parameters
-    ----------
-    folder : path
-        The data directory.
-    target : path
-        An existing file is replaced, but only by a complete backup.
-
-    Raises
-    ------
-    BackupError
-        If there is nothing to back up, the ledger is damaged, or the file cannot be written.
+    compared before the file gets its name. An existing file is replaced, but only by a complete
+    backup. Raises BackupError if there is nothing to back up, the ledger is damaged, or the file
+    cannot be written.
     """
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
@@ -122,11 +101,8 @@ def verify(source: Path) -> Manifest:
 def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     """Copy each file of a backup to the file that `place` opens, and compare its digest.
 
-    Raises
-    ------
-    BackupError
-        If the backup is damaged, of a newer format, of another user, or has a file that no backup
-        holds.
+    Raises BackupError if the backup is damaged, of a newer format, of another user, or has a file
+    that no backup holds.
     """
     try:
         about = source.stat()
@@ -226,9 +202,17 @@ def _copied(file: IO[bytes], target: IO[bytes]) -> tuple[int, str]:
     return length, whole.hexdigest()
 
 
-def _files(folder: Path, copy: Path, own: set[Path]) -> Iterator[tuple[str, Path]]:
+def _files(folder: Path, copy: Path, excluded: set[Path]) -> Iterator[tuple[str, Path]]:
     """Yield the files that backups hold, and a copy of the ledger made at its turn."""
-    yield from _in(folder / TABLES, folder, own)
+
+    def held(name: str) -> Iterator[tuple[str, Path]]:
+        place = folder / name
+        for path in [place] if place.is_file() else sorted(place.rglob("*")):
+            path_name = path.relative_to(folder).as_posix()
+            if path.is_file() and _HELD.fullmatch(path_name) and path not in excluded:
+                yield path_name, path
+
+    yield from held(TABLES)
     ledger = Ledger(folder / LEDGER)
     try:
         ledger.copy(copy)
@@ -236,12 +220,4 @@ def _files(folder: Path, copy: Path, own: set[Path]) -> Iterator[tuple[str, Path
         ledger.close()
     yield LEDGER, copy
     for name in _FOLDERS:
-        yield from _in(folder / name, folder, own)
-
-
-def _in(place: Path, folder: Path, own: set[Path]) -> Iterator[tuple[str, Path]]:
-    """Yield the files at a place that backups hold."""
-    for path in [place] if place.is_file() else sorted(place.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if path.is_file() and _HELD.fullmatch(name) and path not in own:
-            yield name, path
+        yield from held(name)

@@ -29,17 +29,9 @@ _MOST_NAMED = 5  # paths of one kind in a finding; the number of further ones fo
 
 @dataclass(frozen=True)
 class DataFinding:
-    """One finding of a check.
+    """One finding of a check."""
 
-    Attributes
-    ----------
-    kind : str
-        ``fault``: needs repair; ``mended``: was repaired; ``note``: needs nothing.
-    what : str
-    remedy : str
-    """
-
-    kind: Literal["fault", "mended", "note"]
+    kind: Literal["fault", "mended", "note"]  # needs repair, was repaired, needs nothing
     what: str
     remedy: str = ""
 

@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.service.files.durable import sync_folder
-from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError, NewRow, repair
-from wrenchbook.service.ledger.repair import Acknowledged, Salvaged, Spare, salvage
-from wrenchbook.service.ledger.rows import rewrite
+from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError
+from wrenchbook.service.ledger.repair import Acknowledged, salvage
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.backup import LEDGER
@@ -30,236 +29,204 @@ from wrenchbook.service.ops.checks import (
     move_aside,
 )
 from wrenchbook.service.ops.restore import in_use
-from wrenchbook.service.tables.files import TableFiles, new_row
-from wrenchbook.service.tables.rows import own_rows, table_rows, unsolved, without
+from wrenchbook.service.tables.files import TableFiles
+from wrenchbook.service.tables.rows import unsolved
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
 from wrenchbook.surrogate.table.meta import TableMeta
-from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.rows import Rows, joined
 
-Found = dict[str, tuple[Rows, TableMeta]]
-_KEPT = "The damaged one was moved aside; a backup may have more"
+Whole = dict[str, tuple[Rows, TableMeta]]
 
 
 def examine(folder: Path, *, mend: bool = False) -> list[DataFinding]:
-    """Check a data directory; repair what another copy has.
+    """Check a data directory; with `mend`, repair what another copy has.
 
     A server may use the directory meanwhile, except for the repair of a damaged ledger file.
-
-    Parameters
-    ----------
-    folder : path
-        The data directory.
-    mend : bool
-        Whether to repair.
     """
     folder = folder.absolute()
     if not folder.is_dir():
         return [
             DataFinding("fault", f"there is no data directory {folder}", "say which with --data")
         ]
-    found = [*check_disk(folder), *check_side_files(folder, mend=mend)]
+    findings = [*check_disk(folder), *check_side_files(folder, mend=mend)]
     ledger, of_ledger = _opened(folder, mend=mend)
-    found += of_ledger
+    findings += of_ledger
     if ledger is None:
-        return found
+        return findings
     try:
         library = Library(folder / "components")
-        found += [
+        findings += [
             DataFinding("fault", f"component {name} cannot be used: {why}", "mend its files")
             for name, why in library.broken().items()
         ]
-        found += _check_tables(ledger, library, folder / "tables", mend=mend)
-        found += find_leftovers(folder, ledger)
-        found += _losses(ledger, mend=mend)
+        findings += _check_tables(ledger, library, folder / "tables", mend=mend)
+        findings += find_leftovers(folder, ledger)
+        findings += _losses(ledger, mend=mend)
     except LedgerError as error:
-        found.append(DataFinding("fault", str(error)))
+        findings.append(DataFinding("fault", str(error)))
     finally:
         ledger.close()
-    return found
+    return findings
 
 
 def _opened(folder: Path, *, mend: bool) -> tuple[Ledger | None, list[DataFinding]]:
     """Return the ledger, repaired if necessary; None if it cannot be used."""
     path = folder / LEDGER
     log = path.with_name(f"{LEDGER}-wal")
-    found = []
+    findings = []
     if _has_bytes(log) and not _has_bytes(path):
         what = f"there is {log.name} without {LEDGER}: what was newest is in it and not readable"
         if not mend:
             return None, [DataFinding("fault", what, f"put {LEDGER} back; if it is gone, {REPAIR}")]
-        found.append(DataFinding("mended", what, f"moved to {move_aside(log, 'orphan').name}"))
+        findings.append(DataFinding("mended", what, f"moved to {move_aside(log, 'orphan').name}"))
     if not _has_bytes(path):
         what = f"{LEDGER} is empty" if path.exists() else f"there is no {LEDGER}"
         if not mend:
             remedy = f"put it back or restore a backup; tables/ has rows, but no jobs; {REPAIR}"
-            return None, [*found, DataFinding("fault", what, remedy)]
-        found.append(DataFinding("mended", what, "a new one was made; see the tables below"))
+            return None, [*findings, DataFinding("fault", what, remedy)]
+        findings.append(DataFinding("mended", what, "a new one was made; see the tables below"))
     try:
-        return Ledger(path), found
+        return Ledger(path), findings
     except LedgerDamagedError as error:
-        if not mend:
-            remedy = f"stop the server and restore a backup, or {REPAIR}"
-            return None, [*found, DataFinding("fault", str(error), remedy)]
-        if in_use(folder):
+        if mend and not in_use(folder):
+            findings += _rebuilt(folder, str(error))
+            ledger, more = _opened(folder, mend=False)
+            return ledger, findings + more
+        remedy = f"stop the server and restore a backup, or {REPAIR}"
+        if mend:
             remedy = "stop the server that uses it, then mend"
-            return None, [*found, DataFinding("fault", str(error), remedy)]
-        found += _rebuilt(folder, str(error))
+        return None, [*findings, DataFinding("fault", str(error), remedy)]
     except LedgerError as error:
-        return None, [*found, DataFinding("fault", str(error))]
-    ledger, more = _opened(folder, mend=False)
-    return ledger, found + more
-
-
-def _losses(ledger: Ledger, *, mend: bool) -> list[DataFinding]:
-    """Return acknowledged jobs and rows that are gone; with `mend` for the last time."""
-    losses = ledger.losses()
-    if not mend or not losses:
-        return [DataFinding("fault", one, "settle it with: --mend") for one in losses]
-    acknowledged = Acknowledged(ledger.path)
-    with ledger.reading() as db:
-        gone = repair.lost(db, acknowledged)
-    acknowledged.settle(lambda file: move_aside(file, "settled"))
-    found = [DataFinding("mended", one, "noted; it is told no more") for one in losses]
-    if not any(gone):
-        return found
-    return [*found, _gone(f"up to {gone.rows} rows and {gone.jobs} jobs")]
-
-
-def _gone(what: str) -> DataFinding:
-    remedy = "restore a backup, or load or solve them again; the next look does not repeat this"
-    return DataFinding("fault", f"{what} that were acknowledged are gone", remedy)
-
-
-def _rebuilt(folder: Path, what: str) -> list[DataFinding]:
-    """Replace a damaged ledger that no server uses."""
-    made = _salvaged(folder)
-    jobs, rows = made.read["jobs"], made.read["rows"]
-    text = f"a new one was made: {jobs} jobs of {made.given} and {rows} rows could be read, others "
-    text += "come from the tables' files"
-    text += f"; jobs that were lost: {lost}" if (lost := made.given - jobs) > 0 else ""
-    again = f"; {made.reopened} jobs wait again, their rows being lost" if made.reopened else ""
-    found = [DataFinding("mended", what, f"{text}{again}. {_KEPT}")]
-    return [*found, _gone(f"up to {made.lost_rows} rows")] if made.lost_rows else found
-
-
-def _salvaged(folder: Path) -> Salvaged:
-    """Replace a damaged ledger by the readable part of it and of the table files."""
-    path = folder / LEDGER
-    with tempfile.TemporaryDirectory(prefix=".mending-", dir=folder) as scratch:
-        copy, new = Path(scratch) / "damaged.sqlite", Path(scratch) / LEDGER
-        shutil.copyfile(path, copy)
-        if _has_bytes(log := path.with_name(f"{LEDGER}-wal")):
-            shutil.copyfile(log, copy.with_name(f"{copy.name}-wal"))
-        made = salvage(copy, new, _spare(folder / "tables"), Acknowledged(path))
-        for end in ("-wal", "-shm", ""):
-            if (old := path.with_name(f"{LEDGER}{end}")).exists():
-                move_aside(old)
-        new.rename(path)
-        sync_folder(folder)
-    return made
-
-
-def _spare(tables: Path) -> Iterator[Spare]:
-    whole, _ = _read_all(tables, mend=False)
-    for name, (rows, _) in whole.items():
-        written = (tables / f"{name}.h5").stat().st_mtime
-        for place, seq in enumerate(rows.seq.tolist()):
-            yield name, seq, new_row(rows, place), written
+        return None, [*findings, DataFinding("fault", str(error))]
 
 
 def _has_bytes(path: Path) -> bool:
     return path.exists() and path.stat().st_size > 0
 
 
+def _rebuilt(folder: Path, what: str) -> list[DataFinding]:
+    """Replace a damaged ledger by the readable part of it and of the table files."""
+    path, tables = folder / LEDGER, folder / "tables"
+    with tempfile.TemporaryDirectory(prefix=".mending-", dir=folder) as scratch:
+        copy, new = Path(scratch) / "damaged.sqlite", Path(scratch) / LEDGER
+        shutil.copyfile(path, copy)
+        if _has_bytes(log := path.with_name(f"{LEDGER}-wal")):
+            shutil.copyfile(log, copy.with_name(f"{copy.name}-wal"))
+        whole, _ = _read_all(tables, mend=False)
+        spare = (
+            (name, rows, (tables / f"{name}.h5").stat().st_mtime)
+            for name, (rows, _) in whole.items()
+        )
+        salvaged = salvage(copy, new, spare, Acknowledged(path).read())
+        for end in ("-wal", "-shm", ""):
+            if (old := path.with_name(f"{LEDGER}{end}")).exists():
+                move_aside(old)
+        new.rename(path)
+        sync_folder(folder)
+    jobs, rows, highest = salvaged.read["jobs"], salvaged.read["rows"], salvaged.highest_job
+    text = f"a new one was made: {jobs} jobs of {highest} and {rows} rows could be read, others "
+    text += "come from the tables' files"
+    text += f"; jobs that were lost: {highest - jobs}" if highest > jobs else ""
+    if salvaged.reopened:
+        text += f"; {salvaged.reopened} jobs wait again, their rows being lost"
+    text += ". The damaged one was moved aside; a backup may have more"
+    return [
+        DataFinding("mended", what, text),
+        *_gone(f"up to {salvaged.lost_rows} rows", salvaged.lost_rows),
+    ]
+
+
+def _losses(ledger: Ledger, *, mend: bool) -> list[DataFinding]:
+    """Return acknowledged jobs and rows that are gone; with `mend` for the last time."""
+    losses = ledger.losses()
+    if not mend or not losses:
+        return [DataFinding("fault", loss, "settle it with: --mend") for loss in losses]
+    acknowledged = Acknowledged(ledger.path)
+    with ledger.reading() as db:
+        gone = acknowledged.lost(db)
+    acknowledged.close(lambda file: move_aside(file, "settled"))
+    findings = [DataFinding("mended", loss, "noted; it is told no more") for loss in losses]
+    return findings + _gone(f"up to {gone.rows} rows and {gone.jobs} jobs", sum(gone))
+
+
+def _gone(what: str, count: int) -> list[DataFinding]:
+    if not count:
+        return []
+    remedy = "restore a backup, or load or solve them again; the next look does not repeat this"
+    return [DataFinding("fault", f"{what} that were acknowledged are gone", remedy)]
+
+
 def _check_tables(
     ledger: Ledger, library: Library, folder: Path, *, mend: bool
 ) -> list[DataFinding]:
     """Compare the rows of the ledger and of the table files; repair either from the other."""
-    whole, found = _read_all(folder, mend=mend, count=ledger.count_rows)
-    found += _damaged_rows(ledger, whole, mend=mend)
+    whole, findings = _read_all(folder, mend=mend, count=ledger.count_rows)
+    findings += _damaged_rows(ledger, whole, mend=mend)
     files = TableFiles(folder, ledger)
     for name in library.names():
-        found += _compare(ledger, library[name], files, whole.get(name), mend=mend)
-        found += _of_another_setup(ledger, library[name])
-    unknown = sorted(whole.keys() - set(library.names()))
-    what = "{} is the table of a component that is not in the library"
+        findings += _compare(ledger, library[name], files, whole.get(name), mend=mend)
+        findings += _of_another_setup(ledger, library[name])
     remedy = "put its bundle into components/ again, or move the file away"
-    return found + [
-        DataFinding("note", what.format(f"tables/{name}.h5"), remedy) for name in unknown
-    ]
+    for name in sorted(whole.keys() - set(library.names())):
+        what = f"tables/{name}.h5 is the table of a component that is not in the library"
+        findings.append(DataFinding("note", what, remedy))
+    return findings
 
 
 def _read_all(
     folder: Path, *, mend: bool, count: Callable[[str], int] = lambda _: 0
-) -> tuple[Found, list[DataFinding]]:
+) -> tuple[Whole, list[DataFinding]]:
     """Return the tables of all readable files, and findings on the others.
 
     `count` returns how many rows of a component the ledger has.
     """
-    whole: Found = {}
-    found = []
+    whole: Whole = {}
+    findings = []
     for path in sorted(folder.glob("*.h5")):
+        name = f"tables/{path.name}"
         if not os.access(path, os.R_OK):
             remedy = f"make it readable and writable for user {os.getuid()}, as the server runs"
-            found.append(DataFinding("fault", f"tables/{path.name} may not be read", remedy))
+            findings.append(DataFinding("fault", f"{name} may not be read", remedy))
             continue
         try:
             rows, meta = read_table(path)
             if meta.component != path.stem:
                 raise TableFileError(f"{path.name} is the table of {meta.component!r}")
+            whole[path.stem] = rows, meta
         except (TableFileError, OSError) as error:
-            what = f"tables/{path.name} cannot be used: {error}"
-            found.append(_unusable(path, what, count(path.stem), mend=mend))
-            continue
-        whole[path.stem] = rows, meta
-    return whole, found
+            stored = count(path.stem)
+            remedy = f"moved to {move_aside(path).name}" if mend else ""
+            if not stored:
+                lost = (
+                    "the ledger has no row of it: restore a backup, or load or solve its rows again"
+                )
+                remedy = f"{remedy}; {lost}" if mend else lost
+            elif not mend:
+                remedy = f"the ledger has {stored} rows of it; {REPAIR}"
+            kind = "mended" if mend and stored else "fault"
+            findings.append(DataFinding(kind, f"{name} cannot be used: {error}", remedy))
+    return whole, findings
 
 
-def _unusable(path: Path, what: str, left: int, *, mend: bool) -> DataFinding:
-    """Return the finding on a damaged table file; `left` rows of it are in the ledger."""
-    if not left:
-        lost = "the ledger has no row of it: restore a backup, or load or solve its rows again"
-        moved = f"moved to {move_aside(path).name}; " if mend else ""
-        return DataFinding("fault", what, f"{moved}{lost}")
-    if mend:
-        return DataFinding("mended", what, f"moved to {move_aside(path).name}")
-    return DataFinding("fault", what, f"the ledger has {left} rows of it; {REPAIR}")
-
-
-def _damaged_rows(ledger: Ledger, whole: Found, *, mend: bool) -> list[DataFinding]:
-    found = []
-    with ledger.reading() as db:
-        damaged = repair.damaged_rows(db)
-    for seq, named in damaged.items():
+def _damaged_rows(ledger: Ledger, whole: Whole, *, mend: bool) -> Iterator[DataFinding]:
+    for seq, named in ledger.damaged_rows().items():
         what = f"row {seq} of {named} is damaged in the ledger"
-        copy = _copy_of(seq, whole)
-        if copy is None:
+        name = next((name for name, (rows, _) in whole.items() if seq in rows.seq), None)
+        if name is None:
             remedy = (
                 "no whole table file has it: ask for its wrench again to have it solved or load it "
                 "again, or restore a backup"
             )
-            found.append(DataFinding("fault", what, remedy))
+            yield DataFinding("fault", what, remedy)
         elif not mend:
-            found.append(DataFinding("fault", what, f"tables/{copy[0]}.h5 has it; {REPAIR}"))
-        elif _rewritten(ledger, copy[0], seq, new_row(copy[1], copy[2])):
-            found.append(DataFinding("mended", what, f"written anew from tables/{copy[0]}.h5"))
+            yield DataFinding("fault", what, f"tables/{name}.h5 has it; {REPAIR}")
         else:
-            remedy = "the same row is there under another number, which is used"
-            found.append(DataFinding("note", what, remedy))
-    return found
-
-
-def _rewritten(ledger: Ledger, component: str, seq: int, row: NewRow) -> bool:
-    with ledger.writing() as db:
-        return rewrite(db, component, seq, row)
-
-
-def _copy_of(seq: int, whole: Found) -> tuple[str, Rows, int] | None:
-    for name, (rows, _) in whole.items():
-        places = np.flatnonzero(rows.seq == seq)
-        if len(places):
-            return name, rows, int(places[0])
-    return None
+            rows = whole[name][0]
+            if ledger.rewrite(name, seq, rows.take(np.flatnonzero(rows.seq == seq)[:1])):
+                yield DataFinding("mended", what, f"written anew from tables/{name}.h5")
+            else:
+                remedy = "the same row is there under another number, which is used"
+                yield DataFinding("note", what, remedy)
 
 
 def _compare(
@@ -284,7 +251,7 @@ def _compare(
     if not mend:
         return [DataFinding("fault" if on_file else "note", what, f"a server's start or {REPAIR}")]
     files.load(component)  # puts rows that the file alone has back into the ledger
-    rows, last_seq = _whole_table(ledger, component)
+    rows, last_seq = _table(ledger, component)
     files.save(component, rows, last_seq)
     back = ledger.count_rows(name) - count
     remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)} rows"
@@ -296,7 +263,7 @@ def _of_another_setup(ledger: Ledger, component: Component) -> list[DataFinding]
     others = ledger.of_other_setups(component.name, component.fingerprint)
     if not others:
         return []
-    rows, _ = _whole_table(ledger, component)
+    rows, _ = _table(ledger, component)
     known = component.linear and bool(np.isfinite(rows.compliance).all(axis=(1, 2)).any())
     wrenches = unsolved(component, others, rows.wrench)
     if known or not len(wrenches):  # one solve of a linear component determines its compliance
@@ -308,15 +275,9 @@ def _of_another_setup(ledger: Ledger, component: Component) -> list[DataFinding]
     return [DataFinding("note", what, remedy)]
 
 
-def _whole_table(ledger: Ledger, component: Component) -> tuple[Rows, int]:
-    """Return all rows that the ledger has of a component, and its newest change."""
-    rows, after = Rows.empty(component.space), 0
-    while True:
-        row_changes = ledger.row_changes(component.name, after)
-        rows, after = (
-            without(rows, row_changes.gone)
-            + table_rows(component, own_rows(component, row_changes.rows)),
-            row_changes.last_seq,
-        )
-        if row_changes.whole:
-            return rows, after
+def _table(ledger: Ledger, component: Component) -> tuple[Rows, int]:
+    """Return all rows that the ledger has of a component's setup, and its newest change."""
+    setup = {"space": component.space, "fingerprint": component.fingerprint}
+    with ledger.table_at(component.name, **setup) as table:
+        lots = [lot.rows for lot in table.lots]
+    return joined([Rows.empty(component.space), *lots]), table.version

@@ -24,27 +24,10 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
     """Restore a backup into a data directory.
 
     The backup is verified first, and the restored files before they replace others. Keys and
-    settings of the directory stay. Restored files are their owner's alone to read.
-
-    Parameters
-    ----------
-    source : path
-        The backup.
-    folder : path
-        Made if there is none.
-    overwrite : bool
-        Whether the directory may have more than keys and settings; what it has is moved aside.
-
-    Returns
-    -------
-    manifest : Manifest
-    aside : path or None
-        The folder that has the previous content.
-
-    Raises
-    ------
-    BackupError
-        If the backup is not whole or too new, or the directory not empty, in use or not writable.
+    settings of the directory stay. Restored files are their owner's alone to read. With
+    `overwrite` the directory may have more than keys and settings: it is moved aside, into the
+    folder that is returned with the manifest. Raises BackupError if the backup is not whole or too
+    new, or the directory not empty, in use or not writable.
     """
     folder = folder.absolute()
     verify(source)

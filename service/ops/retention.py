@@ -39,15 +39,7 @@ KEEP = Keep()
 
 
 class Retention:
-    """A thread that bounds the size of a data directory.
-
-    Parameters
-    ----------
-    ledger : Ledger
-    jobs_folder : path
-        Of the attempts' folders.
-    keep : Keep
-    """
+    """A thread that bounds the size of a data directory; `jobs_folder` has the attempts'."""
 
     def __init__(self, ledger: Ledger, jobs_folder: Path, keep: Keep = KEEP) -> None:
         self._ledger, self._jobs_folder, self._keep = ledger, jobs_folder, keep
@@ -91,12 +83,8 @@ def prune(
     """Remove the folders of attempts beyond the age or number of `keep`.
 
     Folders of open jobs stay, and those of jobs that the ledger does not have. A job that ended in
-    the future, by a clock that was set back since, counts as new.
-
-    Returns
-    -------
-    int
-        Number of jobs whose folders were removed.
+    the future, by a clock that was set back since, counts as new. Returns the number of jobs whose
+    folders were removed.
     """
     numbers = sorted((int(name) for name in _names(jobs_folder) if name.isdecimal()), reverse=True)
     kept, removed, now = {True: 0, False: 0}, 0, time.time()

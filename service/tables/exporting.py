@@ -18,18 +18,17 @@ from wrenchbook.service.formats import (
     write_parquet,
     write_xlsx,
 )
-from wrenchbook.service.ledger import Ledger
-from wrenchbook.service.ledger.tables import TableAt
+from wrenchbook.service.ledger import Ledger, NotedRows, TableAt
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import (
     CONTRACT_WORDS,
     ExportRows,
     export_rows,
     joined_rows,
-    own_rows,
     table_meta,
 )
 from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import Rows
 
 ExportFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
 Pieces = Iterator[ExportRows]
@@ -88,13 +87,13 @@ def export_table(
         If a sheet cannot hold it.
     """
     check_units(request)
-    with ledger.table_at(component.name, request.version) as table:
+    setup = {"space": component.space, "fingerprint": component.fingerprint}
+    with ledger.table_at(component.name, request.version, **setup) as table:
         spans = ledger.import_spans(component.name)
-        pieces = (
-            export_rows(component.space, own_rows(component, lot), spans) for lot in table.lots
-        )
+        pieces = (export_rows(lot, spans) for lot in table.lots)
         if request.format == "hdf5":
-            rows = joined_rows([export_rows(component.space, [], []), *pieces])
+            none = export_rows(NotedRows(Rows.empty(component.space), ()))
+            rows = joined_rows([none, *pieces])
             meta = table_meta(component, table.version, error)
             path.write_bytes(write_hdf5(rows, rows.seq, meta))
         else:

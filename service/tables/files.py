@@ -7,12 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from wrenchbook.service.contract import CONTRACT
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow, RowEdit
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, RowEdit
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import own_rows, table_rows
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_meta, read_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows, joined
@@ -101,9 +98,9 @@ class TableFiles:
             rows, meta = found
             if (meta.last_seq, meta.fingerprint) == (version, component.fingerprint):
                 return rows
-        with self._ledger.table_at(component.name, version) as table:
-            parts = [table_rows(component, own_rows(component, lot)) for lot in table.lots]
-            return joined([Rows.empty(component.space), *parts])
+        setup = {"space": component.space, "fingerprint": component.fingerprint}
+        with self._ledger.table_at(component.name, version, **setup) as table:
+            return joined([Rows.empty(component.space), *(lot.rows for lot in table.lots)])
 
     def _sound(
         self, component: Component, read: Callable[[Path], tuple[T, TableMeta]]
@@ -186,8 +183,7 @@ class TableFiles:
     def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
         """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
         newest = self._ledger.last_seq(name)
-        lost = (new_row(rows, place) for place in range(len(rows)))
-        inserted, _ = self._ledger.insert_rows(name, "", lost, above=meta.last_seq)
+        inserted, _ = self._ledger.insert_rows(name, rows, "table file", above=meta.last_seq)
         if inserted:
             log.warning(
                 "%s: %d rows of the table file were missing in the ledger and are there again",
@@ -216,19 +212,3 @@ class TableFiles:
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{name}.h5"
-
-
-def new_row(rows: Rows, place: int) -> NewRow:
-    """Return a row of a table file as the ledger takes it."""
-    compliance, uncertainty = rows.compliance[place], rows.uncertainty[place]
-    curvature = rows.curvature[place]
-    return NewRow(
-        wrench=rows.wrench[place].tolist(),
-        displacement=rows.displacement[place].tolist(),
-        source=str(rows.source[place]),
-        compliance=compliance.tolist() if np.isfinite(compliance).all() else None,
-        uncertainty=uncertainty.tolist() if np.isfinite(uncertainty).any() else None,
-        origin="table file",
-        fingerprint=str(rows.fingerprint[place]),
-        curvature=curvature.tolist() if np.isfinite(curvature).any() else None,
-    )

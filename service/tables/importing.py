@@ -3,41 +3,24 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats import Options, ReadResult, read_untrusted
+from wrenchbook.service.formats import Options, ParsedTable, ReadResult, read_untrusted
 from wrenchbook.service.formats.rig import Rig
-from wrenchbook.service.ledger import About, Ledger, PackedRow, packed_columns
+from wrenchbook.service.ledger import About, Ledger, row_keys
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import export_rows, own_rows, packed_pieces
+from wrenchbook.service.tables.rows import noted_rows
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.findings.find import MOST
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
-
-@dataclass(frozen=True)
-class ImportRequest:
-    """What is to become of a file's rows.
-
-    Attributes
-    ----------
-    dry_run : bool
-        Only count: nothing is changed.
-    partial : bool
-        Load the good rows though others have mistakes.
-    preview : int
-        Number of the first good rows in the reply.
-    """
-
-    dry_run: bool = False
-    partial: bool = False
-    preview: int = 0
+SAME = 1e-12  # of a number: what an export in other units and its import may lose
+_MAX_TRIED = 16  # stored rows of nearly one size that a row is compared with
 
 
 def import_files(
@@ -45,53 +28,68 @@ def import_files(
     component: Component,
     files: Sequence[Path],
     options: Options,
-    request: ImportRequest,
     about: About,
+    *,
+    dry_run: bool = False,
+    partial: bool = False,
+    preview: int = 0,
 ) -> dict[str, Any]:
     """Read one table, or the logs of the loads and the displacements, and load its rows.
 
-    Load range and fingerprint are the component's, not those of `options`.
-
-    Returns the members of a reply: ``inserted``, ``existing``, ``errors``, ``rows`` and so on;
-    ``loaded`` is whether rows were loaded.
-
-    Raises
-    ------
-    SandboxBusyError, ImportRunningError, LedgerUnavailableError, OSError
-        If it could not be read or written now; nothing was loaded.
+    Load range and fingerprint are the component's, not those of `options`. `dry_run` only counts;
+    with `partial` the good rows are loaded though others have mistakes; the reply has the first
+    `preview` good rows. It has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so
+    on; ``loaded`` is whether rows were loaded. Raises SandboxBusyError, ImportRunningError,
+    LedgerUnavailableError or OSError if nothing could be read or written now.
     """
     own = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
-    read = read_untrusted(files, own, request.preview)
+    read = read_untrusted(files, own, preview)
     report = dict(read.report)
-    refused = report.pop("whole") or bool(report["errors"] and not request.partial)
+    refused = report.pop("whole") or bool(report["errors"] and not partial)
+    report.pop("converted")
     inserted, existing, number = 0, 0, None
-    if not refused and request.dry_run:
-        inserted, existing = _counted(ledger, component, read)
+
+    def pieces() -> Iterator[ParsedTable]:
+        return _with_stored_numbers(ledger, component, read)
+
+    def keys(piece: ParsedTable) -> list[bytes]:
+        return row_keys(component.name, noted_rows(component, piece))
+
+    if not refused and dry_run:
+        named = [key for piece in pieces() for key in keys(piece)]
+        existing = ledger.known_rows(named)
+        inserted = len(named) - existing
     elif not refused:
-        packed = packed_pieces(component, read.pieces())
+        findings = report["findings"]
+        rows_of_findings = [row for finding in findings for row in finding["rows"]]
+        key_of: dict[int, str] = {}
+        for piece in pieces() if rows_of_findings else ():
+            some = piece.take(np.isin(piece.row, rows_of_findings))
+            key_of |= zip(some.row.tolist(), (key.hex() for key in keys(some)), strict=True)
+        stored = [
+            {**one, "rows": [], "keys": [key_of[row] for row in one["rows"]]} for one in findings
+        ]
         about = replace(about, format=report["format"], rig=options.rig)
-        about = replace(about, findings=_with_keys(component, read))
-        inserted, existing, number = ledger.import_rows(component.name, packed, about)
+        about = replace(about, findings=json.dumps(stored))
+        blocks = (noted_rows(component, piece) for piece in pieces())
+        inserted, existing, number = ledger.import_rows(component.name, blocks, about)
     rows = report.pop("rows")
     good = rows.pop("good")
     return {
         "inserted": inserted,
         "existing": existing,
-        "dry_run": request.dry_run,
-        "partial": request.partial,
+        "dry_run": dry_run,
+        "partial": partial,
         "import": number,
         "rig": Rig.read(options.rig).as_json() if options.rig else None,
-        "loaded": not refused and not request.dry_run,
+        "loaded": not refused and not dry_run,
         **report,
-        "rows": {**rows, "loaded": 0 if refused or request.dry_run else good},
+        "rows": {**rows, "loaded": 0 if refused or dry_run else good},
     }
 
 
 def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:
-    """Return the compliance (outputs, inputs), SI, of a component's solves; None if it has none.
-
-    Columns of loads that they do not tell are zero.
-    """
+    """Return the compliance (outputs, inputs), SI, of a component's solves, zero where unknown."""
     if not component.has_fea or not table.sources.get("fea"):
         return None
     rows = table.rows
@@ -100,45 +98,56 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
     return np.where(fit.known, fit.matrix, 0.0).tolist()
 
 
-def _with_keys(component: Component, read: ReadResult) -> str:
-    """Return the findings of a file as JSON, with the keys of their rows instead of places."""
-    findings = read.report["findings"]
-    named = [row for one in findings for row in one["rows"]]
-    keys: dict[int, str] = {}
-    for piece in read.pieces() if named else ():
-        some = piece.take(np.isin(piece.row, named))
-        for block in packed_pieces(component, iter((some,))):
-            packed = (row[-2].hex() for row in block if isinstance(row[-2], bytes))
-            keys |= zip(some.row.tolist(), packed, strict=True)
-    return json.dumps(
-        [{**one, "rows": [], "keys": [keys[k] for k in one["rows"]]} for one in findings]
-    )
+def _with_stored_numbers(
+    ledger: Ledger, component: Component, read: ReadResult
+) -> Iterator[ParsedTable]:
+    """Yield the rows of a file; numbers from other units that agree with a stored row are its own.
+
+    Factors of units round. A row whose numbers all agree with those of a stored row to `SAME` gets
+    that row's bits, so that an export in any unit comes back as known rows.
+    """
+    space = component.space
+    if not read.report["converted"]:
+        yield from read.pieces()
+        return
+    stored = ledger.stored_numbers(component.name, len(space.inputs), len(space.outputs))
+    sizes = _sizes(stored, len(space.inputs))
+    order = np.argsort(sizes, kind="stable")
+    sizes = sizes[order]
+    for piece in read.pieces():
+        columns = piece.wrench, piece.displacement, piece.uncertainty
+        numbers = np.hstack(columns)
+        size = _sizes(numbers, len(space.inputs))
+        first = np.searchsorted(sizes, size * (1.0 - 2.0 * SAME))
+        end = np.searchsorted(sizes, size * (1.0 + 2.0 * SAME), side="right")
+        open_ = np.flatnonzero(first < end)
+        for step in range(_MAX_TRIED):
+            candidates = stored[order[first[open_] + step]]
+            ours = numbers[open_]
+            same = np.abs(candidates - ours) <= SAME * np.abs(ours)
+            same = np.all(same | (np.isnan(candidates) & np.isnan(ours)), axis=1)
+            numbers[open_[same]] = candidates[same]
+            open_ = open_[~same & (first[open_] + step + 1 < end[open_])]
+        n, m = len(space.inputs), len(space.outputs)
+        wrench, displacement, uncertainty = np.hsplit(numbers, [n, n + m])
+        known = {"uncertainty": uncertainty} if any(piece.uncertainty.strides) else {}
+        yield replace(piece, wrench=wrench, displacement=displacement, **known)
 
 
-def _counted(ledger: Ledger, component: Component, read: ReadResult) -> tuple[int, int]:
-    """Return how many rows would be new and how many are there already."""
-    keys: list[bytes] = []
-    for block in packed_pieces(component, read.pieces()):
-        keys += [row[-2] for row in block if isinstance(row[-2], bytes)]
-    known = ledger.known_rows(keys)
-    return len(keys) - known, known
+def _sizes(numbers: np.ndarray, inputs: int) -> np.ndarray:
+    """Return a sum of all numbers' sizes, (n,), as exact as they are, of (n, k), SI.
+
+    Displacements count a million times, so that repeated readings of a wrench differ in it.
+    """
+    weights = np.where(np.arange(numbers.shape[1]) < inputs, 1.0, 1e6)
+    return np.nansum(np.abs(numbers) * weights, axis=1)
 
 
 def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:
-    """Copy the rows of a component's present setup; return their number.
+    """Copy the rows of a component's present setup, all or none; return their number.
 
-    Raises
-    ------
-    ImportRunningError, LedgerUnavailableError
-        If they cannot be written now; none is copied then.
+    Raises ImportRunningError or LedgerUnavailableError if they cannot be written now.
     """
-    with ledger.table_at(source.name) as table:
-
-        def blocks() -> Iterator[list[PackedRow]]:
-            for lot in table.lots:
-                rows = export_rows(source.space, own_rows(source, lot), ())
-                columns = rows.wrench, rows.displacement, rows.uncertainty, rows.compliance
-                texts = rows.source, rows.fingerprint, rows.note
-                yield packed_columns(target.name, columns, texts, time.time(), rows.curvature)
-
-        return ledger.import_rows(target.name, blocks(), about)[0]
+    setup = {"space": source.space, "fingerprint": source.fingerprint}
+    with ledger.table_at(source.name, **setup) as table:
+        return ledger.import_rows(target.name, table.lots, about)[0]

@@ -19,7 +19,7 @@ from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables.builders import LARGE, Builders
 from wrenchbook.service.tables.current import START_S, SWITCH_S, CurrentTables
 from wrenchbook.service.tables.packed_files import origin_of
-from wrenchbook.service.tables.rows import count_others, own_rows, table_rows, without
+from wrenchbook.service.tables.rows import count_others, without
 from wrenchbook.service.tables.served import (
     TABLE_MEMORY,
     ServedTable,
@@ -232,10 +232,12 @@ class Tables(CurrentTables):
         """Return rows with the ledger's changes after a seq, and up to which seq."""
         fresh = [rows]  # joined at the end: a table of a million rows comes in fifty parts
         while True:
-            row_changes = self._ledger.row_changes(component.name, after)
+            row_changes = self._ledger.row_changes(
+                component.name, after, space=component.space, fingerprint=component.fingerprint
+            )
             if row_changes.gone:
                 fresh = [without(joined(fresh), row_changes.gone)]
-            fresh.append(table_rows(component, own_rows(component, row_changes.rows)))
+            fresh.append(row_changes.rows)
             after = row_changes.last_seq
             if row_changes.whole:
                 return joined(fresh), after

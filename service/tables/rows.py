@@ -6,9 +6,8 @@ table has them until the files are restored, or `resolve` solves their wrenches 
 
 from __future__ import annotations
 
-import time
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 
@@ -17,21 +16,12 @@ import numpy as np
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.formats import ParsedTable
 from wrenchbook.service.formats.rows import MEASURED
-from wrenchbook.service.ledger import (
-    ImportRecord,
-    Ledger,
-    LedgerRow,
-    PackedRow,
-    packed,
-    packed_columns,
-    unpacked,
-)
+from wrenchbook.service.ledger import ImportRecord, Ledger, NotedRows, packed, unpacked
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
-from wrenchbook.surrogate.table.rows import Floats, Rows, curvature_column, joined_columns
-from wrenchbook.surrogate.table.space import Space
+from wrenchbook.surrogate.table.rows import Floats, Rows, joined_columns
 
 CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
@@ -70,24 +60,22 @@ class ExportRows:
 
 
 def export_rows(
-    space: Space, rows: Sequence[LedgerRow], spans: Sequence[tuple[int, int, ImportRecord]]
+    stored: NotedRows, spans: Sequence[tuple[int, int, ImportRecord]] = ()
 ) -> ExportRows:
     """Return rows of the ledger as columns; `spans` are the imports' numbers, in order."""
-    n, m = len(space.inputs), len(space.outputs)
-    unknown, no_tangent = (np.nan,) * m, ((np.nan,) * n,) * m
-    firsts = [first for first, _, _ in spans]
+    rows, firsts = stored.rows, [first for first, _, _ in spans]
     return ExportRows(
-        seq=[row.seq for row in rows],
-        wrench=np.array([row.wrench for row in rows]).reshape(-1, n),
-        displacement=np.array([row.displacement for row in rows]).reshape(-1, m),
-        uncertainty=np.array([row.uncertainty or unknown for row in rows]).reshape(-1, m),
-        compliance=np.array([row.compliance or no_tangent for row in rows]).reshape(-1, m, n),
-        curvature=curvature_column([row.curvature for row in rows], space),
-        source=[row.source for row in rows],
-        note=[row.origin for row in rows],
-        fingerprint=[row.fingerprint for row in rows],
-        when=[iso_time(row.created) for row in rows],
-        who=[_who(row.seq, firsts, spans) for row in rows],
+        seq=rows.seq.tolist(),
+        wrench=rows.wrench,
+        displacement=rows.displacement,
+        uncertainty=rows.uncertainty,
+        compliance=rows.compliance,
+        curvature=rows.curvature,
+        source=rows.source.tolist(),
+        note=list(stored.note),
+        fingerprint=rows.fingerprint.tolist(),
+        when=[iso_time(created) for created in stored.created],
+        who=[_who(seq, firsts, spans) for seq in rows.seq.tolist()],
     )
 
 
@@ -101,14 +89,6 @@ def joined_rows(pieces: Sequence[ExportRows]) -> ExportRows:
         else:
             columns[column] = [value for part in parts for value in part]
     return ExportRows(**columns)
-
-
-def own_rows(component: Component, rows: Iterable[LedgerRow]) -> list[LedgerRow]:
-    """Return the rows of a component's present setup and measured ones.
-
-    Solves of another setup are never mixed in.
-    """
-    return [row for row in rows if row.fingerprint in ("", component.fingerprint)]
 
 
 def iso_time(seconds: float) -> str:
@@ -132,14 +112,20 @@ def table_meta(component: Component, version: int, error: SolverError | None = N
     )
 
 
-def packed_pieces(component: Component, pieces: Iterator[ParsedTable]) -> Iterator[list[PackedRow]]:
-    """Yield the rows of a file as the ledger takes them."""
-    now = time.time()
-    for piece in pieces:
-        columns = piece.wrench, piece.displacement, piece.uncertainty, piece.compliance
-        sources = [source or MEASURED for source in piece.source]
-        texts = sources, piece.fingerprint, piece.note
-        yield packed_columns(component.name, columns, texts, now, piece.curvature)
+def noted_rows(component: Component, piece: ParsedTable) -> NotedRows:
+    """Return the rows of a file as the ledger takes them."""
+    known = {} if piece.curvature is None else {"curvature": piece.curvature}
+    rows = Rows.of(
+        piece.wrench,
+        piece.displacement,
+        component.space,
+        uncertainty=piece.uncertainty,
+        compliance=piece.compliance,
+        source=[source or MEASURED for source in piece.source],
+        fingerprint=list(piece.fingerprint),
+        **known,
+    )
+    return NotedRows(rows, piece.note)
 
 
 def _who(seq: int, firsts: list[int], spans: Sequence[tuple[int, int, ImportRecord]]) -> str:
@@ -150,24 +136,6 @@ def _who(seq: int, firsts: list[int], spans: Sequence[tuple[int, int, ImportReco
 def without(rows: Rows, removed: Iterable[int]) -> Rows:
     """Return rows without those of some numbers."""
     return rows.take(~np.isin(rows.seq, list(removed)))
-
-
-def table_rows(component: Component, rows: Iterable[LedgerRow]) -> Rows:
-    """Return rows of the ledger as those of a component's table."""
-    records = (
-        {
-            "seq": row.seq,
-            "wrench": row.wrench,
-            "displacement": row.displacement,
-            "compliance": row.compliance,
-            "curvature": row.curvature,
-            "uncertainty": row.uncertainty,
-            "source": row.source,
-            "fingerprint": row.fingerprint,
-        }
-        for row in rows
-    )
-    return Rows.from_records(records, component.space)
 
 
 def count_others(ledger: Ledger, component: Component, table: ServedTable) -> None:

@@ -11,6 +11,8 @@ Displacement, Displacements
     The answer to one wrench, the answers to many.
 Table
     A downloaded or opened table, which answers in this process in microseconds.
+arrays
+    A table on arrays of JAX and PyTorch, for many environments at once.
 Mount, MujocoMount, Settled
     The joint between a rigid-body simulation and a component; in MuJoCo; where it is at rest.
 Joint, MujocoJoint, step_joints, LinearPart
@@ -71,6 +73,7 @@ if TYPE_CHECKING:
         Table as Table,
         TableError as TableError,
         WrenchbookError as WrenchbookError,
+        arrays as arrays,
         conventions as conventions,
         plot as plot,
     )
@@ -113,6 +116,7 @@ _NAMES = {
     "service.client.joint": ("Joint JointError JointRangeError JointWarning LinearPart"),
     "service.client.joint.mujoco_joint": ("MujocoJoint step_joints"),
     "service.client.mount.mujoco_mount": "MujocoMount",
+    "service.client.arrays": "arrays",
     "service.client.conventions": "conventions",
     "service.client.plot": "plot",
 }

@@ -12,6 +12,7 @@ import time
 
 import pytest
 
+from tests.service.ledger_rows import stored
 from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.solver_pool import LocalEngine
@@ -30,10 +31,10 @@ def asked(tmp_path_factory):
     workspace.start()
     try:
         component = workspace.library[COMPONENT]
-        while (left := BUDGET - len(workspace.ledger.rows(COMPONENT))) > 0:
+        while (left := BUDGET - len(stored(workspace.ledger, COMPONENT))) > 0:
             workspace.fill(COMPONENT, left, TIGHT)
             wait_for_all(workspace.ledger, 600)
-        wrenches = [row.wrench for row in workspace.ledger.rows(COMPONENT)]
+        wrenches = [row.wrench for row in stored(workspace.ledger, COMPONENT)]
         return component.folder, component.fingerprint, wrenches
     finally:
         workspace.close()
@@ -64,7 +65,7 @@ def solved(asked, folder, lives):
         dispatcher.stop()
         engine.close()
     _until_reaped(engine)
-    rows = {row.wrench: (row.displacement, row.compliance) for row in ledger.rows(COMPONENT)}
+    rows = {row.wrench: (row.displacement, row.compliance) for row in stored(ledger, COMPONENT)}
     ledger.close()
     return rows, 60 * len(wrenches) / seconds, (_children() - before) / len(wrenches)
 

@@ -20,9 +20,10 @@ import psutil
 import pytest
 
 from tests.benchmarks.test_live import SPAN, made_up
+from tests.service.ledger_rows import NewRow, insert
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.program import child_command
-from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
 
 COMPONENTS = int(os.environ.get("COMPONENTS", "4"))
@@ -51,7 +52,7 @@ def filled(folder: Path) -> None:
         library.add_table_only(
             name=f"part{number}", title="made up", range={"force": span, "moment": span}
         )
-        ledger.insert_rows(f"part{number}", "", rows_of(number))
+        insert(ledger, f"part{number}", "", rows_of(number))
     ledger.close()
 
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from tests.surrogate.test_space import range_of, solved
-from wrenchbook.service.ledger.imports import About
-from wrenchbook.service.ledger.packing import packed_columns
+from wrenchbook.service.ledger import About, NotedRows
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 from wrenchbook.surrogate.table.space import Input, space_of
 from wrenchbook.surrogate.table.spread import spread_wrenches
@@ -47,8 +46,12 @@ def add_link(http: Any, count: int = 40, name: str = "two_ends", **more: Any) ->
 
 def add(workspace: Any, name: str, rows: Rows) -> None:
     """Add rows to the ledger as those of an import."""
-    count = len(rows)
-    columns = rows.wrench, rows.displacement, np.full((count, M), np.nan), rows.compliance
-    texts = ["fea"] * count, [""] * count, [""] * count
-    packed = packed_columns(name, columns, texts, 1.0)
-    workspace.ledger.import_rows(name, [packed], About("rows.json", "json", "", "", ""))
+    plain = Rows.of(
+        rows.wrench,
+        rows.displacement,
+        rows.space,
+        compliance=rows.compliance,
+        source=["fea"] * len(rows),
+    )
+    block = NotedRows(plain, [""] * len(rows))
+    workspace.ledger.import_rows(name, [block], About("rows.json", "json", "", "", ""))

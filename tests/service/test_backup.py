@@ -15,17 +15,10 @@ from typer.testing import CliRunner
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.keys import Keyring
-from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.backup import MANIFEST, SCHEMA, BackupError, back_up, verify
 from wrenchbook.service.ops.restore import restore
 from wrenchbook.service.tables.solver_errors import SolverErrors
-
-
-def new_rows(count, first=0):
-    return [
-        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
-        for i in range(first, first + count)
-    ]
 
 
 @pytest.fixture

@@ -91,12 +91,40 @@ def test_a_cancelled_call_leaves_the_client_usable(stub: Stub):
             task.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await task
-            release.set()
             stub.answers(Answer(DONE))
-            return (await client.job(1)).id  # its own answer, not that of the cancelled call
+            number = (await client.job(1)).id  # its own answer, not that of the cancelled call
+            release.set()
+            return number
 
     assert asyncio.run(cancelled()) == 1
     assert len(set(stub.sockets)) == 2
+
+
+def test_a_cancelled_iteration_ends_the_stream_at_once():
+    """The server's stream is silent: the thread that reads it is woken by the cancellation."""
+    opened, ended = threading.Event(), threading.Event()
+
+    async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n\r\n")
+        await writer.drain()
+        opened.set()
+        await reader.read()  # the end of the connection
+        ended.set()
+        writer.close()
+
+    async def cancelled() -> None:
+        async with await asyncio.start_server(silent, "127.0.0.1", 0) as server:
+            port = server.sockets[0].getsockname()[1]
+            async with AsyncClient(f"http://127.0.0.1:{port}", timeout=5.0) as client:
+                task = asyncio.create_task(anext(client.events()))
+                assert await asyncio.to_thread(opened.wait, 20)
+                task.cancel()
+                with pytest.raises(asyncio.CancelledError):
+                    await task
+                assert await asyncio.to_thread(ended.wait, 20)
+
+    asyncio.run(cancelled())
 
 
 def test_a_client_goes_from_one_event_loop_to_the_next(stub: Stub):
@@ -212,13 +240,13 @@ def test_a_server_that_is_restarting_is_waited_for(monkeypatch: pytest.MonkeyPat
         url = f"http://127.0.0.1:{bound.getsockname()[1]}"
         pauses: list[float] = []
 
-        async def begin_to_listen(seconds: float) -> None:
+        def begin_to_listen(seconds: float) -> None:
             pauses.append(seconds)
             bound.listen()
             threading.Thread(target=answer_once, args=(bound,)).start()
 
         async def asked() -> bool:
-            monkeypatch.setattr("wrenchbook.service.client.async_client._pause", begin_to_listen)
+            monkeypatch.setattr("wrenchbook.service.client.transport._pause", begin_to_listen)
             async with AsyncClient(url, timeout=5.0) as client:
                 return (await client.job(1)).ended
 

@@ -91,7 +91,7 @@ def test_a_server_that_is_restarting_is_waited_for(monkeypatch: pytest.MonkeyPat
                 bound.listen()
                 threading.Thread(target=answer_once, args=(bound,)).start()
 
-        monkeypatch.setattr("wrenchbook.service.client.connection._pause", begin_to_listen)
+        monkeypatch.setattr("wrenchbook.service.client.transport._pause", begin_to_listen)
         with Client(f"http://127.0.0.1:{bound.getsockname()[1]}", timeout=5.0) as client:
             assert client.retry(1).ended
     assert pauses == [0.1, 0.2, 0.4]
@@ -109,7 +109,7 @@ def answer_once(bound: socket.socket) -> None:
 def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The pauses between attempts, which take no time."""
     found: list[float] = []
-    monkeypatch.setattr("wrenchbook.service.client.connection._pause", found.append)
+    monkeypatch.setattr("wrenchbook.service.client.transport._pause", found.append)
     return found
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.service.ledger_rows import NewRow, insert, noted, stored
 from tests.service.table_files import read_csv, read_json, write_json
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.formats import UnitError, layout, write_hdf5
@@ -18,11 +19,10 @@ from wrenchbook.service.formats.options import Options
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome, write_outcome
 from wrenchbook.service.jobs.dispatcher import settle
-from wrenchbook.service.ledger import About, Ledger, NewRow, packed_columns
-from wrenchbook.service.ledger.packing import row_values
+from wrenchbook.service.ledger import About, Ledger
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
-from wrenchbook.service.tables.importing import ImportRequest, copy_rows, import_files
+from wrenchbook.service.tables.importing import copy_rows, import_files
 from wrenchbook.service.tables.rows import export_rows
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
@@ -53,10 +53,10 @@ def component(name, tmp_path, load_range):
 
 def test_a_ledger_that_is_opened_again_has_it_to_the_bit(tmp_path):
     ledger = Ledger(tmp_path / "ledger.sqlite")
-    ledger.insert_rows("plate", "f1", [ROW, replace(ROW, wrench=(3.0,) * 6, curvature=None)])
+    insert(ledger, "plate", "f1", [ROW, replace(ROW, wrench=(3.0,) * 6, curvature=None)])
     ledger.close()
     again = Ledger(tmp_path / "ledger.sqlite")
-    assert [row.curvature for row in again.rows("plate")] == [THIRDS, None]
+    assert [row.curvature for row in stored(again, "plate")] == [THIRDS, None]
     again.close()
 
 
@@ -66,38 +66,25 @@ def test_an_older_ledger_has_none_and_takes_some(tmp_path):
         old.executescript(LEDGER_0_2.read_text())
     old.close()
     ledger = Ledger(path)
-    ledger.insert_rows("rig", "", [replace(ROW, wrench=(3.0,) * 6)])
-    assert [row.curvature for row in ledger.rows("rig")] == [None] * 5 + [THIRDS]
+    insert(ledger, "rig", "", [replace(ROW, wrench=(3.0,) * 6)])
+    assert [row.curvature for row in stored(ledger, "rig")] == [None] * 5 + [THIRDS]
     ledger.close()
 
 
 @pytest.mark.parametrize("wrong", [THIRDS[:-1], (*THIRDS[:-1], np.inf)])
 def test_a_ledger_refuses_another_number_of_entries_and_infinite_ones(ledger, wrong):
     with pytest.raises(ValueError, match="curvature"):
-        ledger.insert_rows("plate", "f1", [replace(ROW, curvature=wrong)])
+        insert(ledger, "plate", "f1", [replace(ROW, curvature=wrong)])
 
 
 def test_a_ledger_leaves_out_a_row_in_which_one_bit_of_it_has_flipped(ledger):
-    ledger.insert_rows("plate", "f1", [ROW])
+    insert(ledger, "plate", "f1", [ROW])
     with sqlite3.connect(ledger.path) as db:
         (raw,) = db.execute("SELECT curvature FROM rows").fetchone()
         db.execute("UPDATE rows SET curvature = ?", (raw[:-1] + bytes([raw[-1] ^ 1]),))
     db.close()
-    assert ledger.rows("plate") == []
+    assert stored(ledger, "plate") == []
     assert ledger.damaged == {1: "plate"}
-
-
-def test_rows_are_packed_by_columns_as_one_by_one():
-    thirds = np.array([THIRDS, [np.nan] * 56])
-    rows = [ROW, replace(ROW, curvature=None)]
-    columns = (
-        np.array([row.wrench for row in rows]),
-        np.array([row.displacement for row in rows]),
-        np.full((2, 6), np.nan),
-        np.array([row.compliance for row in rows]),
-    )
-    found = packed_columns("plate", columns, (["measured"] * 2, [""] * 2, [""] * 2), 5.0, thirds)
-    assert found == [row_values("plate", "", row, None, 5.0) for row in rows]
 
 
 @pytest.mark.parametrize(
@@ -124,13 +111,13 @@ def test_the_outcome_of_a_job_becomes_a_row_with_it(ledger, tmp_path, thirds, st
     write_outcome(attempt, answer)
     settle(ledger, attempt)
     assert ledger.job(job.id).status == status
-    assert [row.curvature for row in ledger.rows("bar")] == [thirds] * (status == "done")
+    assert [row.curvature for row in stored(ledger, "bar")] == [thirds] * (status == "done")
 
 
 def test_a_table_and_its_file_have_it(tmp_path):
     site = Site(tmp_path)
     site.open("rig")
-    site.ledger.insert_rows("rig", "", [ROW])
+    insert(site.ledger, "rig", "", [ROW])
     assert site.tables.catch_up("rig", 20)
     assert site.tables.surrogate("rig").rows.curvature.tolist() == [list(THIRDS)]
     site.close()
@@ -138,7 +125,7 @@ def test_a_table_and_its_file_have_it(tmp_path):
         path.unlink()
     site.open()
     assert site.tables.catch_up("rig", 20)
-    assert [row.curvature for row in site.ledger.rows("rig")] == [THIRDS]
+    assert [row.curvature for row in stored(site.ledger, "rig")] == [THIRDS]
     site.close()
 
 
@@ -151,24 +138,29 @@ def test_an_exported_table_is_imported_with_it(ledger, tmp_path, form: ExportFor
     thirds = tuple(np.random.default_rng(5).normal(size=space.curvatures) * 1e-12)
     tangent = np.random.default_rng(6).normal(size=(6, inputs)) * 1e-6
     row = replace(ROW, wrench=(1.0,) * inputs, compliance=tangent, curvature=thirds)
-    ledger.insert_rows("plate", "", [row, replace(row, wrench=(2.0,) * inputs, curvature=None)])
+    insert(
+        ledger,
+        "plate",
+        "",
+        [row, replace(row, wrench=(2.0,) * inputs, curvature=None)],
+        space=space,
+    )
     export_table(ledger, plate, ExportRequest(form, {}), tmp_path / "table")
     options = Options(load_range=own)
-    reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportRequest(), About())
+    reply = import_files(ledger, copy, [tmp_path / "table"], options, About())
     assert (reply["errors"], reply["inserted"]) == ([], 2)
-    assert [one.curvature for one in ledger.rows("copy")] == [thirds, None]
+    assert [one.curvature for one in stored(ledger, "copy", space=space)] == [thirds, None]
 
 
 def test_rows_copied_to_another_component_keep_it(ledger, tmp_path):
     plate, copy = (component(name, tmp_path, RANGE) for name in ("plate", "copy"))
-    ledger.insert_rows("plate", "", [ROW])
+    insert(ledger, "plate", "", [ROW])
     copy_rows(ledger, plate, copy, About())
-    assert [row.curvature for row in ledger.rows("copy")] == [THIRDS]
+    assert [row.curvature for row in stored(ledger, "copy")] == [THIRDS]
 
 
-def test_an_export_of_rows_without_it_has_no_place_for_it(ledger):
-    ledger.insert_rows("plate", "", [replace(ROW, curvature=None)])
-    rows = export_rows(DEFAULT, ledger.rows("plate"), ())
+def test_an_export_of_rows_without_it_has_no_place_for_it():
+    rows = export_rows(noted([replace(ROW, curvature=None)]))
     assert rows.curvature.shape == (1, 0)
     assert "curvature" not in write_json(rows)
 

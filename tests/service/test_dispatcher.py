@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.service.ledger_rows import stored
 from tests.until import until
 from wrenchbook.service.jobs.attempt import EngineError, attempt_folder
 from wrenchbook.service.jobs.dispatcher import Dispatcher
@@ -62,7 +63,7 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.ledger.states.BACKOFF_SECONDS", (0.01, 0.01, 0.01))
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.01, 0.01, 0.01))
     monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.OUTLIVE_SECONDS", 0.05)
     monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.RECOVER_SECONDS", 0.1)
     bench = Bench(tmp_path)
@@ -86,12 +87,12 @@ def test_an_accepted_job_is_solved_and_its_row_is_there(bench):
 def test_jobs_that_waited_before_the_start_are_solved_with_no_more_solvers_than_slots(bench):
     jobs = [bench.accept(load, 0, 0, 0, 0, 0) for load in range(6)]
     most = []
-    bench.ledger.on_change(lambda change: most.append(len(bench.ledger.running())))
+    bench.ledger.on_change(lambda: most.append(len(bench.ledger.running())))
     bench.start("slow", slots=2)
     for job in jobs:
         assert bench.end(job.id, 30).status == "done"
     assert max(most) == 2
-    assert len(bench.ledger.rows("bar")) == 6
+    assert len(stored(bench.ledger, "bar")) == 6
 
 
 def test_a_job_starts_and_is_committed_without_idle_waiting(bench):
@@ -118,7 +119,7 @@ def test_a_failure_is_recorded_with_its_reason_and_its_folder_kept_whole(bench):
         "remedy": "use smaller load steps",
     }
     assert "Traceback" in (bench.folder(failed) / "log.txt").read_text()
-    assert bench.ledger.rows("bar") == []
+    assert stored(bench.ledger, "bar") == []
 
 
 def test_a_solver_that_dies_is_tried_again_and_given_up_after_four_times(bench):
@@ -132,7 +133,7 @@ def test_a_solver_that_dies_twice_is_in_time_with_the_third_attempt(bench):
     bench.start("dies_twice")
     done = bench.end(bench.accept().id, 30)
     assert (done.status, done.attempt) == ("done", 3)
-    assert len(bench.ledger.rows("bar")) == 1
+    assert len(stored(bench.ledger, "bar")) == 1
 
 
 def test_an_interpreter_that_cannot_start_is_no_dead_solver(bench, monkeypatch):
@@ -292,7 +293,7 @@ def test_two_dispatchers_share_the_jobs_and_solve_each_once(bench):
         assert (done.status, done.attempt) == ("done", 1)
     second.stop()
     other.close()
-    assert len(bench.ledger.rows("bar")) == 10
+    assert len(stored(bench.ledger, "bar")) == 10
 
 
 def test_a_component_that_is_gone_fails_its_jobs_with_what_to_do(bench):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.service.ledger_rows import stored
 from tests.service.simulated import SimulatedEngine
 from tests.until import until
 from wrenchbook.service.files import lock as flock
@@ -206,7 +207,7 @@ def test_two_dispatchers_of_one_engine_solve_each_job_once(bench):
         done = bench.until(job, status="done")
         assert (done.attempt, done.lost) == (1, 0)
     assert len(first.submitted) + len(second.submitted) == len(jobs)
-    assert len(bench.ledger.rows("bar")) == len(jobs)
+    assert len(stored(bench.ledger, "bar")) == len(jobs)
 
 
 def test_a_stopped_server_loses_its_attempts_to_another_and_harms_nothing_when_it_goes_on(
@@ -239,7 +240,7 @@ def test_a_stopped_server_loses_its_attempts_to_another_and_harms_nothing_when_i
             (where / "go").write_text(secrets.token_hex(2))
         until(lambda: all(one.status == "done" for one in ledger.jobs()))
         assert [one.attempt for one in ledger.jobs()] == [1, 1]
-        assert len(ledger.rows("bar")) == 2
+        assert len(stored(ledger, "bar")) == 2
     finally:
         for server in servers:
             server.kill()

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.service.ledger_rows import stored
 from wrenchbook.service.jobs.attempt import Attempt, prepare, write_outcome
 from wrenchbook.service.jobs.dispatcher import settle
 from wrenchbook.service.ledger import Ledger, StaleAttemptError
@@ -54,7 +55,7 @@ def test_settling_twice_makes_one_row(ledger, tmp_path):
     write_outcome(attempt, {"status": "done", "displacement": [1e-6] * 6})
     for _ in range(2):
         settle(ledger, attempt, ledger.lose)
-    assert len(ledger.rows("bar")) == 1
+    assert len(stored(ledger, "bar")) == 1
 
 
 @pytest.mark.parametrize(
@@ -72,7 +73,7 @@ def test_settling_twice_makes_one_row(ledger, tmp_path):
 def test_an_answer_nobody_can_use_fails_the_job(ledger, tmp_path, outcome):
     failed = ended(ledger, tmp_path / "a", outcome)
     assert (failed.status, failed.error["kind"]) == ("failed", "bad_answer")
-    assert ledger.rows("bar") == []
+    assert stored(ledger, "bar") == []
 
 
 def test_a_solver_that_left_nothing_has_died(ledger, tmp_path):
@@ -102,4 +103,4 @@ def test_an_attempt_the_job_has_left_behind_is_refused(ledger, tmp_path):
     ledger.cancel(job.id)
     with pytest.raises(StaleAttemptError):
         settle(ledger, attempt, ledger.lose)
-    assert ledger.rows("bar") == []
+    assert stored(ledger, "bar") == []

@@ -7,6 +7,7 @@ import sqlite3
 import pytest
 from typer.testing import CliRunner
 
+from tests.service.ledger_rows import stored
 from tests.service.test_durable_tables import Site, new_rows
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.ledger import Ledger
@@ -30,7 +31,7 @@ def rows_of(folder):
     found = {
         (name, row.seq, row.wrench, row.displacement)
         for name in ("rig", "other")
-        for row in ledger.rows(name)
+        for row in stored(ledger, name)
     }
     ledger.close()
     return found

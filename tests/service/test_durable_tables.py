@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.service.ledger_rows import NewRow, insert, stored
 from tests.surrogate.law import Law
 from tests.until import until
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import BrokenComponentError
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import live
@@ -50,7 +51,7 @@ class Site:
         self.ledger.close()
 
     def insert(self, count, first=0, name="rig"):
-        self.ledger.insert_rows(name, "", new_rows(count, first))
+        insert(self.ledger, name, "", new_rows(count, first))
         assert self.tables.catch_up(name, 20), self.tables.faults()
 
     def wrenches(self, name="rig"):
@@ -100,11 +101,11 @@ def test_rows_of_a_fresh_ledger_beside_an_old_table_file_are_all_there(site, cou
     for path in site.folder.glob("ledger.sqlite*"):
         path.unlink()
     fresh = Ledger(site.folder / "ledger.sqlite")
-    fresh.insert_rows("rig", "", new_rows(count, first=30))
+    insert(fresh, "rig", "", new_rows(count, first=30))
     fresh.close()
     site.open()
     assert site.wrenches() == expected(30 + count)
-    assert len(site.ledger.rows("rig")) == 30 + count
+    assert len(stored(site.ledger, "rig")) == 30 + count
 
 
 def test_rows_of_a_ledger_put_back_from_a_copy_are_all_there(site):
@@ -118,7 +119,7 @@ def test_rows_of_a_ledger_put_back_from_a_copy_are_all_there(site):
         path.unlink()
     shutil.move(site.folder / "copy", site.folder / "ledger.sqlite")
     older = Ledger(site.folder / "ledger.sqlite")
-    older.insert_rows("rig", "", new_rows(15, first=20))
+    insert(older, "rig", "", new_rows(15, first=20))
     older.close()
     site.open()
     assert site.wrenches() == expected(35)
@@ -134,7 +135,7 @@ def put_back(site, copy):
 def test_a_withdrawn_row_does_not_come_back_with_an_older_copy_of_the_ledger(site, gone_in_copy):
     """Nor does a restored one go: the newest word on a row holds, whoever has it."""
     site.insert(10)
-    row = site.ledger.rows("rig")[4]
+    row = stored(site.ledger, "rig")[4]
     if gone_in_copy:
         site.ledger.withdraw("rig", row.seq)
     site.close()
@@ -159,7 +160,7 @@ def test_a_table_file_that_cannot_tell_withdrawn_rows_is_told_of(site):
     site.close()
     copy = shutil.copy(site.folder / "ledger.sqlite", site.folder / "copy")
     site.open()
-    site.ledger.withdraw("rig", site.ledger.rows("rig")[4].seq)
+    site.ledger.withdraw("rig", stored(site.ledger, "rig")[4].seq)
     assert site.tables.catch_up("rig", 20)
     site.close()
     rows, meta = read_table(site.file())
@@ -179,7 +180,7 @@ def test_a_table_file_copied_over_anothers_brings_no_row_of_the_other_component(
     shutil.copy(site.file("other"), site.file("rig"))
     site.open()
     assert site.wrenches() == expected(5)
-    assert len(site.ledger.rows("rig")) == 5
+    assert len(stored(site.ledger, "rig")) == 5
     assert "the file is the table of 'other'" in caplog.text
 
 
@@ -188,7 +189,7 @@ def test_rows_kept_through_the_ledgers_deletion_come_back_at_the_next_start(site
     for path in site.folder.glob("ledger.sqlite*"):
         path.unlink()
     with pytest.raises(LedgerUnavailableError, match="deleted or replaced"):
-        site.ledger.insert_rows("rig", "", new_rows(5, first=10))
+        insert(site.ledger, "rig", "", new_rows(5, first=10))
     site.close()
     site.open()
     assert site.wrenches() == expected(10)
@@ -196,7 +197,7 @@ def test_rows_kept_through_the_ledgers_deletion_come_back_at_the_next_start(site
 
 def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
     site.insert(10)
-    gone = site.ledger.rows("rig")[4]
+    gone = stored(site.ledger, "rig")[4]
     site.ledger.withdraw("rig", gone.seq)
     assert site.tables.catch_up("rig", 20)
     version = site.tables.surrogate("rig").version
@@ -215,7 +216,7 @@ def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
 def test_a_row_withdrawn_by_another_process_leaves_the_table(site):
     site.insert(10)
     other = Ledger(site.folder / "ledger.sqlite")
-    other.withdraw("rig", other.rows("rig")[0].seq)
+    other.withdraw("rig", stored(other, "rig")[0].seq)
     other.close()
     until(lambda: len(site.wrenches()) != 10)
     assert len(site.wrenches()) == 9
@@ -225,7 +226,7 @@ def test_a_row_withdrawn_while_nobody_served_is_not_in_the_table(site):
     site.insert(10)
     site.close()
     ledger = Ledger(site.folder / "ledger.sqlite")
-    ledger.withdraw("rig", ledger.rows("rig")[0].seq)
+    ledger.withdraw("rig", stored(ledger, "rig")[0].seq)
     ledger.close()
     site.open()
     assert len(site.wrenches()) == 9
@@ -244,7 +245,7 @@ def test_an_exception_in_one_tables_build_starves_no_other(site, monkeypatch):
         return build(component, *rest)
 
     monkeypatch.setattr(live, "make", fails)
-    site.ledger.insert_rows("aaa", "", new_rows(5))
+    insert(site.ledger, "aaa", "", new_rows(5))
     site.insert(5, name="zzz")
     assert len(site.wrenches("zzz")) == 5
     assert not site.tables.catch_up("aaa", 5)
@@ -388,7 +389,7 @@ def test_the_packed_file_of_another_component_or_of_other_rows_is_not_answered_f
     )
     site.insert(30)
     before = answer_of(site)
-    site.ledger.insert_rows("other", "", [replace_displacement(row) for row in new_rows(30)])
+    insert(site.ledger, "other", "", [replace_displacement(row) for row in new_rows(30)])
     assert site.tables.catch_up("other", 20)
     foreign = packed_files(site, "other")[0].read_bytes()
     site.close()
@@ -410,7 +411,7 @@ def test_a_packed_file_of_another_ledger_is_not_answered_from(site):
     for path in site.folder.glob("ledger.sqlite*"):
         path.unlink()
     ledger = Ledger(site.folder / "ledger.sqlite")
-    ledger.insert_rows("rig", "", [replace_displacement(row) for row in new_rows(30)])
+    insert(ledger, "rig", "", [replace_displacement(row) for row in new_rows(30)])
     ledger.close()
     site.open()
     moved = site.tables.surrogate("rig").packed.answer((5.0, 0, 0, 0, 0, 0)).outputs

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.service.ledger_rows import stored
 from tests.service.live import served
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.demand import QueryStatistics
@@ -185,7 +186,7 @@ def test_a_backup_of_0_3_is_restored_with_its_state(directory, tmp_path):
     restore(directory.with_name("backup-0.3.zip"), tmp_path / "data")
     with closing(Ledger(tmp_path / "data" / "ledger.sqlite")) as ledger:
         assert Catalogue(ledger)["rig"].notes == "bolts at 20 N m"
-        row = ledger.rows("block")[0]
+        row = stored(ledger, "block")[0]
         assert SolverErrors(ledger).read("block", row.fingerprint) is not None
     assert not [name for name in STATE if (tmp_path / "data" / name).exists()]
 

@@ -5,8 +5,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.following import wait_for_version
-from wrenchbook.service.answering.refusals import SolveFailedError
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.query import SolveFailedError
 from wrenchbook.service.workspace import Settings
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.kernel.binding import PackedTable

@@ -5,9 +5,10 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.following import wait_for_version
+from tests.service.ledger_rows import NewRow, insert
 from wrenchbook.service.demand import MAX_CELLS, QueryStatistics
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.workspace import Settings
 from wrenchbook.surrogate.table.rows import LoadRange
 
@@ -89,7 +90,7 @@ def test_a_copied_setup_keeps_its_fingerprint_so_that_its_solves_stay_solves(htt
     workspace = http.app.state.workspace
     fingerprint = workspace.library["plate_thin"].fingerprint
     solve = NewRow((1.0, 2, 3, 0, 0, 0), (1e-6,) * 6, "fea")
-    workspace.ledger.insert_rows("plate_thin", fingerprint, [solve])
+    insert(workspace.ledger, "plate_thin", fingerprint, [solve])
     made = http.post("/v1/components/plate_thin/copy", json={"name": "mine"}).json()
     assert (made["fingerprint"], made["solved"]) == (fingerprint, 1)
 
@@ -171,13 +172,13 @@ def test_measured_rows_outside_of_the_solves_bars_are_named_with_their_offset(ht
     solves = [
         NewRow(w.tolist(), (compliance @ w).tolist(), "fea", compliance.tolist()) for w in wrenches
     ]
-    workspace.ledger.insert_rows("bar", component.fingerprint, solves)
+    insert(workspace.ledger, "bar", component.fingerprint, solves)
     measured = []
     for at, wrench in enumerate(rng.uniform(-0.5, 0.5, (10, 6)) * component.load_range.scale):
         moved = compliance @ wrench
         moved[2] += 1e-4 if at < 3 else 0.0
         measured.append(NewRow(wrench.tolist(), moved.tolist(), uncertainty=(1e-7,) * 6))
-    workspace.ledger.insert_rows("bar", "", measured)
+    insert(workspace.ledger, "bar", "", measured)
     told = http.get("/v1/components/bar/disagreement").json()
     assert (told["measured"], told["solved"], told["compared"]) == (10, 60, 10)
     assert told["outside"] == 3

@@ -17,8 +17,7 @@ from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, s
 from tests.until import until
 from wrenchbook.service.http import protocol
 from wrenchbook.service.http.access import Permission
-from wrenchbook.service.http.fast_path import FastPath
-from wrenchbook.service.http.protocol import FastPathProtocol
+from wrenchbook.service.http.protocol import FastPath, FastPathProtocol
 from wrenchbook.service.keys import Keyring
 
 PATH = "/v1/components/solved/displacement"
@@ -127,7 +126,7 @@ def test_both_ways_give_the_same_reply(straight, wire):
 
 @pytest.mark.parametrize("fields", [[], ["X-Request-ID: req-7"], ["X-Request-ID: "]])
 def test_both_ways_give_the_same_bytes(straight, wire, monkeypatch, fields):
-    monkeypatch.setattr("wrenchbook.service.answering.one.perf_counter_ns", lambda: 0)
+    monkeypatch.setattr("wrenchbook.service.query.perf_counter_ns", lambda: 0)
     replies = []
     for body in (BODY, orjson.dumps({**PLAIN, "detail": False})):
         wire.ask(request(body, fields=fields))

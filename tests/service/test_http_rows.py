@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from tests.service.ledger_rows import NewRow, insert, stored
 from tests.service.test_http_components import TABLE_ONLY, bar_text
 from tests.until import until
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.ledger import NewRow
 from wrenchbook.service.workspace import Settings
 
 ROOT = Path(__file__).parents[2]
@@ -41,9 +41,9 @@ def rig(http):
     assert http.post("/v1/components", json=TABLE_ONLY).status_code == 201
     workspace = http.app.state.workspace
     new = [NewRow((i / 10, 0, 0, 0, 0, 0), (i * 1e-7, 0, 0, 0, 0, 0)) for i in range(1, 6)]
-    workspace.ledger.insert_rows("rig", "", new)
+    insert(workspace.ledger, "rig", "", new)
     workspace.tables.catch_up("rig", 20)
-    return [row.seq for row in workspace.ledger.rows("rig")]
+    return [row.seq for row in stored(workspace.ledger, "rig")]
 
 
 def exported(http, name="rig"):

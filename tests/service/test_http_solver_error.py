@@ -1,6 +1,5 @@
 """What a real solver says of its own error reaches every bar, by cause, and downloaded tables."""
 
-import asyncio
 import json
 from dataclasses import replace
 
@@ -9,12 +8,11 @@ import pytest
 
 from tests.service.live import add_table, as_rows, full_wrenches, moved, served
 from tests.service.test_runjob_evidence import BUNDLE
-from wrenchbook.service.answering.one import answered
-from wrenchbook.service.answering.queries import Query
 from wrenchbook.service.cli.render import answer_table, own_error_lines
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome
 from wrenchbook.service.ledger import Ledger, LedgerFullError
+from wrenchbook.service.query import Query, answer
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.served import in_memory
 from wrenchbook.service.tables.solver_errors import SolverErrors
@@ -290,7 +288,7 @@ def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_toler
     for lost in (None, SolverError(TOLD | {"mesh": None})):
         table = build(rows, meta.load_range, linear=True, solver_error=lost)
         served = in_memory(table, b"".join(pack(table)))
-        found = asyncio.run(answered("bar", served, query))
+        found = answer(served, query)
         assert found.error is not None
         assert found.within_tolerance is None
 

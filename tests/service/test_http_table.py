@@ -8,9 +8,9 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.following import wait_for_version
+from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.routes import components, table
-from wrenchbook.service.ledger import NewRow
 from wrenchbook.service.sandbox import SandboxBusyError
 from wrenchbook.service.tables import live
 from wrenchbook.service.workspace import Settings
@@ -164,7 +164,7 @@ def solved(http, wrenches):
     rows = [
         NewRow(w.tolist(), (compliance @ w).tolist(), "fea", compliance.tolist()) for w in wrenches
     ]
-    assert workspace.ledger.insert_rows("plate_thin", fingerprint, rows) == (len(rows), 0)
+    assert insert(workspace.ledger, "plate_thin", fingerprint, rows) == (len(rows), 0)
     assert workspace.tables.catch_up("plate_thin", 20.0)
 
 
@@ -201,13 +201,13 @@ def test_57_solves_exported_and_imported_elsewhere_are_solves_with_their_tangent
     http, tmp_path, kind
 ):
     solved(http, np.random.default_rng(5).uniform(-50, 50, (57, 6)))
-    exported = http.get(PLATE, params={"format": kind, **units_of(kind)}).content
+    exported = http.get(PLATE, params={"format": kind}).content
     with TestClient(create_app(Settings(tmp_path / "elsewhere", solvers=0))) as other:
         body = send(other, PLATE, exported, kind).json()
         assert body["inserted"] == 57
         wait_for_version(other, "plate_thin", body["table_version"])
-        first = http.app.state.workspace.ledger.rows("plate_thin")
-        second = other.app.state.workspace.ledger.rows("plate_thin")
+        first = stored(http.app.state.workspace.ledger, "plate_thin")
+        second = stored(other.app.state.workspace.ledger, "plate_thin")
         assert answers(other) == answers(http)
     for name in ("wrench", "displacement", "compliance", "uncertainty", "source", "fingerprint"):
         assert [getattr(row, name) for row in first] == [getattr(row, name) for row in second]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from tests.service.ledger_rows import NewRow, insert
 from tests.service.test_import_findings import csv_of
-from wrenchbook.service.ledger import NewRow
 from wrenchbook.surrogate.table.rows import Rows
 
 CALL = "/v1/components/bar/table"
@@ -20,7 +20,7 @@ def wrench(http):
     assert component.linear
     load = 0.5 * component.load_range.scale
     solve = NewRow(load.tolist(), (COMPLIANCE @ load).tolist(), "fea", COMPLIANCE.tolist())
-    workspace.ledger.insert_rows("bar", component.fingerprint, [solve])
+    insert(workspace.ledger, "bar", component.fingerprint, [solve])
     assert workspace.tables.catch_up("bar", 20.0)
     return np.random.default_rng(5).uniform(-0.8, 0.8, (60, 6)) * component.load_range.scale
 

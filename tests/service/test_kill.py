@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.service.ledger_rows import stored
 from tests.until import until
 from wrenchbook.service.jobs.attempt import LOCK, attempt_folder, solver_began
 from wrenchbook.service.ledger import Ledger
@@ -70,7 +71,7 @@ class Site:
 
     def assert_each_job_is_done_with_one_row(self, wrenches):
         jobs = self.ledger.jobs(limit=10**6)
-        rows = self.ledger.rows("bar")
+        rows = stored(self.ledger, "bar")
         assert sorted(job.wrench for job in jobs) == sorted(wrenches)
         assert {job.status for job in jobs} == {"done"}, [job.error for job in jobs if job.error]
         assert sorted(row.wrench for row in rows) == sorted(wrenches)

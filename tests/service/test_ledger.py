@@ -7,8 +7,8 @@ import time
 import numpy as np
 import pytest
 
+from tests.service.ledger_rows import stored
 from wrenchbook.service.ledger import (
-    Change,
     InvalidTransitionError,
     Ledger,
     LedgerError,
@@ -16,7 +16,7 @@ from wrenchbook.service.ledger import (
     StaleAttemptError,
     UnknownJobError,
 )
-from wrenchbook.service.ledger.states import BACKOFF_SECONDS
+from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS
 
 WRENCH = (1.0, -2.0, 3.5, 0.0, 0.0, 1e-3)
 ANSWER = (1e-6, 2e-6, 3e-6, 4e-6, 5e-6, 6e-6)
@@ -25,7 +25,7 @@ ERROR = {"kind": "not_converged", "message": "no equilibrium", "remedy": "smalle
 
 @pytest.fixture
 def no_backoff(monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.ledger.states.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
 
 
 @pytest.fixture
@@ -142,7 +142,7 @@ def test_a_commit_writes_row_and_status_together(ledger):
     ledger.claim("me")
     compliance = np.arange(36.0).reshape(6, 6)
     row = ledger.commit(job.id, 1, ANSWER, compliance=compliance, origin="job 1")
-    assert ledger.rows("plate") == [row] == [ledger.row(row.seq)]
+    assert stored(ledger, "plate") == [row] == [ledger.row(row.seq)]
     assert (row.wrench, row.displacement, row.source) == (WRENCH, ANSWER, "fea")
     assert np.array_equal(row.compliance, compliance)
     assert (row.uncertainty, row.job, row.origin) == (None, job.id, "job 1")
@@ -156,7 +156,7 @@ def test_a_second_commit_returns_the_row_there_is(ledger):
     ledger.claim("me")
     row = ledger.commit(job.id, 1, ANSWER)
     assert ledger.commit(job.id, 1, (9, 9, 9, 9, 9, 9)) == row
-    assert ledger.rows("plate") == [row]
+    assert stored(ledger, "plate") == [row]
 
 
 def test_a_commit_of_an_answer_that_is_not_finite_leaves_the_job_running(ledger):
@@ -165,7 +165,7 @@ def test_a_commit_of_an_answer_that_is_not_finite_leaves_the_job_running(ledger)
     with pytest.raises(ValueError, match="displacement must be finite"):
         ledger.commit(job.id, 1, (float("nan"), 0, 0, 0, 0, 0))
     assert ledger.job(job.id).status == "running"
-    assert ledger.rows("plate") == []
+    assert stored(ledger, "plate") == []
 
 
 def test_what_a_stale_attempt_says_does_not_count(ledger, no_backoff):
@@ -183,7 +183,7 @@ def test_what_a_stale_attempt_says_does_not_count(ledger, no_backoff):
     assert ledger.claim("me").attempt == 2
     with pytest.raises(StaleAttemptError, match="no longer counts"):
         ledger.commit(job.id, 1, ANSWER)
-    assert ledger.rows("plate") == []
+    assert stored(ledger, "plate") == []
 
 
 def test_the_fourth_lost_attempt_fails_the_job_and_says_what_to_do(ledger, no_backoff):
@@ -203,7 +203,7 @@ def test_a_job_whose_solver_died_is_not_started_again_at_once(ledger, monkeypatc
     """Three deaths in three seconds, all of one cause, ended an accepted job."""
     job = accept(ledger)
     now = time.time()
-    monkeypatch.setattr("wrenchbook.service.ledger.ledger.time.time", lambda: now)
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.time.time", lambda: now)
     for attempt, delay in enumerate(BACKOFF_SECONDS, 1):
         assert ledger.claim("me").not_before is None
         lost = ledger.lose(job.id, attempt)
@@ -277,16 +277,12 @@ def test_jobs_are_listed_newest_first_and_by_component_and_status(ledger):
 
 def test_listeners_hear_of_each_commit_and_not_of_questions(ledger):
     heard = []
-    stop = ledger.on_change(heard.append)
+    stop = ledger.on_change(lambda: heard.append(ledger.version()))
     job = accept(ledger)
     accept(ledger)
     ledger.claim("me")
     ledger.commit(job.id, 1, ANSWER)
-    assert heard == [
-        Change("plate", (job.id,)),
-        Change("plate", (job.id,)),
-        Change("plate", (job.id,), rows=1),
-    ]
+    assert len(heard) == len(set(heard)) == 3
     stop()
     stop()
     accept(ledger, 9, 9, 9, 9, 9, 9)
@@ -294,7 +290,7 @@ def test_listeners_hear_of_each_commit_and_not_of_questions(ledger):
 
 
 def test_a_listener_that_fails_does_not_make_the_commit_look_failed(ledger, caplog):
-    ledger.on_change(lambda change: 1 / 0)
+    ledger.on_change(lambda: 1 / 0)
     assert accept(ledger).status == "waiting"
     assert "a listener of the ledger failed" in caplog.text
 
@@ -334,7 +330,7 @@ def test_many_threads_accept_and_claim_each_job_once(ledger):
     for thread in threads:
         thread.join()
     assert sorted(claimed) == sorted(set(claimed)) == sorted(job.id for job in ledger.jobs())
-    assert len(ledger.rows("plate")) == len(ledger.jobs(status="done")) == 20
+    assert len(stored(ledger, "plate")) == len(ledger.jobs(status="done")) == 20
 
 
 @pytest.mark.parametrize("before", [None, 0o644, 0o660])

@@ -7,8 +7,9 @@ import random
 import pytest
 from starlette.testclient import TestClient
 
+from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, NewRow
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.workspace import Settings
 
 PAGE = 4096  # bytes, SQLite's
@@ -19,7 +20,7 @@ def new_rows(first, last):
 
 
 def displacements(ledger):
-    return {row.displacement for row in ledger.rows("rig")}
+    return {row.displacement for row in stored(ledger, "rig")}
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ def path(tmp_path):
     path = tmp_path / "ledger.sqlite"
     ledger = Ledger(path)
     for first in range(0, 480, 40):
-        ledger.insert_rows("rig", "", new_rows(first, first + 40))
+        insert(ledger, "rig", "", new_rows(first, first + 40))
     ledger.accept_many("rig", "f", [(float(i), 1, 0, 0, 0, 0) for i in range(50)])
     ledger.close()
     return path
@@ -44,7 +45,7 @@ def test_rows_accepted_by_a_ledger_with_damaged_bytes_are_there_after_a_restart(
         path.write_bytes(damaged)
         ledger = Ledger(path, patient=True)
         try:
-            ledger.insert_rows("rig", "", new_rows(1000, 1030))
+            insert(ledger, "rig", "", new_rows(1000, 1030))
         except LedgerUnavailableError:
             refused += 1
             assert str(path) in ledger.trouble()
@@ -65,11 +66,11 @@ def test_a_ledger_seen_to_be_damaged_while_it_is_open_takes_no_more_rows(path):
             file.seek(page * PAGE)
             file.write(b"\xff")  # no kind of page
     with pytest.raises(LedgerUnavailableError, match="malformed"):
-        ledger.rows("rig")
+        stored(ledger, "rig")
     assert "damaged" in ledger.trouble()
     for _ in range(2):
         with pytest.raises(LedgerUnavailableError, match="Nothing is written into it"):
-            ledger.insert_rows("rig", "", new_rows(1000, 1030))
+            insert(ledger, "rig", "", new_rows(1000, 1030))
     ledger.close()
 
 
@@ -137,8 +138,8 @@ def test_a_write_to_a_read_only_ledger_names_the_disk(path, caplog):
     ledger._writer.execute("PRAGMA query_only = ON")
     for _ in range(3):
         with pytest.raises(LedgerUnavailableError, match="remount it writable"):
-            ledger.insert_rows("rig", "", new_rows(1000, 1001))
+            insert(ledger, "rig", "", new_rows(1000, 1001))
     assert len(caplog.records) == 1
     ledger._writer.execute("PRAGMA query_only = OFF")
-    assert ledger.insert_rows("rig", "", new_rows(1000, 1001)) == (1, 0)
+    assert insert(ledger, "rig", "", new_rows(1000, 1001)) == (1, 0)
     ledger.close()

@@ -5,8 +5,17 @@ import threading
 import numpy as np
 import pytest
 
-from wrenchbook.service.ledger import About, Ledger, NewRow, UnknownRowError, packed_columns
-from wrenchbook.service.ledger.packing import row_values
+from tests.service.ledger_rows import NewRow, insert, stored
+from wrenchbook.service.ledger import (
+    About,
+    Ledger,
+    NotedRows,
+    UnknownRowError,
+    imports,
+    row_keys,
+)
+from wrenchbook.service.ledger.packing import pack_vector, row_key, row_records, seal
+from wrenchbook.surrogate.table.rows import Rows
 
 SOLVE = ("plate", "f1", (1.0, 0, 0, 0, 0, 0))
 
@@ -28,17 +37,17 @@ def columns(count, seed=1):
     )
 
 
-def blocks(count, component="rig", seed=1, lots=3):
+def blocks(count, seed=1, lots=3):
     for one in range(lots):
-        texts = ["measured"] * count, [""] * count, ["note"] * count
-        yield packed_columns(component, columns(count, seed * 100 + one), texts, 1.0)
+        wrench, moved, *_ = columns(count, seed * 100 + one)
+        yield NotedRows(Rows.of(wrench, moved, source=["measured"] * count), ["note"] * count)
 
 
 class KilledError(BaseException):
     """What a test throws into an import."""
 
 
-def test_rows_packed_by_columns_are_those_packed_one_by_one():
+def test_rows_of_a_block_have_the_bytes_of_rows_that_come_alone():
     rng = np.random.default_rng(2)
     wrench, moved, doubt, tangent = columns(40)
     wrench[3, 2] = -0.0
@@ -46,29 +55,29 @@ def test_rows_packed_by_columns_are_those_packed_one_by_one():
     moved[:, 0] = 1e-5
     doubt[:20, 1] = 1e-6
     tangent[10:30] = rng.normal(size=(20, 6, 6))
-    sources = ["measured", "rig 2"] * 20
-    notes = [f"line {at}" for at in range(40)]
-    by_column = packed_columns(
-        "rig", (wrench, moved, doubt, tangent), (sources, ["f"] * 40, notes), 5.0
+    rows = Rows.of(
+        wrench,
+        moved,
+        uncertainty=doubt,
+        compliance=tangent,
+        source=["measured", "rig 2"] * 20,
+        fingerprint=["f"] * 40,
     )
-    rows = [
-        NewRow(
-            wrench[at].tolist(),
-            moved[at].tolist(),
-            sources[at],
-            tangent[at].tolist() if 10 <= at < 30 else None,
-            doubt[at].tolist() if at < 20 else None,
-            notes[at],
-            "f",
-        )
+    notes = [f"line {at}" for at in range(40)]
+    alone = [
+        row_records("rig", NotedRows(rows.take(np.array([at])), [notes[at]]), 5.0)[0]
         for at in range(40)
     ]
-    one_by_one = [row_values("rig", "", row, None, 5.0) for row in rows]
-    assert by_column == one_by_one
+    assert row_records("rig", NotedRows(rows, notes), 5.0) == alone
+    wrench, moved, tangent, _, doubt = alone[12][3:8]
+    assert alone[12][-2] == row_key("rig", "f", "measured", wrench, moved, doubt)
+    assert alone[12][-1] == seal(alone[12][-2], tangent, "line 12", None)
+    assert alone[3][3] == pack_vector(rows.wrench[3].tolist())
+    assert (alone[35][5], alone[35][7]) == (None, None)
 
 
 def test_nothing_of_an_import_is_seen_before_its_end_and_all_of_it_after(ledger):
-    ledger.insert_rows("rig", "", [NewRow((9.0,) * 6, (0.0,) * 6)])
+    insert(ledger, "rig", "", [NewRow((9.0,) * 6, (0.0,) * 6)])
     seen = []
 
     def watched():
@@ -79,7 +88,7 @@ def test_nothing_of_an_import_is_seen_before_its_end_and_all_of_it_after(ledger)
                     ledger.count_rows("rig"),
                     ledger.last_seq("rig"),
                     len(ledger.row_changes("rig", 0).rows),
-                    len(ledger.rows("rig")),
+                    len(stored(ledger, "rig")),
                 )
             )
             with pytest.raises(UnknownRowError):
@@ -94,7 +103,7 @@ def test_other_components_and_jobs_go_on_during_an_import(ledger):
     def watched():
         for lot, block in enumerate(blocks(50)):
             yield block
-            ledger.insert_rows("bar", "", [NewRow((lot + 1.0,) * 6, (0.0,) * 6)])
+            insert(ledger, "bar", "", [NewRow((lot + 1.0,) * 6, (0.0,) * 6)])
             ledger.accept("plate", "f1", (lot + 1.0, 0, 0, 0, 0, 0))
             assert len(ledger.row_changes("bar", 0).rows) == lot + 1
 
@@ -109,13 +118,13 @@ def test_a_follower_misses_no_row_that_came_during_an_import(ledger):
     def follow():
         nonlocal after
         row_changes = ledger.row_changes("rig", after)
-        told.extend(row.seq for row in row_changes.rows)
+        told.extend(row_changes.rows.seq.tolist())
         after = row_changes.last_seq
 
     def watched():
         for lot, block in enumerate(blocks(20)):
             yield block
-            ledger.insert_rows("rig", "", [NewRow((lot + 1.0,) * 6, (0.0,) * 6)])
+            insert(ledger, "rig", "", [NewRow((lot + 1.0,) * 6, (0.0,) * 6)])
             follow()
 
     ledger.import_rows("rig", watched(), About())
@@ -141,11 +150,12 @@ def test_an_import_that_is_broken_off_leaves_nothing(ledger, lots):
 def test_what_a_killed_process_left_is_deleted_at_the_next_start(tmp_path, ledger, monkeypatch):
     def broken():
         yield from blocks(30, lots=1)
-        monkeypatch.setattr(ledger, "_drop_hidden", lambda: None)  # it has no time for that
+        monkeypatch.setattr(imports, "_drop_hidden", lambda _: None)  # it has no time for that
         raise KilledError
 
     with pytest.raises(KilledError):
         ledger.import_rows("rig", broken(), About())
+    monkeypatch.undo()
     ledger.close()
     again = Ledger(tmp_path / "ledger.sqlite")
     assert again.last_seq("rig") == 0  # hidden, though not deleted
@@ -174,12 +184,12 @@ def test_a_row_that_somebody_else_brings_meanwhile_stays_though_the_import_ends(
     def broken():
         yield block
         same = NewRow(wrench[4].tolist(), moved[4].tolist(), "measured", origin="note")
-        assert ledger.insert_rows("rig", "", [same]) == (1, 0)
+        assert insert(ledger, "rig", "", [same]) == (1, 0)
         raise KilledError
 
     with pytest.raises(KilledError):
         ledger.import_rows("rig", broken(), About())
-    (left,) = ledger.rows("rig")
+    (left,) = stored(ledger, "rig")
     assert left.wrench == tuple(wrench[4])
 
 
@@ -207,7 +217,7 @@ def test_two_imports_at_once_come_one_after_the_other(ledger):
 
 def test_a_row_tells_who_brought_it(ledger):
     ledger.import_rows("rig", blocks(5), About("kl", "a.csv", "csv", "ab12", "run 3"))
-    first = ledger.rows("rig")[0]
+    first = stored(ledger, "rig")[0]
     told = ledger.import_of(first.seq)
     assert (told.who, told.filename, told.digest, told.note, told.rows) == (
         *("kl", "a.csv", "ab12", "run 3"),
@@ -225,14 +235,14 @@ def test_the_table_at_an_old_version_has_the_rows_it_had(ledger):
     ledger.withdraw("rig", 2)
     ledger.import_rows("rig", blocks(5, seed=2, lots=1), About())
     with ledger.table_at("rig", version) as table:
-        assert [row.seq for lot in table.lots for row in lot] == [1, 2, 3, 4, 5]
+        assert [seq for lot in table.lots for seq in lot.rows.seq] == [1, 2, 3, 4, 5]
     with ledger.table_at("rig") as table:
-        assert len([row for lot in table.lots for row in lot]) == 9
+        assert sum(len(lot.rows) for lot in table.lots) == 9
         assert table.known == (False, False, False, True, False)
 
 
 def test_a_dry_count_finds_known_rows_and_those_that_stand_twice(ledger):
     (first, second, third) = blocks(5)
     ledger.import_rows("rig", [first], About())
-    keys = [row[-2] for row in (*first, *second, *second, *third)]
+    keys = [key for block in (first, second, second, third) for key in row_keys("rig", block)]
     assert ledger.known_rows(keys) == 10

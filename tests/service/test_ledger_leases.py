@@ -95,7 +95,7 @@ def test_as_many_jobs_as_asked_for_are_claimed_the_most_urgent_first(ledger):
 
 
 def test_the_cause_of_the_last_death_is_in_the_failure(ledger, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.ledger.states.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
     job = accepted(ledger, 1)[0]
     for attempt in range(1, 5):
         ledger.claim("me")

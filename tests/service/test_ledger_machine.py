@@ -9,18 +9,18 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.ledger import (
     InvalidTransitionError,
     Ledger,
-    NewRow,
     StaleAttemptError,
-    states,
+    jobs,
 )
 
 LOADS = st.sampled_from([-1.0, -0.0, 0.0, 1.0])
 WRENCHES = st.tuples(LOADS, LOADS, *[st.just(0.0)] * 4)
 COMPONENTS = st.sampled_from(["bar", "plate"])
-BACKOFF = states.BACKOFF_SECONDS
+BACKOFF = jobs.BACKOFF_SECONDS
 ERROR = {"kind": "k", "message": "m", "remedy": "r"}
 
 
@@ -42,7 +42,7 @@ def answer(wrench):
 class LedgerAgainstReference(RuleBasedStateMachine):
     def __init__(self):
         super().__init__()
-        states.BACKOFF_SECONDS = (0.0, 0.0, 0.0)
+        jobs.BACKOFF_SECONDS = (0.0, 0.0, 0.0)
         self.folder = Path(tempfile.mkdtemp())
         self.ledger = Ledger(self.folder / "ledger.sqlite")
         self.jobs: dict[int, Expected] = {}
@@ -50,7 +50,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
         self.committed = []
 
     def teardown(self):
-        states.BACKOFF_SECONDS = BACKOFF
+        jobs.BACKOFF_SECONDS = BACKOFF
         self.ledger.close()
         shutil.rmtree(self.folder)
 
@@ -140,13 +140,15 @@ class LedgerAgainstReference(RuleBasedStateMachine):
 
     @rule(component=COMPONENTS, wrenches=st.lists(WRENCHES, max_size=4),
           source=st.sampled_from(["fea", "measured"]))  # fmt: skip
-    def insert(self, component, wrenches, source):
+    def insert_rows(self, component, wrenches, source):
         new = [NewRow(wrench, answer(wrench), source) for wrench in wrenches]
-        inserted, existing = self.ledger.insert_rows(component, "f", new)
+        inserted, existing = insert(self.ledger, component, "f", new)
         keys = [((component, tuple(load + 0.0 for load in wrench)), source) for wrench in wrenches]
         fresh = [key for key in dict.fromkeys(keys) if key not in self.rows]
         assert (inserted, existing) == (len(fresh), len(keys) - len(fresh))
-        seqs = {row.wrench: row.seq for row in self.ledger.rows(component) if row.source == source}
+        seqs = {
+            row.wrench: row.seq for row in stored(self.ledger, component) if row.source == source
+        }
         self.rows |= {key: seqs[key[0][1]] for key in fresh}
 
     @rule()
@@ -166,7 +168,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
 
     @invariant()
     def each_row_is_there_once(self):
-        rows = self.ledger.rows("bar") + self.ledger.rows("plate")
+        rows = stored(self.ledger, "bar") + stored(self.ledger, "plate")
         assert {((row.component, row.wrench), row.source): row.seq for row in rows} == self.rows
         assert len(rows) == len(self.rows)
 

@@ -3,7 +3,8 @@
 import subprocess
 import sys
 
-from wrenchbook.service.ledger import Ledger, NewRow
+from tests.service.ledger_rows import NewRow, insert, stored
+from wrenchbook.service.ledger import Ledger
 
 WORK = """
 import sys
@@ -48,21 +49,21 @@ def test_processes_that_open_accept_and_claim_at_once_share_each_job_once(tmp_pa
     claimed = sorted(int(line) for text in printed for line in text.split())
     ledger = Ledger(path)
     assert claimed == sorted(job.id for job in ledger.jobs(status="done", limit=1000))
-    assert sorted(row.wrench[0] for row in ledger.rows("bar")) == list(range(200))
+    assert sorted(row.wrench[0] for row in stored(ledger, "bar")) == list(range(200))
     ledger.close()
 
 
 def test_what_another_process_commits_changes_the_version(tmp_path):
     path = tmp_path / "ledger.sqlite"
     ledger = Ledger(path)
-    ledger.insert_rows("bar", "f", [NewRow((1, 0, 0, 0, 0, 0), (0,) * 6)])
+    insert(ledger, "bar", "f", [NewRow((1, 0, 0, 0, 0, 0), (0,) * 6)])
     job, _ = ledger.accept("bar", "f", (5, 0, 0, 0, 0, 0))
     seen = ledger.version()
     (worker,) = start_together(path, 1, 30)
     worker.communicate(timeout=60)
     assert ledger.job(job.id).status == "done"
     assert ledger.version() != seen
-    assert len(ledger.rows("bar", after=1)) == 30
+    assert len(stored(ledger, "bar", after=1)) == 30
     ledger.close()
 
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.ledger import (
     DamagedRowError,
     Ledger,
     LedgerFileError,
     LedgerUnavailableError,
-    NewRow,
     RowStatusError,
     UnknownRowError,
     connection,
@@ -41,8 +41,8 @@ def test_inserted_rows_come_back_bit_for_bit_in_their_order(ledger):
         rng.random(6),
         "bench 3",
     )
-    assert ledger.insert_rows("plate", "f1", [new, *ROWS]) == (11, 0)
-    rows = ledger.rows("plate")
+    assert insert(ledger, "plate", "f1", [new, *ROWS]) == (11, 0)
+    rows = stored(ledger, "plate")
     first = rows[0]
     assert np.array_equal(first.wrench, new.wrench)
     assert np.array_equal(first.displacement, new.displacement)
@@ -54,11 +54,11 @@ def test_inserted_rows_come_back_bit_for_bit_in_their_order(ledger):
 
 
 def test_inserting_a_table_twice_changes_nothing_the_second_time(ledger):
-    assert ledger.insert_rows("plate", "f1", ROWS) == (10, 0)
+    assert insert(ledger, "plate", "f1", ROWS) == (10, 0)
     version = ledger.last_seq()
-    assert ledger.insert_rows("plate", "f1", [*ROWS, ROWS[0]]) == (0, 11)
+    assert insert(ledger, "plate", "f1", [*ROWS, ROWS[0]]) == (0, 11)
     assert ledger.last_seq() == version
-    assert len(ledger.rows("plate")) == 10
+    assert len(stored(ledger, "plate")) == 10
 
 
 def test_a_row_differs_by_displacement_uncertainty_source_component_and_fingerprint(ledger):
@@ -68,23 +68,23 @@ def test_a_row_differs_by_displacement_uncertainty_source_component_and_fingerpr
         replace(row, uncertainty=(1, 1, 1, 1, 1, 1)),
         replace(row, source="fea"),
     ]
-    assert ledger.insert_rows("plate", "f1", [row, *variants]) == (4, 0)
-    assert ledger.insert_rows("plate", "f2", [row]) == (1, 0)
-    assert ledger.insert_rows("bar", "f1", [row]) == (1, 0)
+    assert insert(ledger, "plate", "f1", [row, *variants]) == (4, 0)
+    assert insert(ledger, "plate", "f2", [row]) == (1, 0)
+    assert insert(ledger, "bar", "f1", [row]) == (1, 0)
 
 
 def test_a_table_that_comes_back_without_its_compliance_is_the_same_table(ledger):
     row = replace(ROWS[1], compliance=np.eye(6))
-    ledger.insert_rows("plate", "f1", [row])
-    assert ledger.insert_rows("plate", "f1", [replace(row, compliance=None)]) == (0, 1)
+    insert(ledger, "plate", "f1", [row])
+    assert insert(ledger, "plate", "f1", [replace(row, compliance=None)]) == (0, 1)
 
 
 def test_a_measured_row_may_lack_outputs_and_is_known_again(ledger):
     row = replace(ROWS[0], displacement=(float("nan"), 0, 1e-3, 0, -float("nan"), 0))
-    assert ledger.insert_rows("plate", "f1", [row]) == (1, 0)
+    assert insert(ledger, "plate", "f1", [row]) == (1, 0)
     again = replace(row, displacement=(-float("nan"), 0, 1e-3, 0, float("nan"), 0))
-    assert ledger.insert_rows("plate", "f1", [again]) == (0, 1)
-    np.testing.assert_array_equal(ledger.rows("plate")[0].displacement, row.displacement)
+    assert insert(ledger, "plate", "f1", [again]) == (0, 1)
+    np.testing.assert_array_equal(stored(ledger, "plate")[0].displacement, row.displacement)
 
 
 @pytest.mark.parametrize(
@@ -93,37 +93,34 @@ def test_a_measured_row_may_lack_outputs_and_is_known_again(ledger):
         replace(ROWS[0], displacement=(float("nan"),) * 6),
         replace(ROWS[0], displacement=(float("inf"), 0, 0, 0, 0, 0)),
         replace(ROWS[0], displacement=(float("nan"), 0, 0, 0, 0, 0), source="fea"),
-        replace(ROWS[0], wrench=(1, 2)),
         replace(ROWS[0], compliance=np.full((6, 6), np.inf)),
-        replace(ROWS[0], compliance=np.eye(5)),
-        replace(ROWS[0], uncertainty=(1, 2, 3)),
     ],
 )
 def test_one_bad_row_keeps_all_of_them_out(ledger, bad):
-    with pytest.raises(ValueError, match=r"wrench|displacement|compliance|uncertainty"):
-        ledger.insert_rows("plate", "f1", [*ROWS, bad])
-    assert ledger.rows("plate") == []
+    with pytest.raises(ValueError, match=r"displacement|ux|compliance"):
+        insert(ledger, "plate", "f1", [*ROWS, bad])
+    assert stored(ledger, "plate") == []
 
 
 def test_rows_after_a_seq_and_of_a_fingerprint_are_what_a_follower_reads(ledger):
-    ledger.insert_rows("plate", "f1", ROWS[:3])
+    insert(ledger, "plate", "f1", ROWS[:3])
     seen = ledger.last_seq("plate")
-    ledger.insert_rows("bar", "f1", ROWS[:2])
-    ledger.insert_rows("plate", "f2", ROWS[3:5])
+    insert(ledger, "bar", "f1", ROWS[:2])
+    insert(ledger, "plate", "f2", ROWS[3:5])
     assert ledger.last_seq("plate") == ledger.last_seq() > seen
-    assert [row.wrench[0] for row in ledger.rows("plate", after=seen)] == [3, 4]
-    assert [row.fingerprint for row in ledger.rows("plate", "f1")] == ["f1"] * 3
-    assert (ledger.last_seq("spring"), ledger.rows("spring")) == (0, [])
+    assert [row.wrench[0] for row in stored(ledger, "plate", after=seen)] == [3, 4]
+    assert [row.fingerprint for row in stored(ledger, "plate", "f1")] == ["f1"] * 3
+    assert (ledger.last_seq("spring"), stored(ledger, "spring")) == (0, [])
 
 
 def test_a_job_whose_very_row_was_imported_before_is_done_with_that_row(ledger):
-    ledger.insert_rows("plate", "f1", [replace(ROWS[1], source="fea")])
-    imported = ledger.rows("plate")[0]
+    insert(ledger, "plate", "f1", [replace(ROWS[1], source="fea")])
+    imported = stored(ledger, "plate")[0]
     job, _ = ledger.accept("plate", "f1", ROWS[1].wrench)
     ledger.claim("me")
     assert ledger.commit(job.id, 1, ROWS[1].displacement) == imported
     assert ledger.job(job.id).row == imported.seq
-    assert ledger.rows("plate") == [imported]
+    assert stored(ledger, "plate") == [imported]
 
 
 def test_a_row_that_is_not_there_is_named(ledger):
@@ -132,18 +129,18 @@ def test_a_row_that_is_not_there_is_named(ledger):
 
 
 def test_a_fresh_ledger_beside_older_tables_numbers_its_rows_after_theirs(ledger):
-    ledger.insert_rows("plate", "f1", ROWS[:1], above=500)
+    insert(ledger, "plate", "f1", ROWS[:1], above=500)
     assert ledger.last_seq() == 501
-    ledger.insert_rows("plate", "f1", ROWS[:2], above=100)
+    insert(ledger, "plate", "f1", ROWS[:2], above=100)
     assert ledger.last_seq() > 501
 
 
 def test_the_version_differs_after_own_commits_and_not_after_reading(ledger):
     before = ledger.version()
-    ledger.rows("plate")
+    stored(ledger, "plate")
     ledger.jobs()
     assert ledger.version() == before
-    ledger.insert_rows("plate", "f1", ROWS)
+    insert(ledger, "plate", "f1", ROWS)
     assert ledger.version() != before
 
 
@@ -154,8 +151,8 @@ def test_a_hundred_thousand_rows_go_in_and_come_out_in_seconds(ledger):
         for i in range(100_000)
     ]
     started = time.process_time()
-    assert ledger.insert_rows("plate", "f1", many) == (100_000, 0)
-    assert len(ledger.rows("plate")) == 100_000
+    assert insert(ledger, "plate", "f1", many) == (100_000, 0)
+    assert len(stored(ledger, "plate")) == 100_000
     assert time.process_time() - started < 20
 
 
@@ -195,26 +192,24 @@ def test_a_folder_that_cannot_be_opened_is_named(tmp_path):
 
 
 def test_a_withdrawn_row_is_gone_for_readers_and_followers_and_comes_back(ledger):
-    ledger.insert_rows("plate", "f1", ROWS[:3])
+    insert(ledger, "plate", "f1", ROWS[:3])
     seen = ledger.last_seq("plate")
     ledger.withdraw("plate", 2)
-    assert [row.seq for row in ledger.rows("plate")] == [1, 3]
+    assert [row.seq for row in stored(ledger, "plate")] == [1, 3]
     assert ledger.row(2).origin == "t.csv:1"
     row_changes = ledger.row_changes("plate", seen)
-    assert (row_changes.rows, row_changes.gone) == ([], {2})
+    assert (len(row_changes.rows), row_changes.gone) == (0, {2})
     assert row_changes.last_seq == ledger.last_seq("plate") == ledger.last_seq() > seen
     ledger.restore("plate", 2)
-    assert [row.seq for row in ledger.rows("plate")] == [1, 2, 3]
+    assert [row.seq for row in stored(ledger, "plate")] == [1, 2, 3]
     back = ledger.row_changes("plate", row_changes.last_seq)
-    assert ([row.seq for row in back.rows], back.gone) == ([2], {2})
-    ledger.insert_rows("plate", "f1", ROWS[3:4])
-    assert [row.seq for row in ledger.row_changes("plate", back.last_seq).rows] == [
-        back.last_seq + 1
-    ]
+    assert (back.rows.seq.tolist(), back.gone) == ([2], {2})
+    insert(ledger, "plate", "f1", ROWS[3:4])
+    assert ledger.row_changes("plate", back.last_seq).rows.seq.tolist() == [back.last_seq + 1]
 
 
 def test_withdrawing_what_is_not_there_or_twice_is_refused_by_name(ledger):
-    ledger.insert_rows("plate", "f1", ROWS[:1])
+    insert(ledger, "plate", "f1", ROWS[:1])
     for component, seq in (("plate", 2), ("bar", 1)):
         with pytest.raises(UnknownRowError, match=f"no row {seq}"):
             ledger.withdraw(component, seq)
@@ -236,7 +231,7 @@ def test_a_job_whose_row_is_withdrawn_is_solved_again_when_it_is_asked_for(ledge
     ledger.claim("me")
     second = ledger.commit(job.id, 2, ROWS[1].displacement if same else (1, 0, 0, 0, 0, 0))
     assert (second.seq == first.seq) == same
-    assert [row.seq for row in ledger.rows("plate")] == [second.seq]
+    assert [row.seq for row in stored(ledger, "plate")] == [second.seq]
 
 
 def damage(ledger, column, seq=2):
@@ -267,10 +262,10 @@ def damage(ledger, column, seq=2):
 )
 def test_a_row_with_a_flipped_bit_is_served_by_no_reader_and_named(ledger, column, caplog):
     full = [replace(row, compliance=np.eye(6), uncertainty=(1e-9,) * 6) for row in ROWS[:3]]
-    ledger.insert_rows("plate", "f1", full)
+    insert(ledger, "plate", "f1", full)
     damage(ledger, column)
-    assert [row.seq for row in ledger.rows("plate")] == [1, 3]
-    assert [row.seq for row in ledger.row_changes("plate", 0).rows] == [1, 3]
+    assert [row.seq for row in stored(ledger, "plate")] == [1, 3]
+    assert ledger.row_changes("plate", 0).rows.seq.tolist() == [1, 3]
     assert ledger.damaged == {2: "plate"}
     assert "row 2 of plate is damaged" in caplog.text
     with pytest.raises(DamagedRowError, match="row 2"):
@@ -287,8 +282,8 @@ def test_a_damaged_row_of_a_job_is_solved_again_when_it_is_asked_for(ledger):
     assert ledger.accept("plate", "f1", wrench)[0].status == "waiting"
     ledger.claim("me")
     assert ledger.commit(job.id, 2, displacement).displacement == displacement
-    assert [row.seq for row in ledger.rows("plate")] == [seq]
-    assert [row.seq for row in ledger.row_changes("plate", seen).rows] == [seq]
+    assert [row.seq for row in stored(ledger, "plate")] == [seq]
+    assert ledger.row_changes("plate", seen).rows.seq.tolist() == [seq]
 
 
 @pytest.mark.parametrize("replaced", [False, True])
@@ -302,7 +297,7 @@ def test_a_ledger_deleted_while_it_is_open_takes_nothing_and_says_so(ledger, rep
     else:
         ledger.path.unlink()
     with pytest.raises(LedgerUnavailableError, match="deleted or replaced"):
-        ledger.insert_rows("plate", "f1", ROWS)
+        insert(ledger, "plate", "f1", ROWS)
     with pytest.raises(LedgerUnavailableError, match="deleted or replaced"):
         ledger.accept("plate", "f1", ROWS[0].wrench)
     assert "deleted or replaced" in ledger.trouble()
@@ -312,20 +307,20 @@ def test_a_ledger_that_cannot_be_opened_now_is_opened_by_a_later_write(tmp_path)
     path = tmp_path / "ledger.sqlite"
     path.mkdir()
     patient = Ledger(path, patient=True)
-    for call in (patient.version, patient.jobs, lambda: patient.insert_rows("plate", "f", ROWS)):
+    for call in (patient.version, patient.jobs, lambda: insert(patient, "plate", "f", ROWS)):
         with pytest.raises(LedgerUnavailableError, match="cannot open"):
             call()
     assert "cannot open" in patient.trouble()
     path.rmdir()
-    assert patient.insert_rows("plate", "f1", ROWS) == (10, 0)
-    assert (patient.trouble(), len(patient.rows("plate"))) == (None, 10)
+    assert insert(patient, "plate", "f1", ROWS) == (10, 0)
+    assert (patient.trouble(), len(stored(patient, "plate"))) == (None, 10)
     patient.close()
 
 
 def test_a_ledger_that_cannot_be_written_is_read_and_later_written(tmp_path, monkeypatch):
     path = tmp_path / "ledger.sqlite"
     whole = Ledger(path)
-    whole.insert_rows("plate", "f1", ROWS[:3])
+    insert(whole, "plate", "f1", ROWS[:3])
     whole.close()
 
     def full(_):
@@ -333,28 +328,28 @@ def test_a_ledger_that_cannot_be_written_is_read_and_later_written(tmp_path, mon
 
     monkeypatch.setattr(connection, "_use_wal", full)
     patient = Ledger(path, patient=True)
-    assert [len(patient.rows("plate")), patient.last_seq("plate")] == [3, 3]
+    assert [len(stored(patient, "plate")), patient.last_seq("plate")] == [3, 3]
     assert "full" in patient.trouble()
     with pytest.raises(LedgerUnavailableError, match="full"):
-        patient.insert_rows("plate", "f1", ROWS)
+        insert(patient, "plate", "f1", ROWS)
     monkeypatch.undo()
-    assert patient.insert_rows("plate", "f1", ROWS) == (7, 3)
-    assert (len(patient.rows("plate")), patient.trouble()) == (10, None)
+    assert insert(patient, "plate", "f1", ROWS) == (7, 3)
+    assert (len(stored(patient, "plate")), patient.trouble()) == (10, None)
     patient.close()
 
 
 def test_news_told_in_parts_are_the_news_told_at_once(ledger):
     rows = [NewRow((i, 0, 0, 0, 0, 0), (1e-6 * i, 0, 0, 0, 0, 0)) for i in range(1, 31)]
-    ledger.insert_rows("plate", "", rows)
-    seqs = [row.seq for row in ledger.rows("plate")]
+    insert(ledger, "plate", "", rows)
+    seqs = [row.seq for row in stored(ledger, "plate")]
     for seq in seqs[3:12:2]:
         ledger.withdraw("plate", seq)
     ledger.restore("plate", seqs[5])
     held, after, parts = {}, 0, 0
     while True:
         row_changes = ledger.row_changes("plate", after, most=4)
-        held = {seq: row for seq, row in held.items() if seq not in row_changes.gone}
-        held |= {row.seq: row for row in row_changes.rows}
+        held = {seq: None for seq in held if seq not in row_changes.gone}
+        held |= dict.fromkeys(row_changes.rows.seq.tolist())
         after, parts = row_changes.last_seq, parts + 1
         if parts == 2:  # what happens meanwhile is told as well
             ledger.withdraw("plate", seqs[0])
@@ -363,12 +358,12 @@ def test_news_told_in_parts_are_the_news_told_at_once(ledger):
             break
     assert parts > 5
     assert after == ledger.last_seq("plate")
-    assert sorted(held) == [row.seq for row in ledger.rows("plate")]
+    assert sorted(held) == [row.seq for row in stored(ledger, "plate")]
 
 
 def test_new_rows_of_a_setup_are_counted_beyond_any_limit(tmp_path):
     ledger = Ledger(tmp_path / "ledger.sqlite")
-    ledger.insert_rows("rig", "f", [NewRow((i, 0, 0, 0, 0, 0), (1e-6,) * 6) for i in range(660)])
-    ledger.insert_rows("rig", "g", [NewRow((1, 2, 0, 0, 0, 0), (1e-6,) * 6)])
+    insert(ledger, "rig", "f", [NewRow((i, 0, 0, 0, 0, 0), (1e-6,) * 6) for i in range(660)])
+    insert(ledger, "rig", "g", [NewRow((1, 2, 0, 0, 0, 0), (1e-6,) * 6)])
     assert (ledger.count_new("rig", "f", 0), ledger.count_new("rig", "f", 660)) == (660, 0)
     ledger.close()

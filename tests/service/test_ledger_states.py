@@ -1,58 +1,83 @@
-"""The table of states against every event in every status."""
-
-from dataclasses import replace
+"""The table of transitions against every event in every status, on a ledger."""
 
 import pytest
 
-from wrenchbook.service.ledger import STATUSES, InvalidTransitionError, JobRecord, states
+from tests.service.ledger_rows import stored
+from wrenchbook.service.ledger import STATUSES, InvalidTransitionError, Ledger
+from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS, TRANSITIONS
 
+WRENCH = (1.0, 0, 0, 0, 0, 0)
+ERROR = {"kind": "k", "message": "m", "remedy": "r"}
+
+# What brings a job about that is at its first attempt, or in line for it.
+BEFORE = {
+    "waiting": lambda ledger: None,
+    "running": lambda ledger: ledger.claim("me"),
+    "done": lambda ledger: ledger.claim("me") and ledger.commit(1, 1, (0.0,) * 6),
+    "failed": lambda ledger: ledger.claim("me") and ledger.fail(1, 1, ERROR),
+    "cancelled": lambda ledger: ledger.cancel(1),
+}
 EVENTS = {
-    "claim": lambda job: states.claimed(job, "me", "local", 5.0),
-    "begin": lambda job: states.begun(job, 5.0),
-    "adopt": lambda job: states.adopted(job, "you"),
-    "commit": lambda job: states.committed(job, 7, 5.0),
-    "fail": lambda job: states.failed(job, {"kind": "k", "message": "m", "remedy": "r"}, 5.0),
-    "lose": lambda job: states.lost(job, 5.0),
-    "release": states.released,
-    "cancel": lambda job: states.cancelled(job, 5.0),
-    "retry": states.retried,
-    "reopen": states.reopened,
+    "claim": lambda ledger: ledger.claim("me"),
+    "begin": lambda ledger: ledger.beat("me", "local", {(1, 1): 5.0}),
+    "adopt": lambda ledger: ledger.adopt(1, 1, "me", "you"),
+    "commit": lambda ledger: ledger.commit(1, 1, (1e-6,) * 6),
+    "fail": lambda ledger: ledger.fail(1, 1, ERROR),
+    "lose": lambda ledger: ledger.lose(1, 1),
+    "release": lambda ledger: ledger.release(1, 1),
+    "cancel": lambda ledger: ledger.cancel(1),
+    "retry": lambda ledger: ledger.retry(1),
+    "reopen": lambda ledger: ledger.accept("bar", "f", WRENCH),
 }
 
 
-def job_of(status):
-    return JobRecord(
-        id=1, component="bar", fingerprint="f", wrench=(0.0,) * 6, status=status, priority=0,
-        attempt=1, lost=0, owner="me" if status == "running" else None, created=1.0,
-        started=2.0, finished=None, error=None, row=None,
-    )  # fmt: skip
+@pytest.fixture
+def ledger(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    ledger.accept("bar", "f", WRENCH)
+    yield ledger
+    ledger.close()
 
 
 @pytest.mark.parametrize("status", STATUSES)
 @pytest.mark.parametrize("event", EVENTS)
-def test_an_event_leads_where_the_table_says_or_is_refused(status, event):
-    expected = states.TRANSITIONS.get((status, event))
-    if expected is None:
-        with pytest.raises(InvalidTransitionError, match=f"is {status}"):
-            EVENTS[event](job_of(status))
+def test_an_event_leads_where_the_table_says_or_changes_nothing(ledger, status, event):
+    BEFORE[status](ledger)
+    if status == "done" and event == "reopen":
+        ledger.withdraw("bar", 1)
+    before, expected = ledger.job(1), TRANSITIONS.get((status, event))
+    assert before.status == status
+    if expected is not None or event in ("claim", "begin", "adopt", "reopen"):
+        EVENTS[event](ledger)
+    elif (status, event) == ("done", "commit"):  # once more: the row that it has
+        assert EVENTS[event](ledger).seq == before.row
     else:
-        assert EVENTS[event](job_of(status)).status == expected
+        with pytest.raises(InvalidTransitionError, match=f"is {status}"):
+            EVENTS[event](ledger)
+    job = ledger.job(1)
+    assert job.status == (expected or status)
+    assert (job.owner is not None) == (job.status == "running")
+    if expected is None:
+        assert job == before
 
 
-def test_only_a_running_job_has_an_owner():
-    for (status, event), after in states.TRANSITIONS.items():
-        if event in EVENTS:
-            job = EVENTS[event](job_of(status))
-            assert (job.owner is not None) == (after == "running")
+def test_a_job_whose_solver_dies_once_more_than_it_may_has_failed(ledger, monkeypatch):
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.0,) * 3)
+    for attempt in range(1, len(BACKOFF_SECONDS) + 2):
+        ledger.claim("me")
+        ended = ledger.lose(1, attempt)
+    assert ended.status == TRANSITIONS["running", "give up"] == "failed"
 
 
-def test_nothing_leads_out_of_done_but_asking_again_once_its_row_is_withdrawn():
-    assert [event for status, event in states.TRANSITIONS if status == "done"] == ["reopen"]
-    done = replace(job_of("done"), row=7)
-    assert states.accepted_again(done, 1, True, lacks_row=False) == done
-    again = states.accepted_again(done, 1, True, lacks_row=True)
+def test_nothing_leads_out_of_done_but_asking_again_once_its_row_is_withdrawn(ledger):
+    assert [event for status, event in TRANSITIONS if status == "done"] == ["reopen"]
+    BEFORE["done"](ledger)
+    done = ledger.job(1)
+    assert ledger.accept("bar", "f", WRENCH, priority=1) == (done, False)
+    ledger.withdraw("bar", stored(ledger, "bar")[0].seq)
+    again, _ = ledger.accept("bar", "f", WRENCH, priority=1)
     assert (again.status, again.row, again.priority) == ("waiting", None, 1)
 
 
 def test_the_table_names_no_event_that_nothing_brings_about():
-    assert {event for _, event in states.TRANSITIONS} == {*EVENTS, "give up"}
+    assert {event for _, event in TRANSITIONS} == {*EVENTS, "give up"}

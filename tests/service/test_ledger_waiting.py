@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
+from tests.service.ledger_rows import NewRow, noted
 from wrenchbook.service.ledger import About, Ledger, connection
-from wrenchbook.service.ledger.connections import Database
 from wrenchbook.service.ledger.records import LedgerUnavailableError
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -55,20 +55,15 @@ def test_what_is_no_lock_is_told_at_once(path):
 def test_each_part_of_an_import_is_on_the_disk_before_the_next_begins(path, monkeypatch):
     """Else the next durable transaction, which is somebody else's, waits for all of them."""
     ledger, told = Ledger(path), []
-    settle = Database.settle
+    sync = Ledger.sync
 
     def heard(self):
-        with self.writing(keep=False):  # nobody holds the ledger meanwhile
-            told.append("settled")
-        settle(self)
+        with self.writing():  # nobody holds the ledger meanwhile
+            told.append("synced")
+        sync(self)
 
-    monkeypatch.setattr(Database, "settle", heard)
-    blocks = [[_row(number)] for number in range(3)]
+    monkeypatch.setattr(Ledger, "sync", heard)
+    blocks = [noted([NewRow((number, 0, 0, 0, 0, 0), (0.0,) * 6)]) for number in range(3)]
     assert ledger.import_rows("rig", blocks, About())[:2] == (3, 0)
     assert len(told) == 3
     ledger.close()
-
-
-def _row(number):
-    content = ("rig", "", "measured", b"%048d" % number, b"0" * 48, None, None, None, None, 0.0, "")
-    return (*content, b"%016d" % number, b"0" * 16)

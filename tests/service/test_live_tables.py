@@ -5,7 +5,8 @@ import time
 
 import pytest
 
-from wrenchbook.service.ledger import Ledger, NewRow
+from tests.service.ledger_rows import NewRow, insert
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import builders, live
 from wrenchbook.service.tables.builders import Builders
@@ -34,7 +35,7 @@ def open_tables(tmp_path):
                 library.add_table_only(
                     name=name, title=name, range={"force": RANGE, "moment": RANGE}
                 )
-            ledger.insert_rows(name, "", new_rows(count))
+            insert(ledger, name, "", new_rows(count))
         tables = Tables(ledger, library, tmp_path / "tables")
         before(tables)
         tables.start()
@@ -87,8 +88,8 @@ def test_a_row_of_one_table_does_not_wait_for_the_build_of_another(open_tables, 
     tables, ledger = open_tables({"big": 60, "small": 3})
     assert tables.catch_up("big", 20)
     may_build.clear()
-    ledger.insert_rows("big", "", new_rows(1, first=60))
-    ledger.insert_rows("small", "", new_rows(1, first=3))
+    insert(ledger, "big", "", new_rows(1, first=60))
+    insert(ledger, "small", "", new_rows(1, first=3))
     assert tables.catch_up("small", 5)
     assert len(tables.surrogate("big").rows) == 60
     may_build.set()
@@ -104,7 +105,7 @@ def test_rows_that_come_during_a_build_are_built_together_after_it(open_tables, 
     may_build.clear()
     before = len(built)
     for number in range(20):
-        ledger.insert_rows("big", "", new_rows(1, first=60 + number))
+        insert(ledger, "big", "", new_rows(1, first=60 + number))
         time.sleep(0.03)
     may_build.set()
     assert tables.catch_up("big", 20)

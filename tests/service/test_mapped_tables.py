@@ -5,8 +5,9 @@ from contextlib import contextmanager
 
 import pytest
 
+from tests.service.ledger_rows import NewRow, insert, stored
 from tests.until import until
-from wrenchbook.service.ledger import Ledger, NewRow
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import live
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
@@ -40,7 +41,7 @@ class Part:
 
     def add(self, name, count):
         self.library.add_table_only(name=name, title=name, range={"force": RANGE, "moment": RANGE})
-        self.ledger.insert_rows(name, "", new_rows(count))
+        insert(self.ledger, name, "", new_rows(count))
 
 
 @contextmanager
@@ -83,7 +84,7 @@ def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
     _, reader = both
     reader.add("new", 4)
     assert reader.tables.catch_up("new", 20)
-    reader.ledger.insert_rows("new", "", new_rows(2, 4))
+    insert(reader.ledger, "new", "", new_rows(2, 4))
     assert reader.tables.catch_up("new", 20)
     assert len(reader.tables.surrogate("new").rows) == 6
     assert len(list((tmp_path / "tables").glob("new-*.wbt"))) == 1
@@ -95,7 +96,7 @@ def test_a_table_that_was_replaced_still_gives_its_bytes_to_a_request_that_has_i
     assert reader.tables.catch_up("new", 20)
     old = reader.tables.surrogate("new")
     content, checksum = old.packed.content, old.packed.checksum
-    reader.ledger.insert_rows("new", "", new_rows(2, 4))
+    insert(reader.ledger, "new", "", new_rows(2, 4))
     assert reader.tables.catch_up("new", 20)
     assert (old.packed.content, old.packed.checksum) == (content, checksum)
     assert len(old.rows) == 4
@@ -135,7 +136,7 @@ def test_an_older_version_that_is_written_last_answers_nothing(both, tmp_path):
     assert reader.tables.catch_up("new", 20)
     old = next((tmp_path / "tables").glob("new-*.wbt"))
     content = old.read_bytes()
-    reader.ledger.insert_rows("new", "", new_rows(2, 4))
+    insert(reader.ledger, "new", "", new_rows(2, 4))
     assert reader.tables.catch_up("new", 20)
     newest = reader.tables.surrogate("new").version
     old.write_bytes(content)
@@ -167,7 +168,7 @@ def test_a_component_that_was_unreadable_for_a_moment_is_built_again(both, tmp_p
     for one in both:
         assert "new" not in one.library.names()
     away.rename(setup)
-    reader.ledger.insert_rows("new", "", new_rows(2, 4))
+    insert(reader.ledger, "new", "", new_rows(2, 4))
     assert reader.tables.catch_up("new", 20)
     assert len(reader.tables.surrogate("new").rows) == 6
 
@@ -177,7 +178,7 @@ def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch
     with part(tmp_path, Tables) as builder:
         builder.add("new", 4)
         assert builder.tables.catch_up("new", 20)
-        builder.ledger.withdraw("new", builder.ledger.rows("new")[0].seq)
+        builder.ledger.withdraw("new", stored(builder.ledger, "new")[0].seq)
         assert builder.tables.catch_up("new", 20)
         builder.tables.stop()
         builder.ledger.restore("new", 1)
@@ -222,7 +223,7 @@ def test_without_a_builder_the_last_version_answers_and_newer_rows_are_told_miss
             builder.add("new", 4)
             assert reader.tables.catch_up("new", 20)
             builder.state._lock = _dropped(builder.state._lock)
-        reader.ledger.insert_rows("new", "", new_rows(2, 4))
+        insert(reader.ledger, "new", "", new_rows(2, 4))
         assert len(reader.tables.surrogate("new").rows) == 4
         with pytest.raises(TableBehindError, match="has ended and is started again"):
             reader.tables.caught_up("new", 0.05)
@@ -242,7 +243,7 @@ def test_the_next_builder_goes_on_where_the_one_before_was_killed(tmp_path):
             builder.add("new", 4)
             assert reader.tables.catch_up("new", 20)
             builder.state._lock = _dropped(builder.state._lock)
-        reader.ledger.insert_rows("new", "", new_rows(2, 4))
+        insert(reader.ledger, "new", "", new_rows(2, 4))
         with part(tmp_path, Tables):
             assert reader.tables.catch_up("new", 20)
             assert len(reader.tables.surrogate("new").rows) == 6
@@ -291,7 +292,7 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
             map_new(status)
 
         monkeypatch.setattr(late.tables, "_map_new", slow)
-        reader.ledger.insert_rows("new", "", new_rows(2, 4))
+        insert(reader.ledger, "new", "", new_rows(2, 4))
         until(lambda: len(reader.tables.surrogate("new").rows) == 6)
         assert not reader.tables.catch_up("new", 0)
         may_map.set()

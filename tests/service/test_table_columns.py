@@ -24,7 +24,7 @@ def read(path: Path) -> tuple[tuple[list[float], list[float]], list[str]]:
     read = [] if report.mistakes.whole else pieces
     loads = [load for piece in read for load in piece.wrench[:, 2].tolist()]
     moved = [one for piece in read for one in piece.displacement[:, 2].tolist()]
-    return (loads, moved), [mistake.message for mistake in report.mistakes]
+    return (loads, moved), [mistake.message for mistake in report.mistakes.listed()]
 
 
 def write(path: Path, columns: dict[str, Any], group: str = "", unit: str = "units") -> Path:

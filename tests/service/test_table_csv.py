@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tests.service import table_files
 from tests.service.table_files import ReadTable
@@ -481,3 +483,49 @@ def test_100_000_rows_are_read_in_seconds():
     table = read_csv(text)
     assert len(table) == 100_000
     assert time.process_time() - started < 15.0
+
+
+WRITTEN = [
+    "1",
+    "-2.5",
+    "+3",
+    ".5",
+    "2.",
+    "1e3",
+    "7E+2",
+    "1e-400",
+    "1e-99",
+    "-0",
+    "0",
+    "",
+    " 4 ",
+    " ",
+]
+WRITTEN += ["nan", "inf", "-Infinity", "1e999", "1_0", "0x1", "1.5.2", "12 N", "#N/A", " ", "1"]
+LINES = st.lists(st.sampled_from(WRITTEN), min_size=3, max_size=3).map(",".join)
+OTHERS = st.sampled_from(["", "# a", ",,", "1,2", "1,2,3,4", '1,2,"a b"', "1,2,a\r", "=1,2,x"])
+
+
+@settings(max_examples=60)
+@given(st.lists(st.one_of(LINES, OTHERS), min_size=1, max_size=6), st.sampled_from(["\n", "\r\n"]))
+def test_rows_read_in_blocks_are_those_read_line_by_line(lines: list[str], end: str):
+    text = end.join(["fx [N],ux [mm],note", "1,2,", *lines])
+    table = read_csv(text)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(csv_table._Body, "_by_arrow", lambda *_: None)
+        line_by_line = read_csv(text)
+    assert table.errors == line_by_line.errors
+    for name in ("wrench", "displacement", "row"):
+        np.testing.assert_array_equal(getattr(table, name), getattr(line_by_line, name))
+    assert table.note == line_by_line.note
+
+
+def test_a_file_of_plain_rows_is_read_in_blocks_alone(monkeypatch):
+    monkeypatch.setattr(csv_table, "text_pieces", None)
+    monkeypatch.setattr(csv_table, "_BLOCK", 40)
+    text = "fx [N];ux [mm];note\n" + "".join(f"{k},5;-{k}e-1;row {k}\n" for k in range(20))
+    table = read_csv(text, decimal=",")
+    assert table.errors == ()
+    assert table.wrench[:, 0].tolist() == [k + 0.5 for k in range(20)]
+    assert table.row.tolist() == list(range(2, 22))
+    assert table.note[19] == "row 19"

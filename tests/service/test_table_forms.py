@@ -25,7 +25,13 @@ from tests.service.table_files import (
     write_csv,
     write_json,
 )
-from tests.service.test_table_roundtrip import any_units, same, tables, texts
+from tests.service.test_table_roundtrip import (
+    any_units,
+    same,
+    same_to_rounding,
+    tables,
+    texts,
+)
 from wrenchbook.service.formats import Options, options, write_hdf5
 from wrenchbook.service.formats import csv as csv_table
 from wrenchbook.service.formats import xlsx as xlsx_table
@@ -74,9 +80,15 @@ def error_of(content: bytes, options: Options = ZERO) -> str:
 
 
 @SLOW
-@given(tables(), any_units)
-def test_an_xlsx_export_in_any_unit_is_read_back_to_the_same_floats_and_texts(table, units):
-    same(table, read(written(write_xlsx, table, units))[0])
+@given(tables())
+def test_an_xlsx_export_is_read_back_to_the_same_floats_and_texts(table):
+    same(table, read(written(write_xlsx, table))[0])
+
+
+@SLOW
+@given(tables(280), any_units)
+def test_an_xlsx_export_in_any_unit_is_read_back_to_rounding(table, units):
+    same_to_rounding(table, read(written(write_xlsx, table, units))[0])
 
 
 @SLOW
@@ -86,10 +98,10 @@ def test_a_parquet_export_is_read_back_to_the_same_floats_and_texts(table):
 
 
 @SLOW
-@given(tables(), any_units)
-def test_a_gzipped_csv_export_is_read_back_to_the_same_floats_and_texts(table, units):
+@given(tables(280), any_units)
+def test_a_gzipped_csv_export_is_read_back_to_rounding(table, units):
     found, told = read(gzip.compress(write_csv(table, units).encode()))
-    same(table, found)
+    same_to_rounding(table, found)
     assert (told.format, told.gzip) == ("csv", True)
 
 
@@ -136,7 +148,7 @@ def test_a_spreadsheet_s_own_numbers_dates_and_empty_cells_are_read():
     table, told = read(content.getvalue())
     assert table.wrench[:, 2].tolist() == [100, 300]
     assert table.displacement[:, 2].tolist() == [0.00025, 0.00075]
-    assert [(error.row, error.field) for error in told.mistakes] == [(5, "uz")]
+    assert [(error.row, error.field) for error in told.mistakes.listed()] == [(5, "uz")]
     assert told.read == 3
 
 
@@ -286,7 +298,7 @@ def test_half_a_character_in_a_sheet_is_refused():
     row = '<c><v>1</v></c><c><v>0</v></c><c t="str"><v>_xD800_</v></c>'
     table, told = read(sheet_xml(f"<row>{cells}</row><row>{row}</row>"))
     assert len(table) == 0
-    assert [(error.row, error.field) for error in told.mistakes] == [(2, "note")]
+    assert [(error.row, error.field) for error in told.mistakes.listed()] == [(2, "note")]
 
 
 def test_other_files_say_what_they_are_and_what_to_do():
@@ -377,7 +389,7 @@ def test_8_kilobytes_of_gzipped_empty_rows_do_not_keep_a_reader_busy():
 
 @pytest.mark.parametrize("form", ["csv", "json", "hdf5"])
 def test_a_file_of_more_rows_than_may_be_is_read_no_further(form, monkeypatch):
-    monkeypatch.setattr(options, "MOST_ROWS", 1)
+    monkeypatch.setattr(options, "MAX_ROWS", 1)
     content = {
         "csv": write_csv(_ROWS).encode(),
         "json": write_json(_ROWS).encode(),
@@ -428,18 +440,18 @@ def test_a_label_of_100_000_letters_neither_keeps_a_reader_busy_nor_comes_back_w
     label = "fx" + between * (100_000 // len(between))
     table, told = read(f"{label},{HEADER}\n{'a,' * 7}a\n".encode())
     assert len(table) == 0
-    assert all(len(mistake.field) <= 200 for mistake in told.mistakes)
+    assert all(len(mistake.field) <= 200 for mistake in told.mistakes.listed())
 
 
 def test_a_sheet_of_more_rows_than_a_sheet_can_have_is_refused(monkeypatch):
-    monkeypatch.setattr(xlsx_table, "MOST_SHEET_ROWS", 10)
+    monkeypatch.setattr(xlsx_table, "MAX_SHEET_ROWS", 10)
     assert "more than 11 rows" in error_of(sheet_xml("<row/>" * 12))
 
 
 @pytest.mark.parametrize("begin", ["", f"{HEADER}\n"])
 @pytest.mark.parametrize("line", ["\n", "#\n", ",,\n"])
 def test_a_file_of_empty_lines_is_refused_as_soon_as_there_are_too_many(begin, line, monkeypatch):
-    monkeypatch.setattr(csv_table, "MOST_BLANK", 1000)
+    monkeypatch.setattr(csv_table, "MAX_BLANK", 1000)
     _, told = read((begin + 2000 * line).encode(), ZERO)
     assert any("1,000 lines without a row" in one.message for one in told.mistakes.listed())
 

@@ -20,13 +20,13 @@ from wrenchbook.service.formats import (
     write_xlsx,
 )
 from wrenchbook.service.formats.rows import ParsedTable
-from wrenchbook.service.ledger import About, Ledger, packed_columns
+from wrenchbook.service.ledger import About, Ledger, NotedRows
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
-from wrenchbook.service.tables.importing import ImportRequest, import_files
+from wrenchbook.service.tables.importing import import_files
 from wrenchbook.service.tables.rows import export_rows
 from wrenchbook.surrogate.table.meta import TableMeta
-from wrenchbook.surrogate.table.rows import LoadRange
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Space, space_of
 
 WARM = Input("temperature", "degC", "scalar")
@@ -251,15 +251,16 @@ def test_an_exported_table_of_a_link_is_imported_to_the_same_rows(tmp_path, form
     )
     ledger = Ledger(tmp_path / "ledger.sqlite")
     columns = [getattr(table_of(LINK), name) for name in COLUMNS]
-    texts = ["rig"] * 3, [""] * 3, ["", "a", ""]
-    ledger.import_rows("link", iter([packed_columns("link", tuple(columns), texts, 0.0)]), About())
+    more = dict(zip(COLUMNS[2:], columns[2:], strict=True))
+    rows = Rows.of(columns[0], columns[1], LINK, source=["rig"] * 3, **more)
+    ledger.import_rows("link", [NotedRows(rows, ["", "a", ""])], About())
     export_table(ledger, link, ExportRequest(form, {}), tmp_path / "table")
     options = Options(load_range=DEFAULT_RANGE)
-    reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportRequest(), About())
+    reply = import_files(ledger, copy, [tmp_path / "table"], options, About())
     assert (reply["errors"], reply["inserted"]) == ([], 3)
-    with ledger.table_at("copy") as table:
+    with ledger.table_at("copy", space=LINK) as table:
         (lot,) = table.lots
-        again = export_rows(LINK, lot, ())
+        again = export_rows(lot)
     for name, column in zip(COLUMNS, columns, strict=True):
         assert np.array_equal(getattr(again, name), column, equal_nan=True), name
     ledger.close()

@@ -13,22 +13,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InvalidArgument
-from .errors import JointError, JointRangeError, warn
+from ..errors import InvalidArgument, JointError, JointRangeError, JointWarning, warn
+from ..wrenches import Vector
 
-Vector = NDArray[np.float64]
+if TYPE_CHECKING:
+    from ..table import Table
 
 FREEDOMS = 6  # of an interface: three translations, then three rotations
 LARGEST_TURN = math.radians(20.0)  # of a table: the contract's limit of rotations
-MOST_LEFT = 2.0  # of the range or of LARGEST_TURN: further out the pose is not that of the part
+MAX_RANGES = 2.0  # of the range or of LARGEST_TURN: further out the pose is not that of the part
 CLOSE = 1e-9  # of the range: changes of the boundary point below this are rounding
 SMALL_ANGLE = 1e-3  # rad: below it 1/12 is right to 1e-9, and times a^2 to rounding
-MOST_STEPS = 8  # towards the boundary point; each gains some digits
+MAX_STEPS = 8  # towards the boundary point; each gains some digits
 LOADS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 SHOWN = 0.05  # of the largest: messages leave out smaller loads of a direction
 
@@ -83,7 +84,7 @@ class Joint:
 
     def __init__(
         self,
-        table: Any,
+        table: Table,
         damping: float = 0.02,
         *,
         interface: str | None = None,
@@ -104,7 +105,7 @@ class Joint:
     def inputs(self) -> dict[str, float]:
         """The table's further inputs by name, in the component's units."""
         return dict(
-            zip([one.name for one in self._table.space.scalars], self._further, strict=True)
+            zip([load.name for load in self._table.space.scalars], self._further, strict=True)
         )
 
     @inputs.setter
@@ -126,10 +127,10 @@ class Joint:
 
     def _check_range(self) -> None:
         """Refuse a table without stiffness; warn where in its range no joint can invert it."""
-        packed, at, free, how = self._table.packed, self._at, self.free, (None, self._method)
+        packed, at, free, method = self._table.packed, self._at, self.free, self._method
         sample = packed.sample(self._whole(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
-        answers = packed.batch(sample, *how)
-        slopes = packed.derivatives(sample, *how)[:, at, at][:, free][:, :, free]
+        answers = packed.batch(sample, None, method)
+        slopes = packed.derivatives(sample, None, method)[:, at, at][:, free][:, :, free]
         slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
         slopes[(slopes == 0.0).all(axis=(1, 2))] = np.nan  # of the nearest row: no spring
         least, loads = packed.weakest(slopes, packed.arrays["space/scale"][at][free])
@@ -144,7 +145,8 @@ class Joint:
             self._remedy = f"The compliance is not positive definite: {self._more_rows()}"
             warn(
                 f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at {bad.sum()} of "
-                f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered"
+                f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered",
+                JointWarning,
             )
 
     def _more_rows(self) -> str:
@@ -247,12 +249,39 @@ class Joint:
             See `step`.
         """
         moved = np.concatenate([translation, rotation])
-        wrench, stiffness, left = self._search(moved)
-        self._require_definite(wrench, stiffness)
-        if left > 1.0:
-            self._leave(left)
+        wrench, stiffness, ranges = self._search(moved)
+        square, packed = stiffness[np.ix_(self.free, self.free)], self._table.packed
+        try:
+            np.linalg.cholesky(square + square.T)
+        except np.linalg.LinAlgError:
+            scale = packed.arrays["space/scale"][self._at][self.free]
+            compliance = np.asarray(np.linalg.inv(square), dtype=float)
+            least, loads = packed.weakest(compliance[None], scale)
+            if least[0] < 0.0:
+                raise JointError(self._indefinite(wrench, loads[0])) from None
+        if ranges > MAX_RANGES:
+            raise JointRangeError(
+                f"{self._name}: the pose needs {ranges:.3g} times the load range, or turns by as "
+                f"many times 20 degrees. {self._remedy}"
+            )
+        if ranges > 1.0:
+            if not self._warned:
+                self._warned = True
+                warn(
+                    f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench "
+                    f"goes on linearly from there, up to {MAX_RANGES:g} times the range",
+                    JointWarning,
+                )
         elif not self._uncovered:
-            self._warn_if_uncovered()
+            answer = packed.answer(self._loads.tolist(), None, self._method)
+            self._uncovered = answer.coverage != "covered"
+            if self._uncovered:
+                warn(
+                    f"{self._name}: the wrench of a step is {answer.coverage} by the method "
+                    f"{packed.answers_by(self._method)!r}, and displacement and wrench are "
+                    f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
+                    JointWarning,
+                )
         self.displacement = moved
         turned = stiffness.copy()
         turned[:, 3:] = stiffness[:, 3:] @ vector_per_spin(moved[3:])
@@ -276,11 +305,11 @@ class Joint:
             loads, slopes = packed.inverse(target, start, self._method, self._near)
         except (ValueError, ArithmeticError):  # no such wrench: far beyond the range
             return self._beyond(self._whole(self.wrench), target, turn)
-        left = max(self._ranges(loads), turn)
-        if left > 1.0:
+        ranges = max(self._ranges(loads), turn)
+        if ranges > 1.0:
             return self._beyond(loads, target, turn)
         self._loads, self._moved, self._near = loads, target, slopes
-        return loads[at], slopes[at, at], left
+        return loads[at], slopes[at, at], ranges
 
     def _beyond(self, loads: Vector, target: Vector, turn: float) -> tuple[Vector, Vector, float]:
         """Return the same of a pose beyond the range, from the last wrench that was found."""
@@ -288,7 +317,7 @@ class Joint:
         free, stiffness = np.ix_(self.free, self.free), np.zeros((FREEDOMS, FREEDOMS))
         low, high = packed.arrays["space/ends"]
         edge = np.clip(self._shorter(loads, turn), low, high)
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             answer = np.array(packed.answer(edge.tolist(), None, self._method).outputs, dtype=float)
             slope: Vector = packed.derivative(edge.tolist(), None, self._method)[at, at]
             try:
@@ -325,51 +354,9 @@ class Joint:
         loads[self._at] = wrench
         return loads
 
-    def _warn_if_uncovered(self) -> None:
-        """Warn once that the method does not cover the loads of this step."""
-        answer = self._table.packed.answer(self._loads.tolist(), None, self._method)
-        self._uncovered = answer.coverage != "covered"
-        if self._uncovered:
-            warn(
-                f"{self._name}: the wrench of a step is {answer.coverage} by the method "
-                f"{self._table.packed.answers_by(self._method)!r}, and displacement and wrench are "
-                f"estimates ({answer.reason}); {self._more_rows()}. This is said once"
-            )
-
-    def _require_definite(self, wrench: Vector, stiffness: Vector) -> None:
-        """Refuse a pose at which the part moves against a load."""
-        square, packed = stiffness[np.ix_(self.free, self.free)], self._table.packed
-        try:
-            np.linalg.cholesky(square + square.T)
-        except np.linalg.LinAlgError:
-            scale = packed.arrays["space/scale"][self._at][self.free]
-            least, loads = packed.weakest(np.linalg.inv(square)[None], scale)
-            if least[0] < 0.0:
-                raise JointError(self._indefinite(wrench, loads[0])) from None
-
-    def _leave(self, left: float) -> None:
-        """Warn once that the pose is beyond the range; raise where it is far beyond."""
-        if left > MOST_LEFT:
-            raise JointRangeError(
-                f"{self._name}: the pose needs {left:.3g} times the load range, or turns by as "
-                f"many times 20 degrees. {self._remedy}"
-            )
-        if not self._warned:
-            self._warned = True
-            warn(
-                f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench goes "
-                f"on linearly from there, up to {MOST_LEFT:g} times the range"
-            )
-
 
 def rotation_vector(R: ArrayLike) -> Vector:
-    """Return the rotation vector of a matrix, shape (3,), rad, below half a turn.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is no rotation, or half a turn.
-    """
+    """Return the rotation vector (3,), rad, of a matrix; InvalidArgument from half a turn on."""
     matrix = np.asarray(R, dtype=float)
     square = matrix.shape == (3, 3) and np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6
     if not square or np.linalg.det(matrix) < 0.0:
@@ -404,13 +391,10 @@ def vector_per_spin(rotation: Vector) -> Vector:
     )
 
 
-def further_inputs(table: Any, given: Mapping[str, float]) -> tuple[float, ...]:
+def further_inputs(table: Table, given: Mapping[str, float]) -> tuple[float, ...]:
     """Return a table's inputs that are no loads, by their names, in its order.
 
-    Raises
-    ------
-    InvalidArgument
-        If one is unknown, missing or beyond its range.
+    InvalidArgument if one is unknown, missing or beyond its range.
     """
     space, count = table.space, len(table.space.scalars)
     try:
@@ -418,15 +402,15 @@ def further_inputs(table: Any, given: Mapping[str, float]) -> tuple[float, ...]:
     except ValueError as error:
         raise InvalidArgument(f"{table.name}: {error}") from None
     ends = table.packed.arrays["space/range"][:, len(space.inputs) - count :].T
-    for one, value, (low, high) in zip(space.scalars, values, ends, strict=True):
+    for load, value, (low, high) in zip(space.scalars, values, ends, strict=True):
         if not low <= value <= high:
             raise InvalidArgument(
-                f"{table.name}: {one.name} is from {low:g} to {high:g} {one.unit}, not {value:g}"
+                f"{table.name}: {load.name} is from {low:g} to {high:g} {load.unit}, not {value:g}"
             )
     return tuple(map(float, values))
 
 
-def moving(table: Any, interface: str | None) -> tuple[slice, NDArray[np.intp]]:
+def moving(table: Table, interface: str | None) -> tuple[slice, NDArray[np.intp]]:
     """Return the place of the interface that moves, and its freedoms that are not locked."""
     space, locked = table.space, np.asarray(table.packed.arrays["space/locked"], dtype=bool)
     free = {

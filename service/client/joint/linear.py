@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...contract import LOADS, OUTPUTS
-from ..errors import InvalidArgument
+from ..errors import Document, InvalidArgument
+from ..wrenches import Vector
 from .joint import FREEDOMS, further_inputs, moving
 
-Vector = NDArray[np.float64]
+if TYPE_CHECKING:
+    from ..table import Table
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class LinearPart:
     @classmethod
     def of(
         cls,
-        table: Any,
+        table: Table,
         wrench: ArrayLike | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> Self:
@@ -71,7 +73,12 @@ class LinearPart:
         """
         at, free = moving(table, None)
         packed, places = table.packed, np.arange(table.packed.inputs)[at][free]
-        centre = _centre(table, at, wrench, inputs)
+        load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
+        if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
+            raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
+        further = further_inputs(table, inputs or {})
+        centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
+        centre[at] = load
         slope = packed.derivative(centre.tolist())[np.ix_(places, places)]
         compliance = 0.5 * (slope + slope.T)
         if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
@@ -118,7 +125,7 @@ class LinearPart:
             f"the load range; the table covers {self.covered:.0%} of the wrenches compared"
         )
 
-    def to_dict(self, mass: ArrayLike | None = None) -> dict[str, Any]:
+    def to_dict(self, mass: ArrayLike | None = None) -> Document:
         """Return the part as a dict of plain numbers, with units and the condensed mass.
 
         Parameters
@@ -135,16 +142,3 @@ class LinearPart:
             "units": "N, N·m, m, rad, kg",
             "frame": "the undeformed interface frame, about the interface point",
         }
-
-
-def _centre(
-    table: Any, at: slice, wrench: ArrayLike | None, further: Mapping[str, float] | None
-) -> Vector:
-    """Return the table's inputs, shape (n,), SI, of a wrench at its place and further inputs."""
-    given = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
-    if given.shape != (FREEDOMS,) or not np.isfinite(given).all():
-        raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
-    rest = further_inputs(table, further or {})
-    centre = np.concatenate([np.zeros(table.packed.inputs - len(rest)), rest])
-    centre[at] = given
-    return centre

@@ -3,32 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import JointError, JointWarning, required, warn
 from ..rotation import rotation_matrix
-from .errors import JointError, warn
+from ..wrenches import Vector
 from .joint import FREEDOMS, Joint
 
-try:
-    import mujoco
-except ModuleNotFoundError as error:
-    raise ImportError(
-        "MujocoJoint needs the package 'mujoco', which is not installed: "
-        "pip install 'wrenchbook[mujoco]'",
-        name="mujoco",
-    ) from error
+if TYPE_CHECKING:
+    from ..table import Table
 
-Vector = NDArray[np.float64]
+Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
+Data: TypeAlias = Any
 
-engine: Any = mujoco  # compiled: it has no types
+engine: Any = required("mujoco", "MujocoJoint", "'wrenchbook[mujoco]'")
 _JOINT, _OBJECT = engine.mjtJoint, engine.mjtObj
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
 # The joints of each MjData by the first freedom of their tips: a step is of all of them.
-_JOINTS: WeakKeyDictionary[Any, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
+_JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 
 
@@ -71,9 +67,9 @@ class MujocoJoint(Joint):
 
     def __init__(
         self,
-        model: Any,
-        data: Any,
-        table: Any,
+        model: Model,
+        data: Data,
+        table: Table,
         base: str = "base",
         tip: str = "tip",
         damping: float = 0.02,
@@ -215,7 +211,8 @@ class MujocoJoint(Joint):
             "steps (a mocap body): MuJoCo gives it no velocity and no acceleration, so the tip "
             "does not feel the motion. Give the base joints of its own (slides or a "
             'free joint), and hold it to the mocap body by <weld torquescale="10" solref="'
-            f'{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>'
+            f'{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>',
+            JointWarning,
         )
 
     def _lagged(self, inverse_mass: Vector) -> Vector:
@@ -322,14 +319,8 @@ def _require_one_scene(joints: Sequence[MujocoJoint]) -> None:
         raise JointError(f"the scene's time step is {step} s: set it above 0")
 
 
-def _places(model: Any, dofs: NDArray[np.intp]) -> tuple[Any, Any, Any]:
-    """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms.
-
-    Raises
-    ------
-    JointError
-        If MuJoCo is older than its compressed mass matrix.
-    """
+def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms."""
     if not hasattr(model, "M_rowadr"):
         raise JointError("MujocoJoint needs MuJoCo 4.0 or newer: pip install 'mujoco>=4.0'")
     found = []
@@ -337,11 +328,10 @@ def _places(model: Any, dofs: NDArray[np.intp]) -> tuple[Any, Any, Any]:
         start, count = int(model.M_rowadr[dof]), int(model.M_rownnz[dof])
         columns = model.M_colind[start : start + count] - dofs[0]
         found += [(row, int(one), start + k) for k, one in enumerate(columns) if one >= 0]
-    rows, columns, at = np.array(found).T
-    return rows, columns, at
+    return list(np.array(found).T)
 
 
-def _body(model: Any, name: str) -> int:
+def _body(model: Model, name: str) -> int:
     """Return the number of a named body."""
     number = engine.mj_name2id(model, _OBJECT.mjOBJ_BODY, name)
     if number < 0:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from wrenchbook.surrogate.kernel.binding import PackedTable
 
 from ...contract import OUTPUTS
-from ..table import packed_tables
-from .errors import JointError
+from ..errors import JointError
+from ..wrenches import Vector
 from .joint import FREEDOMS
 from .linear import LinearPart
 from .mujoco_joint import engine
 
-Vector = NDArray[np.float64]
+Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies
 
 ROUNDING = 1e-9  # of a freedom's largest coefficient: MuJoCo's XML has six digits
 _LEAST = 1e-9  # of the largest moment of inertia: MuJoCo takes no body without one
@@ -33,25 +35,14 @@ def scene_with_joint(
 ) -> str:
     """Return the XML of a scene in which a part can bend between two bodies, for `MujocoJoint`.
 
-    Parameters
-    ----------
-    scene : path
-        An MJCF file. The tip is a child of the base, without joints: where the part is undeformed.
-    base, tip : str
-        The bodies of the support's and of the interface's side.
-    locked : sequence of str
-        Freedoms that the part locks, of ``ux`` to ``rz``: they get no joint.
-    site : str, optional
-        A site of the tip that is the interface point and frame; the body's own frame otherwise.
-    mass : array_like, optional
-        The part's mass condensed to the interface, shape (6, 6), kg to kg·m^2: it is added to the
-        tip as a body of that mass, centre and inertia.
+    The scene is an MJCF file. The tip, the interface's side, is a child of the base, the support's
+    side, without joints: where the part is undeformed. Locked freedoms, of ``ux`` to ``rz``, get no
+    joint. `site` of the tip is the interface point and frame; the body's own frame otherwise.
+    `mass` (6, 6), kg to kg·m^2, is the part's, condensed to the interface: it is added to the tip
+    as a body of that mass, centre and inertia.
 
-    Raises
-    ------
-    JointError
-        If the scene cannot be read, has no such bodies or site, the tip is no child of the base or
-        has joints.
+    JointError if the scene cannot be read, has no such bodies or site, the tip is no child of the
+    base or has joints.
     """
     free = [name for name in OUTPUTS if name not in locked]
     if sum(name[0] == "r" for name in free) not in (0, 1, 3):
@@ -71,22 +62,11 @@ def scene_with_springs(
 ) -> str:
     """Return the XML of a scene in which MuJoCo bends a part between two bodies, linearly.
 
-    A tendon is a mode of the part between the two bodies, with the mode's stiffness and damping.
-    The damping has also what makes a stiff mode stable at the scene's step, as the joint's law has
-    it: keep the step and the integrator, which is ``implicitfast`` if the scene names Euler.
-
-    Parameters
-    ----------
-    springs : LinearPart
-    damping : float
-        Share of critical damping of each mode, in the scene's first pose.
-    scene, base, tip, site, mass
-        Of `scene_with_joint`. The rotations are three hinges.
-
-    Raises
-    ------
-    JointError
-        See `scene_with_joint`.
+    Parameters are those of `scene_with_joint`. Rotations are three hinges. A tendon is a mode of
+    the part between the two bodies, with the mode's stiffness, and with `damping` as its share of
+    critical damping in the scene's first pose. The damping has also what makes a stiff mode stable
+    at the scene's step, as the joint's law has it: keep the step and the integrator, which is
+    ``implicitfast`` if the scene names Euler.
     """
     spec = _with_freedoms(scene, base, tip, springs.freedoms, site, mass, ball=False)
     _add_springs(spec, tip, springs, damping)
@@ -103,7 +83,7 @@ def _with_freedoms(
     mass: ArrayLike | None,
     *,
     ball: bool,
-) -> Any:
+) -> Spec:
     """Return a scene with the joints of a part's free displacements, and the part's mass."""
     spec = _compiled(lambda: engine.MjSpec.from_file(str(scene)), scene)
     body = _child(spec, base, tip)
@@ -115,7 +95,7 @@ def _with_freedoms(
     return _compiled(lambda: spec, scene)
 
 
-def _compiled(read: Callable[[], Any], scene: str | Path) -> Any:
+def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
     """Return a scene that MuJoCo compiles."""
     try:
         spec = read()
@@ -125,7 +105,7 @@ def _compiled(read: Callable[[], Any], scene: str | Path) -> Any:
     return spec
 
 
-def _child(spec: Any, base: str, tip: str) -> Any:
+def _child(spec: Spec, base: str, tip: str) -> Spec:
     """Return the tip's body, if it hangs on the base without joints."""
     body = spec.body(tip)
     if body is None or spec.body(base) is None:
@@ -142,7 +122,7 @@ def _child(spec: Any, base: str, tip: str) -> Any:
     return body
 
 
-def _interface(spec: Any, body: Any, site: str | None) -> tuple[Vector, Vector]:
+def _interface(spec: Spec, body: Spec, site: str | None) -> tuple[Vector, Vector]:
     """Return the interface point, m, and axes, as columns, in the tip's body."""
     if site is None:
         return np.zeros(3), np.eye(3)
@@ -157,28 +137,28 @@ def _interface(spec: Any, body: Any, site: str | None) -> tuple[Vector, Vector]:
 
 
 def _add_joints(
-    body: Any, tip: str, at: Vector, axes: Vector, free: Sequence[str], ball: bool
+    body: Spec, tip: str, at: Vector, axes: Vector, free: Sequence[str], ball: bool
 ) -> None:
     """Add a slide a free translation, then a ball or a hinge a free rotation."""
     kinds = engine.mjtJoint
     bare = {"stiffness": 0, "damping": 0, "frictionloss": 0, "armature": 0, "limited": 0}
+
+    def add(name: str, kind: int, axis: list[float]) -> None:
+        joint = body.add_joint(name=name, type=kind, pos=at, axis=axis)
+        for word, value in bare.items():
+            field = getattr(joint, word)
+            setattr(joint, word, value if np.ndim(field) == 0 else np.full(np.shape(field), value))
+
     one_ball = ball and all(name in free for name in OUTPUTS[3:])
     for place, name in enumerate(OUTPUTS[: 3 if one_ball else FREEDOMS]):
         if name in free:
             kind = kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE
-            _joint(body, f"{tip}_{name}", kind, at, axes[:, place % 3].tolist(), bare)
+            add(f"{tip}_{name}", kind, axes[:, place % 3].tolist())
     if one_ball:
-        _joint(body, f"{tip}_r", kinds.mjJNT_BALL, at, [0, 0, 1], bare)
+        add(f"{tip}_r", kinds.mjJNT_BALL, [0, 0, 1])
 
 
-def _joint(body: Any, name: str, kind: Any, at: Vector, axis: list[float], bare: Any) -> None:
-    joint = body.add_joint(name=name, type=kind, pos=at, axis=axis)
-    for word, value in bare.items():
-        field = getattr(joint, word)
-        setattr(joint, word, value if np.ndim(field) == 0 else np.full(np.shape(field), value))
-
-
-def _add_springs(spec: Any, tip: str, springs: LinearPart, damping: float) -> None:
+def _add_springs(spec: Spec, tip: str, springs: LinearPart, damping: float) -> None:
     """Add a tendon a mode: its length is the mode's coordinate times the root of the mass, kg.
 
     Of the modes p of the stiffness K against the effective mass M, with p M p = 1, a tendon has the
@@ -193,7 +173,7 @@ def _add_springs(spec: Any, tip: str, springs: LinearPart, damping: float) -> No
     solved = np.empty((len(dofs), model.nv))
     engine.mj_solveM(model, data, solved, np.eye(model.nv)[dofs])
     inverse_mass, stiffness = solved[:, dofs], np.array(springs.stiffness)
-    rate = packed_tables().joint_rate(stiffness, inverse_mass.copy(), model.opt.timestep, damping)
+    rate = PackedTable.joint_rate(stiffness, inverse_mass.copy(), model.opt.timestep, damping)
     root = np.linalg.cholesky(inverse_mass)
     squares, turned = np.linalg.eigh(root.T @ stiffness @ root)
     modes, lengths = root @ turned, np.linalg.solve(root.T, turned)
@@ -207,7 +187,7 @@ def _add_springs(spec: Any, tip: str, springs: LinearPart, damping: float) -> No
                 tendon.wrap_joint(name, coefficient)
 
 
-def _add_mass(body: Any, mass: Vector) -> None:
+def _add_mass(body: Spec, mass: Vector) -> None:
     """Give a body the mass, kg, the centre and the inertia of a mass matrix, (6, 6).
 
     The mass of a rigid body is the same in all directions: the mean of the three.

@@ -3,12 +3,11 @@
 The MuJoCo mount is in `mujoco_mount`, which alone imports mujoco.
 """
 
-from .errors import CouplingDiverged, DisplacementUnknown, MountError, MountWarning, SensorError
-from .mount import Mount
+from ..errors import CouplingDiverged, DisplacementUnknown, MountError, MountWarning, SensorError
+from .mount import Coverage, Mount
 from .reading import require_weight
 from .relaxation import spectral_radius, stable_factor
 from .settling import Settled
-from .tally import Coverage
 
 __all__ = [
     "CouplingDiverged",

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import warnings
+import math
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, field
+from numbers import Real
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ...contract import OnThin
-from ..errors import InvalidArgument
+from ...contract import OUTPUTS
+from ..errors import DisplacementUnknown, InvalidArgument, MountWarning, warn
 from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement
 from ..rotation import rotation_matrix
-from ..wrenches import ON_THIN, tolerance_body
-from . import options, reading
-from .errors import DisplacementUnknown, MountWarning
+from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, tolerance_body
+from . import reading
 from .frequency import warn_if_ringing
 from .relaxation import (
     BEYOND,
@@ -29,11 +30,83 @@ from .relaxation import (
     within_limit,
 )
 from .settling import Loop, Settled, by_newton, by_relaxation
-from .source import SolveSource, Source, known, table_source
-from .tally import Coverage
+from .source import Ask, from_server, from_solves, from_table, is_table, require_server
 
-Vector = NDArray[np.float64]
+if TYPE_CHECKING:
+    from .. import Client, Table
+
 Pose = tuple[Vector, Vector]
+
+MODES = ("table", "solve", "record", "envelope")
+RELAXATIONS = ("aitken", "newton", "off")
+_MEANS = {
+    "thin": "the table is too thin here: answers are estimates, with wider error bars",
+    "outside": "the wrench is outside the table or the load range: answers are flagged estimates",
+    "unknown": "the table cannot answer: the pose of before is kept",
+}
+
+
+@dataclass(frozen=True)
+class First:
+    """The first answer of a kind: its number from 1, wrench (6,), N and N·m, why not covered."""
+
+    step: int
+    wrench: Vector = field(repr=False)
+    reason: str
+
+
+@dataclass
+class Coverage:
+    """How many answers of a run were covered, thin, outside, or unknown.
+
+    Attributes
+    ----------
+    covered, thin, outside, unknown : int
+        ``unknown``: the table had nothing to say, and the pose of before was kept.
+    first : dict of str to First
+        The first answer of each kind but covered.
+    widest : numpy.ndarray
+        Shape (6,), m and rad: the widest error bar of each output so far.
+    """
+
+    covered: int = 0
+    thin: int = 0
+    outside: int = 0
+    unknown: int = 0
+    first: dict[str, First] = field(default_factory=dict)
+    widest: Vector = field(default_factory=lambda: np.zeros(6))
+
+    @property
+    def answers(self) -> int:
+        """How many answers there were."""
+        return self.covered + self.thin + self.outside + self.unknown
+
+    def add(self, answer: Displacement, *, known: bool) -> None:
+        """Count an answer; warn at the first of its kind."""
+        kind = answer.coverage if known else "unknown"
+        setattr(self, kind, getattr(self, kind) + 1)
+        bars = answer.error_vector
+        if bars is not None:
+            np.fmax(self.widest, bars, out=self.widest)  # NaN where a table does not measure
+        if kind != "covered" and kind not in self.first:
+            self.first[kind] = First(self.answers, answer.wrench, answer.reason)
+            reason = f" ({answer.reason})" if answer.reason else ""
+            warn(
+                f"{answer.component}, answer {self.answers}: {_MEANS[kind]}{reason}. This is said "
+                "once; the mount's coverage counts them",
+                MountWarning,
+            )
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.answers} answers: {self.covered} covered, {self.thin} thin, "
+            f"{self.outside} outside, {self.unknown} unknown"
+        ]
+        lines += [
+            f"  first {kind}: answer {first.step}, {first.reason}"
+            for kind, first in self.first.items()
+        ]
+        return "\n".join(lines)
 
 
 class Mount:
@@ -101,12 +174,12 @@ class Mount:
 
     def __init__(
         self,
-        source: Any,
+        source: Table | Client,
         component: str,
         R0: ArrayLike,
         p0: ArrayLike,
         mode: str = "table",
-        tolerance: Any = None,
+        tolerance: Tolerance | None = None,
         relaxation: str | float = "aitken",
         *,
         on_thin: OnThin = "queue",
@@ -120,28 +193,36 @@ class Mount:
         solve_timeout: float = 600.0,
         block: int = 256,
     ) -> None:
-        options.require_word("mode", mode, options.MODES)
-        options.require_word("on_thin", on_thin, ON_THIN)
-        options.require_word("unmeasured", unmeasured, ("refuse", "rigid"))
+        _require_word("mode", mode, MODES)
+        _require_word("on_thin", on_thin, ON_THIN)
+        _require_word("unmeasured", unmeasured, ("refuse", "rigid"))
         self.component, self.mode = component, mode
         self._unmeasured, self._newton = unmeasured, relaxation == "newton"
-        self._relaxation = Relaxation(options.fixed_factor(relaxation))
-        self._stepped = self._warned = False
-        self._stiffness, self._primed = options.square(stiffness), False
+        self._relaxation = Relaxation(_fixed_factor(relaxation))
+        self._stepped = self._warned = self._primed = False
+        self._stiffness = None if stiffness is None else np.array(stiffness, dtype=float)
+        if self._stiffness is not None and not (
+            self._stiffness.shape == (6, 6) and np.isfinite(self._stiffness).all()
+        ):
+            shape = self._stiffness.shape
+            raise InvalidArgument(f"stiffness must be finite, of shape (6, 6), not {shape}")
         self.place(R0, p0)
         limit = None if tolerance is None else tolerance_body(tolerance)
         self.recorder: Recorder | None = None
-        self._source: Source | None = None
+        self._ask: Ask | None = None
         if mode in ("record", "envelope"):
-            server = options.require_server(source, mode)
+            server = require_server(source, mode)
             kind = "recording" if mode == "record" else "envelope"
             self.recorder = Recorder(server, component, kind, block)
         elif mode == "solve":
-            server = options.require_server(source, mode)
-            self._source = SolveSource(server, component, limit, solve_timeout, beyond_range)
+            server = require_server(source, mode)
+            limit, self._ask = from_solves(server, component, limit, solve_timeout, beyond_range)
+        elif is_table(source):
+            limit, self._ask = from_table(source, component, limit, method)
         else:
-            self._source = table_source(source, component, limit, method, on_thin)
-        self._scale = Scale(self._source.tolerance if self._source else limit)
+            server = require_server(source, mode)
+            limit, self._ask = from_server(server, component, limit, method, on_thin)
+        self._scale = Scale(limit)
         self.restart()
         warn_if_ringing(source, component, natural_frequency, ramp_time, carried)
 
@@ -160,14 +241,17 @@ class Mount:
             If it is no pose; the mount is then where it was.
         """
         pose = reading.checked_pose(R0, p0)
-        if self._stepped and not self._warned and _is_other(pose, self._undeformed):
+        if (
+            self._stepped
+            and not self._warned
+            and not all(map(np.array_equal, pose, self._undeformed))
+        ):
             self._warned = True
-            warnings.warn(
+            warn(
                 f"{self.component}: the base has moved while time passes. A mount is for statics "
                 "and slow scenes on a fixed base: the scene does not feel the base's velocity and "
                 "acceleration. Use a joint (wrenchbook.MujocoJoint, wrenchbook.Joint)",
                 MountWarning,
-                stacklevel=2,
             )
         self._undeformed = pose
 
@@ -244,11 +328,10 @@ class Mount:
             and the step can be made again.
         """
         wrench = reading.checked_reading(force, moment)
-        if self._source is None:
-            assert self.recorder is not None
+        if self.recorder is not None:
             self.recorder.add(wrench)
             return self.pose
-        answer, target = self._ask(self._source, wrench)
+        answer, target = self._answer(wrench)
         if target is not None:
             self._scale.see(target)
             moved = within_limit(self._followed(answer, target))
@@ -262,7 +345,7 @@ class Mount:
 
     def settle(
         self,
-        scene: Callable[[Vector, Vector], Any],
+        scene: Callable[[Vector, Vector], ArrayLike | tuple[ArrayLike, ArrayLike]],
         accuracy: float = 1e-3,
         most: int = 50,
     ) -> Settled:
@@ -292,7 +375,32 @@ class Mount:
         ValueError
             With mode ``record`` or ``envelope``, which let nothing move; or nothing may be asked.
         """
-        loop, radius = self._loop(scene, accuracy, most), None
+        if self._ask is None:
+            raise InvalidArgument(
+                f"mode {self.mode!r} lets nothing move; settle by 'table' or 'solve'"
+            )
+        if not (accuracy > 0.0 and most >= 1):
+            raise InvalidArgument("accuracy must be over 0, in tolerances, and most at least 1")
+
+        def read(displacement: Vector) -> Vector:
+            before, self.displacement = self.displacement, within_limit(displacement)
+            try:
+                wrench = scene(*self.pose)  # `wrench_of` takes moments about this pose
+            finally:
+                self.displacement = before
+            pair = wrench if isinstance(wrench, tuple) and len(wrench) == 2 else (wrench, None)
+            return reading.checked_reading(*pair)
+
+        def ask(wrench: Vector) -> tuple[Displacement, Vector]:
+            answer, target = self._answer(wrench)
+            if target is None:
+                raise DisplacementUnknown(
+                    f"{self.component} cannot answer this wrench ({answer.reason or 'no rows'}); "
+                    "fill its table, or settle with mode='solve'"
+                )
+            return answer, target
+
+        loop, radius = Loop(read, ask, self._scale, accuracy, most), None
         if self._newton:
             state, radius = by_newton(loop, self.displacement, self._stiffness)
         else:
@@ -323,49 +431,32 @@ class Mount:
         if self.recorder is not None:
             self.recorder.close()
 
-    def _ask(self, source: Source, wrench: Vector) -> tuple[Displacement, Vector | None]:
-        """Return the answer to a wrench, shape (6,), N and N·m, counted, and its numbers."""
+    def _answer(self, wrench: Vector) -> tuple[Displacement, Vector | None]:
+        """Return the answer to a wrench (6,), N and N·m, counted, and its numbers (6,), if any.
+
+        DisplacementUnknown if an output is not in the table and is not taken as rigid.
+        """
+        assert self._ask is not None
         unprimed = self._stiffness is not None and not self._primed
-        answer = source.ask(wrench, derivatives=self._newton or unprimed)
-        target = known(answer, self._unmeasured)
+        answer = self._ask(wrench, self._newton or unprimed)
+        target = answer.vector
+        if target is not None and math.isnan(float(target.sum())):
+            missing = np.isnan(target)
+            if self._unmeasured == "refuse":
+                names = ", ".join(np.array(OUTPUTS)[missing])
+                raise DisplacementUnknown(
+                    f"the table of {answer.component} does not say {names} under this wrench, and "
+                    "a pose needs all six: load a table that has them, name them among the scene's "
+                    "outputs if it was cut to one, or make the mount with unmeasured='rigid', "
+                    "which takes 0 for them"
+                )
+            target = np.where(missing, 0.0, target)
         self.coverage.add(answer, known=target is not None)
         if unprimed and self._stiffness is not None and answer.derivative is not None:
             # Half of what is still stable stops the stiffest direction in one step: 1/(1 + G).
             factor = 0.5 * stable_factor(np.nan_to_num(answer.derivative), self._stiffness)
             self._relaxation.begin_at(factor)
             self._primed = True
-        return answer, target
-
-    def _loop(self, scene: Callable[[Vector, Vector], Any], accuracy: float, most: int) -> Loop:
-        """Return a static loop of a scene with this component."""
-        source = self._source
-        if source is None:
-            raise InvalidArgument(
-                f"mode {self.mode!r} lets nothing move; settle by 'table' or 'solve'"
-            )
-        if not (accuracy > 0.0 and most >= 1):
-            raise InvalidArgument("accuracy must be over 0, in tolerances, and most at least 1")
-
-        def read(displacement: Vector) -> Vector:
-            before, self.displacement = self.displacement, within_limit(displacement)
-            try:
-                return _reading_of(scene(*self.pose))  # `wrench_of` takes moments about this pose
-            finally:
-                self.displacement = before
-
-        def ask(wrench: Vector) -> tuple[Displacement, Vector]:
-            return self._require_answer(source, wrench)
-
-        return Loop(read, ask, self._scale, accuracy, most)
-
-    def _require_answer(self, source: Source, wrench: Vector) -> tuple[Displacement, Vector]:
-        """Return the answer to a wrench, which a static loop cannot do without."""
-        answer, target = self._ask(source, wrench)
-        if target is None:
-            raise DisplacementUnknown(
-                f"{self.component} cannot answer this wrench ({answer.reason or 'no rows'}); fill "
-                "its table, or settle with mode='solve'"
-            )
         return answer, target
 
     def _followed(self, answer: Displacement, target: Vector) -> Vector:
@@ -384,12 +475,19 @@ class Mount:
         return self.displacement + np.linalg.solve(np.eye(6) - product, residual)
 
 
-def _is_other(pose: Pose, before: Pose) -> bool:
-    return any((one != other).any() for one, other in zip(pose, before, strict=True))
+def _require_word(name: str, word: str, words: tuple[str, ...]) -> None:
+    if word not in words:
+        raise InvalidArgument(f"{name} must be one of {', '.join(words)}, not {word!r}")
 
 
-def _reading_of(read: Any) -> Vector:
-    """Return what a scene returns, force and moment or all six, as a wrench, shape (6,)."""
-    if isinstance(read, tuple) and len(read) == 2:
-        return reading.checked_reading(*read)
-    return reading.checked_reading(read, None)
+def _fixed_factor(relaxation: str | float) -> float | None:
+    """Return the fixed factor of a relaxation, or None for Aitken's."""
+    if isinstance(relaxation, str):
+        _require_word("relaxation", relaxation, RELAXATIONS)
+        return None if relaxation == "aitken" else 1.0
+    if not isinstance(relaxation, Real) or not 0.0 < relaxation <= 1.0:
+        raise InvalidArgument(
+            f"relaxation must be one of {', '.join(RELAXATIONS)}, or a fixed factor over 0 and at "
+            f"most 1, not {relaxation!r}"
+        )
+    return float(relaxation)

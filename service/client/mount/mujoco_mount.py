@@ -1,21 +1,36 @@
-"""The mount in MuJoCo: reads two sensors, writes a mocap body's pose."""
+"""The mount in MuJoCo: reads two sensors, writes a mocap body's pose.
+
+Sensors tell the wrench on the component only of some scenes. Each check was tried in MuJoCo 4.0.0;
+tests/service/client has a scene for each.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InvalidArgument
-from .errors import SensorError
+from ..errors import InvalidArgument, MountWarning, SensorError, required, warn
+from ..wrenches import Vector
 from .mount import Mount
-from .mujoco_checks import Division, engine, find_division, floating, require_weighed
-from .reading import from_world
+from .reading import from_world, require_weight
 from .settling import Settled
 
-Vector = NDArray[np.float64]
+if TYPE_CHECKING:
+    from .. import Client, Table
 
+Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
+Data: TypeAlias = Any
+
+engine: Any = required("mujoco", "MujocoMount", "'wrenchbook[mujoco]'")
+_OBJECT, _DISABLE = engine.mjtObj, engine.mjtDisableBit
+_REMEDY = (
+    'hang the rigid system on the mocap body without a joint, <body name="base" mocap="true"> '
+    '<body name="mounted"> <site name="mount"/> ... </body> </body>, with <force site="mount"/> '
+    'and <torque site="mount"/> sensors'
+)
 _UNSTABLE = (
     engine.mjtWarning.mjWARN_BADQPOS,
     engine.mjtWarning.mjWARN_BADQVEL,
@@ -75,13 +90,13 @@ class MujocoMount:
 
     def __init__(
         self,
-        model: Any,
-        data: Any,
+        model: Model,
+        data: Data,
         mocap: str = "base",
         force: str = "mount_force",
         torque: str = "mount_torque",
         *,
-        source: Any,
+        source: Table | Client,
         component: str,
         R0: ArrayLike | None = None,
         p0: ArrayLike | None = None,
@@ -93,9 +108,20 @@ class MujocoMount:
         if sync is not None and not sync >= 0.999 * step:
             raise InvalidArgument(f"sync, {sync:g} s, must not be shorter than a step, {step:g} s")
         self._model, self._data, self._sync = model, data, sync or 0.0
-        cut = find_division(model, mocap, force, torque)
-        self._look_at(cut)
-        axes, point = _matrix(self._quaternion), self._position.copy()
+        cut = _division(model, mocap, force, torque)
+        # Views of what is read and written: MjData's arrays stay where they are.
+        self._axes: Vector = data.site_xmat[cut.site].reshape(3, 3)
+        self._point: Vector = data.site_xpos[cut.site]
+        self._body_axes: Vector = data.xmat[cut.body].reshape(3, 3)
+        self._body_point: Vector = data.xpos[cut.body]
+        self._force: Vector = data.sensordata[cut.force]
+        self._torque: Vector = data.sensordata[cut.torque]
+        self._position: Vector = data.mocap_pos[cut.mocap]
+        self._quaternion: Vector = data.mocap_quat[cut.mocap]
+        unit, matrix = self._quaternion.copy(), np.empty(9)
+        engine.mju_normalize4(unit)
+        engine.mju_quat2Mat(matrix, unit)
+        axes, point = matrix.reshape(3, 3), self._position.copy()
         undeformed = (axes if R0 is None else R0, point if p0 is None else p0)
         self.mount = Mount(source, component, *undeformed, **options)
         R0_, p0_ = self.mount.undeformed
@@ -103,8 +129,8 @@ class MujocoMount:
         # body: the two are one rigid piece.
         self._offset = R0_.T @ axes, R0_.T @ (point - p0_)
         self._interface = axes.T @ (p0_ - point)
-        self._floating = floating(model, cut, gravcomp)
-        require_weighed(model, data, cut, R0_)
+        self._floating = _floating(model, cut, gravcomp)
+        _require_weighed(model, data, cut, R0_)
         self._begin(float(data.time))
 
     def step(self) -> bool:
@@ -123,8 +149,14 @@ class MujocoMount:
             See `Mount.step`: nothing has moved then, and the step can be made again.
         """
         now = self._data.time
-        if now < self._now:
-            self._go_back()
+        if now < self._now:  # the user has reset the scene, or MuJoCo has, as it was unstable
+            if any(self._data.warning[kind].number for kind in _UNSTABLE):
+                raise SensorError(
+                    "MuJoCo has found the scene unstable and has reset it: look at its warnings; a "
+                    "smaller timestep, a softer contact or a slower mount. Then reset and restart()"
+                )
+            self.restart()
+            self._begin(float(now) - 2.0 * self._half_step)  # one step has been made since
         if now == self._now:
             return False  # no step since: the sensors have nothing new to tell, or nothing at all
         if now < self._due:
@@ -185,28 +217,6 @@ class MujocoMount:
         self._half_step = 0.5 * float(self._model.opt.timestep)
         self._due = self._now + self._sync - self._half_step
 
-    def _look_at(self, cut: Division) -> None:
-        """Keep views of what is read and written: MjData's arrays stay where they are."""
-        data = self._data
-        self._axes: Vector = data.site_xmat[cut.site].reshape(3, 3)
-        self._point: Vector = data.site_xpos[cut.site]
-        self._body_axes: Vector = data.xmat[cut.body].reshape(3, 3)
-        self._body_point: Vector = data.xpos[cut.body]
-        self._force: Vector = data.sensordata[cut.force]
-        self._torque: Vector = data.sensordata[cut.torque]
-        self._position: Vector = data.mocap_pos[cut.mocap]
-        self._quaternion: Vector = data.mocap_quat[cut.mocap]
-
-    def _go_back(self) -> None:
-        """Time has gone back: the user has reset the scene, or MuJoCo has, as it was unstable."""
-        if any(self._data.warning[kind].number for kind in _UNSTABLE):
-            raise SensorError(
-                "MuJoCo has found the scene unstable and has reset it: look at its warnings; a "
-                "smaller timestep, a softer contact or a slower mount. Then reset and restart()"
-            )
-        self.restart()
-        self._begin(float(self._data.time) - 2.0 * self._half_step)  # one step has been made since
-
     def _read(self) -> Vector:
         """Return the wrench that the sensors tell, shape (6,), N and N·m."""
         axes, point = self._axes, self._point
@@ -227,9 +237,199 @@ class MujocoMount:
         self._position[:], self._quaternion[:] = p + R @ away, quaternion
 
 
-def _matrix(quaternion: Vector) -> Vector:
-    """Return the rotation, shape (3, 3), of a quaternion (w, x, y, z), which need not be a unit."""
-    unit, matrix = quaternion.copy(), np.empty(9)
-    engine.mju_normalize4(unit)
-    engine.mju_quat2Mat(matrix, unit)
-    return matrix.reshape(3, 3)
+@dataclass(frozen=True)
+class _Division:
+    """Where a MuJoCo scene is cut."""
+
+    mocap: int  # number of the mocap pose
+    body: int  # the mocap body
+    mounted: int  # the body whose connection to its parent the sensors read
+    site: int
+    force: slice  # of the sensors' numbers
+    torque: slice
+
+
+def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
+    """Return where a scene is cut; SensorError if its sensors mislead there.
+
+    That is if a name is not there, a sensor is of another kind, filtered or switched off, or the
+    rigid system does not hang on the mocap body as it must.
+    """
+    body = _named(model, _OBJECT.mjOBJ_BODY, mocap, "body")
+    number = int(model.body_mocapid[body])
+    if number < 0:
+        raise SensorError(f"body {mocap!r} is no mocap body; {_REMEDY}")
+    kinds = engine.mjtSensor
+    forces, site = _sensor(model, force, kinds.mjSENS_FORCE, "force")
+    torques, other = _sensor(model, torque, kinds.mjSENS_TORQUE, "torque")
+    if site != other:
+        raise SensorError(f"sensors {force!r} and {torque!r} are at two sites; put both at one")
+    if model.opt.disableflags & _DISABLE.mjDSBL_SENSOR:
+        raise SensorError('sensors are switched off: remove <flag sensor="disable"/>')
+    mounted = int(model.site_bodyid[site])
+    division = _Division(number, body, mounted, site, forces, torques)
+    _require_hanging(model, division)
+    _require_no_weld(model, division)
+    _warn_of_unfelt(model, division)
+    return division
+
+
+def _require_weighed(model: Model, data: Data, division: _Division, axes: Vector) -> None:
+    """Refuse sensors that at rest do not read the weight of what hangs on the mount.
+
+    The scene is evaluated aside, at its present position, at rest, without contacts. `axes` is R0.
+    """
+    aside, flags = engine.MjData(model), model.opt.disableflags
+    aside.qpos[:], aside.mocap_pos[:], aside.mocap_quat[:] = (
+        data.qpos,
+        data.mocap_pos,
+        data.mocap_quat,
+    )
+    try:
+        model.opt.disableflags |= _DISABLE.mjDSBL_CONSTRAINT
+        engine.mj_inverse(model, aside)
+    finally:
+        model.opt.disableflags = flags
+    if flags & _DISABLE.mjDSBL_GRAVITY:
+        return
+    reaction = aside.site_xmat[division.site].reshape(3, 3) @ aside.sensordata[division.force]
+    mass = float(model.body_subtreemass[division.mounted])
+    require_weight(-reaction @ axes, mass, model.opt.gravity, axes)
+
+
+def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector | None:
+    """Return what gravity compensation takes off each body: kg, shape (bodies,); None if nothing.
+
+    SensorError if a body is compensated and `gravcomp` is not given; InvalidArgument if it is none
+    of its words, or cannot be taken off with this integrator.
+    """
+    if gravcomp is not None and gravcomp not in ("motors", "float"):
+        raise InvalidArgument(f"gravcomp must be 'motors' or 'float', not {gravcomp!r}")
+    taken = np.where(_hangs_on(model, division.mounted), model.body_gravcomp * model.body_mass, 0.0)
+    if not taken.any() or gravcomp == "motors":
+        return None
+    if gravcomp is None:
+        names = ", ".join(repr(_name(model, body)) for body in np.flatnonzero(taken)[:5].tolist())
+        raise SensorError(
+            f"gravcomp is set on {names}: the sensors read the full weight all the same. Say what "
+            "it stands for: gravcomp='motors' (joints carry the weight, the mount feels it) or "
+            "gravcomp='float' (something outside carries it, the mount does not)"
+        )
+    if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:
+        raise InvalidArgument(
+            "gravcomp='float' needs the positions that the sensors saw, which RK4 overwrites: use "
+            "another integrator"
+        )
+    return taken
+
+
+def _require_hanging(model: Model, division: _Division) -> None:
+    """Refuse a mounted body that is not the mocap body, nor its one child, without joint."""
+    body, mounted = division.body, division.mounted
+    if mounted == body:
+        return  # the sensors read all that hangs on the mocap body, and its own mass
+    name = _name(model, mounted)
+    joints = range(
+        model.body_jntadr[mounted], model.body_jntadr[mounted] + model.body_jntnum[mounted]
+    )
+    if any(model.jnt_type[joint] == engine.mjtJoint.mjJNT_FREE for joint in joints):
+        raise SensorError(
+            f"body {name!r} has a free joint: nothing holds it, and its sensors read 0; {_REMEDY}"
+        )
+    if model.body_parentid[mounted] != body or model.body_jntnum[mounted]:
+        raise SensorError(
+            f"body {name!r}, where the sensors are, must be a child of the mocap body "
+            f"{_name(model, body)!r} without a joint; {_REMEDY}"
+        )
+    neighbours = [
+        repr(_name(model, child))
+        for child in np.flatnonzero(model.body_parentid == body).tolist()
+        if child != mounted and model.body_subtreemass[child] > 0.0
+    ]
+    if neighbours:
+        raise SensorError(
+            f"{', '.join(neighbours)} hang next to {name!r} on the mocap body, and its sensors do "
+            "not feel them: put all into one child, or the site on the mocap body itself"
+        )
+
+
+def _require_no_weld(model: Model, division: _Division) -> None:
+    """Refuse an equality constraint between the mocap body and what moves."""
+    kinds = (engine.mjtEq.mjEQ_WELD, engine.mjtEq.mjEQ_CONNECT)
+    for number in range(model.neq):
+        if not any(model.eq_type[number] == kind for kind in kinds):
+            continue
+        ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+        if model.eq_objtype[number] == _OBJECT.mjOBJ_SITE:
+            ends = [int(model.site_bodyid[end]) for end in ends]
+        if division.body in ends:
+            raise SensorError(
+                "an equality constraint holds the scene to the mocap body: it gives, and what it "
+                f"carries is off by several per cent and more; {_REMEDY}"
+            )
+
+
+def _warn_of_unfelt(model: Model, division: _Division) -> None:
+    """Warn of forces on the scene that MuJoCo leaves out of its force sensors."""
+    hanging, unfelt = _hangs_on(model, division.mounted), []
+    for number in range(model.nu):
+        kind, target = model.actuator_trntype[number], model.actuator_trnid[number]
+        at_site = kind == engine.mjtTrn.mjTRN_SITE and target[1] < 0
+        if at_site and hanging[model.site_bodyid[target[0]]]:
+            unfelt.append(f"actuator {_name(model, number, _OBJECT.mjOBJ_ACTUATOR)!r} at a site")
+    if model.opt.density > 0.0 or model.opt.viscosity > 0.0:
+        unfelt.append("the medium's drag (density, viscosity)")
+    if unfelt:
+        warn(
+            f"MuJoCo leaves these out of its force sensors: {', '.join(unfelt)}. The mount does "
+            "not feel them; apply them by xfrc_applied, which it does feel",
+            MountWarning,
+        )
+
+
+def _hangs_on(model: Model, mounted: int) -> NDArray[np.bool_]:
+    """Return which bodies are the mounted one or hang on it: booleans, shape (bodies,)."""
+    hanging = np.zeros(model.nbody, dtype=bool)
+    hanging[mounted] = True
+    for body in range(mounted + 1, model.nbody):  # a parent's number is below its children's
+        hanging[body] |= hanging[model.body_parentid[body]]
+    return hanging
+
+
+def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
+    """Return a sensor's numbers and its site."""
+    number = _named(model, _OBJECT.mjOBJ_SENSOR, name, "sensor")
+    if model.sensor_type[number] != kind:
+        raise SensorError(f"sensor {name!r} is no {word} sensor; {_REMEDY}")
+    filters = [
+        label
+        for label, field in (
+            ("cutoff", "sensor_cutoff"),
+            ("delay", "sensor_delay"),
+            ("interval", "sensor_interval"),
+        )
+        if np.any(getattr(model, field, np.zeros(number + 1))[number] > 0.0)
+    ]
+    if filters:
+        raise SensorError(
+            f"sensor {name!r} has {' and '.join(filters)}: its reading is not the wrench of now; "
+            "remove it from the sensor"
+        )
+    start = int(model.sensor_adr[number])
+    return slice(start, start + 3), int(model.sensor_objid[number])
+
+
+def _named(model: Model, kind: int, name: str, word: str) -> int:
+    """Return the number of a named thing, or say which names there are."""
+    number = engine.mj_name2id(model, kind, name)
+    if number < 0:
+        count = model.nbody if kind == _OBJECT.mjOBJ_BODY else model.nsensor
+        names = [text for k in range(count) if (text := engine.mj_id2name(model, kind, k))]
+        raise SensorError(
+            f"the scene has no {word} {name!r}; it has {', '.join(map(repr, names)) or 'none'}"
+        )
+    return number
+
+
+def _name(model: Model, number: int, kind: int = _OBJECT.mjOBJ_BODY) -> str:
+    return engine.mj_id2name(model, kind, int(number)) or f"#{number}"

@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..errors import InvalidArgument
-from ..wrenches import one_wrench
-from .errors import SensorError
-
-Vector = NDArray[np.float64]
+from ..errors import InvalidArgument, SensorError
+from ..wrenches import Vector, one_wrench
 
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, z up
 CONTRADICTS = 0.5  # of the weight: a reading this far off is not noise nor a slow motion
 
 
 def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
-    """Return a reading as a wrench, shape (6,), N and N·m.
-
-    Raises
-    ------
-    SensorError
-        If a number is NaN or infinite.
-    ValueError
-        If a shape is wrong.
-    """
+    """Return a reading as a wrench (6,), N and N·m; SensorError if a number is not finite."""
     try:
         return one_wrench(force, moment)
     except ValueError as error:
@@ -40,13 +27,7 @@ def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
 
 
 def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
-    """Return an undeformed pose: axes as columns, shape (3, 3), and point, shape (3,), m.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, a number not finite, or the axes are no right-handed orthogonal ones.
-    """
+    """Return a pose, axes as columns (3, 3) and point (3,), m; InvalidArgument if it is none."""
     axes, point = np.array(R0, dtype=float), np.array(p0, dtype=float)
     if axes.shape != (3, 3) or point.shape != (3,):
         raise InvalidArgument(
@@ -64,22 +45,11 @@ def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
 
 
 def from_world(force: Vector, moment: Vector, point: Vector, pose: tuple[Vector, Vector]) -> Vector:
-    """Return a wrench about the interface point where it is now, in the undeformed frame's axes.
+    """Return a wrench (6,), N and N·m, about the interface point in the undeformed frame's axes.
 
-    Parameters
-    ----------
-    force, moment : numpy.ndarray
-        Shape (3,), N and N·m, acting ON the component, in the world's axes, about `point`.
-    point : numpy.ndarray
-        Shape (3,), m: where the sensor is now, on the deformed component, in the world.
-    pose : tuple of numpy.ndarray
-        R0, shape (3, 3), the undeformed frame's axes, and p, shape (3,), m, the interface point
-        where it is now.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (6,), N and N·m: F = R0^T f and M = R0^T (m + (point - p) x f).
+    Force and moment (3,) act ON the component at a point (3,), m, where it is now, all in the
+    world. `pose` is R0 (3, 3) of the undeformed frame, and p (3,), m, the interface point where it
+    is now: F = R0^T f and M = R0^T (m + (point - p) x f).
     """
     axes, origin = pose
     x, y, z = (point - origin).tolist()
@@ -90,7 +60,7 @@ def from_world(force: Vector, moment: Vector, point: Vector, pose: tuple[Vector,
 
 
 def require_weight(
-    force: ArrayLike, mass: float, gravity: ArrayLike = GRAVITY, axes: Any = None
+    force: ArrayLike, mass: float, gravity: ArrayLike = GRAVITY, axes: ArrayLike | None = None
 ) -> None:
     """Refuse a reading that a scene at rest contradicts: its component carries its weight.
 
@@ -115,29 +85,25 @@ def require_weight(
     weight = float(np.linalg.norm(pull))
     if weight == 0.0:
         return
-    found = np.asarray(force, dtype=float)
-    world = found if axes is None else np.asarray(axes, dtype=float) @ found
+    local = np.asarray(force, dtype=float)
+    world = local if axes is None else np.asarray(axes, dtype=float) @ local
     along = float(world @ pull) / weight**2  # 1 is right
-    if not abs(along - 1.0) <= CONTRADICTS:
-        raise SensorError(_contradiction(along, mass, weight))
-
-
-def _contradiction(along: float, mass: float, weight: float) -> str:
-    """Say what a reading of `along` times the weight, N, of a mass, kg, means."""
+    if abs(along - 1.0) <= CONTRADICTS:
+        return
     what = f"at rest {mass:.6g} kg weigh {weight:.6g} N, the reading has {along * weight:.6g} N"
     if abs(along + 1.0) <= CONTRADICTS:
-        return (
+        raise SensorError(
             f"the sign of the wrench is turned round: {what} along gravity. It must act ON the "
             "component; sensors report what the parent does to the child: see conventions "
             "(from_mujoco, from_pybullet, from_drake with component='parent')"
         )
     if abs(along) <= CONTRADICTS:
-        return (
+        raise SensorError(
             f"the reading does not carry the scene: {what} along gravity. A base with a free joint "
             "reads 0, and so does a sensor that was not evaluated; hang the system as a child "
             "without joint, and evaluate the sensors first"
         )
-    return (
+    raise SensorError(
         f"the reading contradicts the scene's weight: {what} along gravity. Look at the sensor's "
         "place and axes, at what else holds the scene, and at the units"
     )

@@ -12,11 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from .errors import CouplingDiverged
-
-Vector = NDArray[np.float64]
+from ..errors import CouplingDiverged
+from ..wrenches import Vector
 
 SMALLEST, LARGEST = 0.02, 1.0  # of the factor: 0.02 still holds G = 99, 1 takes the answer itself
 # Where the pose has not overshot, the factor may grow again, slowly: it took an overshoot to learn.
@@ -82,40 +81,32 @@ def stable_factor(compliance: ArrayLike, stiffness: ArrayLike) -> float:
 
 
 class Scale:
-    """What a displacement is measured against, so that m and rad can be added up.
+    """The tolerance of each output, against which m and rad are measured.
 
-    Parameters
-    ----------
-    tolerance : mapping or None
-        ``translation``, m, and ``rotation``, rad; if None, a thousandth of the largest answers.
-
-    Attributes
-    ----------
-    tolerance : numpy.ndarray
-        Of each output, shape (6,), m and rad; 0 before the first answer if there is none.
+    Without a tolerance, ``translation``, m, and ``rotation``, rad, it is a thousandth of the
+    largest answers.
     """
 
     def __init__(self, tolerance: dict[str, float] | None) -> None:
         self._fixed = tolerance is not None
         self._largest = np.zeros(2)
-        pair = (tolerance["translation"], tolerance["rotation"]) if tolerance else (0.0, 0.0)
-        self._take(pair)
+        self._set((tolerance["translation"], tolerance["rotation"]) if tolerance else (0.0, 0.0))
 
-    def _take(self, pair: ArrayLike) -> None:
-        """Take a tolerance, m and rad; where it is 0, nothing is measured."""
-        self.tolerance: Vector = np.repeat(np.asarray(pair, dtype=float), 3)
+    def _set(self, pair: ArrayLike) -> None:
+        """Set a tolerance, m and rad; where it is 0, nothing is measured."""
+        self.tolerance: Vector = np.repeat(np.asarray(pair, dtype=float), 3)  # (6,), m and rad
         per = np.zeros(6)
         np.divide(1.0, self.tolerance, out=per, where=self.tolerance > 0.0)
         self._per_unit = per
 
     def see(self, answer: Vector) -> None:
-        """Take note of an answer, shape (6,), m and rad."""
+        """Take note of an answer (6,), m and rad."""
         if not self._fixed:
             self._largest = np.maximum(self._largest, np.abs(answer).reshape(2, 3).max(axis=1))
-            self._take(DERIVED * self._largest)
+            self._set(DERIVED * self._largest)
 
     def measure(self, change: Vector) -> Vector:
-        """Return a change of displacement, shape (6,), m and rad, in tolerances."""
+        """Return a change of displacement (6,), m and rad, in tolerances."""
         return change * self._per_unit
 
 
@@ -126,18 +117,11 @@ class Relaxation:
     residual has turned round, which only overshooting does, clipped to [0.02, 1]. Where it has
     not, the factor grows by `GROWTH`: so a running simulation, whose loads change by themselves,
     is followed without lag, and a contact that opens does not throw it back to 1.
-
-    Parameters
-    ----------
-    fixed : float or None
-        The factor; None for Aitken's.
-    start : float
-        Aitken's first factor.
     """
 
-    def __init__(self, fixed: float | None, start: float = LARGEST) -> None:
-        self._fixed = fixed
-        self.start = start
+    def __init__(self, fixed: float | None) -> None:
+        """Take a fixed factor; None for Aitken's."""
+        self._fixed, self.start = fixed, LARGEST
         self.restart()
 
     def begin_at(self, factor: float) -> None:
@@ -152,21 +136,12 @@ class Relaxation:
         self._watch, self._turned = ContractionWatch(), False
 
     def follow(self, residual: Vector, *, driven: bool) -> float:
-        """Return the fraction of a residual, shape (6,), dimensionless, that the pose shall go.
+        """Return the fraction of a residual (6,), in tolerances, that the pose shall go.
 
-        Parameters
-        ----------
-        residual : numpy.ndarray
-            Shape (6,), in tolerances, dimensionless.
-        driven : bool
-            Whether loads change by themselves, as they do in time. A smooth load turns round once
-            at each of its peaks: only the second turn in a row is then an overshoot.
-
-        Raises
-        ------
-        CouplingDiverged
-            If the residual turns round again and again and does not become smaller; nothing of
-            what was is forgotten then.
+        `driven` loads change by themselves, as they do in time. A smooth load turns round once at
+        each of its peaks: only the second turn in a row is then an overshoot. CouplingDiverged,
+        and nothing changes, if the residual turns round again and again and does not become
+        smaller.
         """
         before, size = self._before, math.hypot(*residual.tolist())
         if not size < ABSURD:
@@ -175,42 +150,31 @@ class Relaxation:
         along = 0.0 if before is None or rests else float(residual @ before)
         watch, turned = self._watch.seen(size, along), along < 0.0
         if self._fixed is None and before is not None:
-            overshot = turned and (self._turned or not driven)
-            grown = min(GROWTH * self.factor, LARGEST)
-            self.factor = _secant(self.factor, before, residual) if overshot else grown
+            grown = GROWTH * self.factor
+            if turned and (self._turned or not driven):  # Aitken's next factor
+                change = residual - before
+                grown = -self.factor * float(before @ change) / float(change @ change)
+                grown = max(grown, SMALLEST)
+            self.factor = min(grown, LARGEST)
         self._before, self._watch, self._turned = residual, watch, turned
         return self.factor
 
 
 @dataclass(frozen=True)
 class ContractionWatch:
-    """What tells a loop that drives itself from one that is driven.
+    """What tells a loop that drives itself from one that is driven."""
 
-    Attributes
-    ----------
-    size, largest : float
-        Of the last residual, and of all of the run, in tolerances.
-    steady, records, onward : int
-        How many residuals in a row were opposite and hardly smaller, opposite and far larger than
-        all before, and in one direction and far larger than all before.
-    first : float
-        Size of the residual before the steady row, in tolerances.
-    """
-
-    size: float = 0.0
-    largest: float = 0.0
-    steady: int = 0
-    records: int = 0
-    first: float = 0.0
-    onward: int = 0
+    size: float = 0.0  # of the last residual, in tolerances
+    largest: float = 0.0  # of all of the run
+    steady: int = 0  # residuals in a row that were opposite and hardly smaller,
+    records: int = 0  # opposite and far larger than all before,
+    first: float = 0.0  # size of the residual before the steady row
+    onward: int = 0  # and in one direction and far larger than all before
 
     def seen(self, size: float, along: float) -> ContractionWatch:
         """Return the watch after another residual of a size, times the last one `along`.
 
-        Raises
-        ------
-        CouplingDiverged
-            If it is one too many.
+        CouplingDiverged if it is one too many.
         """
         opposite = along < OPPOSITE * size * self.size
         steady = self.steady + 1 if opposite and size >= STEADY * self.size else 0
@@ -220,10 +184,10 @@ class ContractionWatch:
         # Within the tolerance nothing matters.
         first = self.first if steady > 1 else self.size
         if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
-            how = "grows" if records >= BURST else "does not decay"
+            growth = "grows" if records >= BURST else "does not decay"
             raise CouplingDiverged(
                 f"the coupling diverges: the pose has overshot its answer {max(steady, records)} "
-                f"times in a row and the distance, {size:.3g} tolerances, {how}. {REMEDY}",
+                f"times in a row and the distance, {size:.3g} tolerances, {growth}. {REMEDY}",
                 (self.size, size),
             )
         if size > 1.0 and onward >= CYCLE:
@@ -244,12 +208,9 @@ class CycleWatch:
         self._spread = 0.0
 
     def see(self, answer: Vector) -> None:
-        """Take note of an answer, shape (6,), in tolerances, dimensionless.
+        """Take note of an answer (6,), in tolerances.
 
-        Raises
-        ------
-        CouplingDiverged
-            If the answers of `SPANS` spans in a row swing as far as those of the one before.
+        CouplingDiverged if those of `SPANS` spans in a row swing as far as those of the one before.
         """
         self._answers[self._count] = answer
         self._count += 1
@@ -257,12 +218,19 @@ class CycleWatch:
             return
         self._count, before = 0, self._spread
         spreads = np.ptp(self._answers, axis=0)
-        place = int(spreads.argmax())
-        self._spread = float(spreads[place])
-        slopes = np.diff(self._answers[:, place])
+        output = int(spreads.argmax())
+        self._spread = float(spreads[output])
+        answers = self._answers[:, output]
+        slopes = np.diff(answers)
         turns = int((slopes[1:] * slopes[:-1] < 0.0).sum())
         swings = self._spread > SWING and SHORTEST * turns >= 2 * SPAN
-        swings = swings and _is_determined(self._answers[:, place])
+        if swings:
+            # Each answer follows from the four before it, as noise does not: by an autoregressive
+            # model, which has any sum of two oscillations.
+            lags = [answers[k : k - 4] for k in range(4)] + [np.ones(len(answers) - 4)]
+            factors, *_ = np.linalg.lstsq(np.stack(lags, axis=1), answers[4:], rcond=None)
+            unexplained = answers[4:] - np.stack(lags, axis=1) @ factors
+            swings = float(unexplained.var()) < UNEXPLAINED * float(answers.var())
         self._rows = self._rows + 1 if swings and self._spread >= STEADY * before else 0
         if self._rows > SPANS:
             raise CouplingDiverged(
@@ -273,31 +241,14 @@ class CycleWatch:
             )
 
 
-def _is_determined(answers: Vector) -> bool:
-    """Return whether each answer follows from the four before it, as noise does not.
-
-    By an autoregressive model, which has any sum of two oscillations.
-    """
-    lags = np.stack([answers[k : k - 4] for k in range(4)] + [np.ones(len(answers) - 4)], axis=1)
-    factors, *_ = np.linalg.lstsq(lags, answers[4:], rcond=None)
-    rest = answers[4:] - lags @ factors
-    return float(rest.var()) < UNEXPLAINED * float(answers.var())
-
-
 def within_limit(displacement: Vector) -> Vector:
-    """Return a displacement, shape (6,), m and rad, scaled down to the largest turn of a table."""
+    """Return a displacement (6,), m and rad, scaled down to the largest turn of a table."""
     turned = math.sqrt(float(displacement[3:] @ displacement[3:]))
     return displacement if turned <= LARGEST_TURN else displacement * (LARGEST_TURN / turned)
 
 
 def require_within_limit(displacement: Vector, component: str) -> None:
-    """Refuse an equilibrium, shape (6,), m and rad, that turns further than a table can hold.
-
-    Raises
-    ------
-    CouplingDiverged
-        If so.
-    """
+    """Refuse an equilibrium (6,), m and rad, that turns further: CouplingDiverged."""
     turned = math.degrees(math.sqrt(float(displacement[3:] @ displacement[3:])))
     if turned > math.degrees(LARGEST_TURN):
         raise CouplingDiverged(
@@ -315,10 +266,3 @@ def _run_away(before: float, size: float) -> CouplingDiverged:
         f"sign is wrong: of the wrench, or of stiffness=, dw/du, negative of a spring. {REMEDY}",
         (before, size),
     )
-
-
-def _secant(factor: float, before: Vector, now: Vector) -> float:
-    """Return Aitken's next factor after an overshoot, from two residuals (6,), dimensionless."""
-    change = now - before
-    secant = -factor * float(before @ change) / float(change @ change)
-    return min(max(secant, SMALLEST), LARGEST)

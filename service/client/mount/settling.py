@@ -6,17 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..errors import CouplingDiverged, MountError
 from ..replies import Displacement
-from .errors import CouplingDiverged, MountError
+from ..wrenches import Vector
 from .relaxation import REMEDY, Relaxation, Scale, spectral_radius
-
-Vector = NDArray[np.float64]
-# The scene: a displacement, shape (6,), m and rad, to its wrench, shape (6,), N and N·m.
-Reading = Callable[[Vector], Vector]
-# The component: a wrench to its answer, and that as numbers, shape (6,), m and rad.
-Asking = Callable[[Vector], tuple[Displacement, Vector]]
 
 HALVINGS = 6  # of a Newton step that leads further away: 1/64 of it still counts as a direction
 RUNAWAY = 6  # residuals in a row that grow the same way: no overshoot, and no rest ahead
@@ -59,61 +53,29 @@ class Settled:
 
 @dataclass
 class CouplingIteration:
-    """One iteration: where it stands and how far off it is.
+    """Where an iteration stands, and its residual: answer less displacement (6,), m and rad."""
 
-    Attributes
-    ----------
-    displacement, wrench, answered : numpy.ndarray
-        Shape (6,), m and rad; N and N·m; m and rad.
-    answer : Displacement
-    size : float
-        Of the residual, in tolerances.
-    """
-
-    displacement: Vector
-    wrench: Vector
+    displacement: Vector  # (6,), m and rad
+    wrench: Vector  # (6,), N and N·m
     answer: Displacement
-    answered: Vector
-    size: float = np.inf
-
-    @property
-    def residual(self) -> Vector:
-        """Answer less displacement, shape (6,), m and rad."""
-        return self.answered - self.displacement
+    residual: Vector
+    scaled: Vector  # the residual in tolerances
+    size: float  # its largest
 
 
 @dataclass
 class Loop:
-    """What the static loops have in common.
+    """What the static loops have in common."""
 
-    Attributes
-    ----------
-    read, ask : callable
-        The scene and the component.
-    scale : Scale
-    accuracy : float
-        Tolerances that each output may still be off.
-    most : int
-        Answers at most.
-    residuals : list of float
-        In tolerances.
-    """
-
-    read: Reading
-    ask: Asking
+    read: Callable[[Vector], Vector]  # the scene: displacement (6,), m and rad, to wrench
+    ask: Callable[[Vector], tuple[Displacement, Vector]]  # the component: wrench to answer (6,)
     scale: Scale
-    accuracy: float
-    most: int
-    residuals: list[float] = field(default_factory=list)
+    accuracy: float  # tolerances that each output may still be off
+    most: int  # answers
+    residuals: list[float] = field(default_factory=list)  # in tolerances
 
     def evaluate(self, displacement: Vector) -> CouplingIteration:
-        """Set a displacement, shape (6,), m and rad, read the scene, and ask.
-
-        Raises
-        ------
-        CouplingDiverged
-            If the component has given the most answers allowed.
-        """
+        """Set a displacement, read the scene, and ask; CouplingDiverged after the last answer."""
         if len(self.residuals) >= self.most:
             raise CouplingDiverged(
                 f"no rest after {self.most} answers: pose and answer are still "
@@ -123,31 +85,27 @@ class Loop:
         wrench = self.read(displacement)
         answer, answered = self.ask(wrench)
         self.scale.see(answered)
-        state = CouplingIteration(displacement, wrench, answer, answered)
-        state.size = float(np.abs(self.scale.measure(state.residual)).max())
-        self.residuals.append(state.size)
-        return state
+        residual = answered - displacement
+        scaled = self.scale.measure(residual)
+        self.residuals.append(float(np.abs(scaled).max()))
+        return CouplingIteration(displacement, wrench, answer, residual, scaled, self.residuals[-1])
 
 
 def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> CouplingIteration:
-    """Settle by following the answers, from a displacement, shape (6,), m and rad.
+    """Settle by following the answers, from a displacement (6,), m and rad.
 
-    Raises
-    ------
-    CouplingDiverged
-        If scene and component drive each other apart, or do not come to rest.
+    CouplingDiverged if scene and component drive each other apart, or do not come to rest.
     """
     relaxation.restart()
     state, runaway = loop.evaluate(start), 0
     while state.size > loop.accuracy:
         try:
-            factor = relaxation.follow(loop.scale.measure(state.residual), driven=False)
+            factor = relaxation.follow(state.scaled, driven=False)
         except CouplingDiverged as error:
             raise CouplingDiverged(str(error), loop.residuals) from None
         before, state = state, loop.evaluate(state.displacement + factor * state.residual)
-        same_way = (
-            float(loop.scale.measure(before.residual) @ loop.scale.measure(state.residual)) > 0
-        )
+        # Both in the tolerances of now: those derived from answers grow.
+        same_way = float(loop.scale.measure(before.residual) @ state.scaled) > 0
         runaway = runaway + 1 if same_way and state.size > before.size else 0
         if runaway == RUNAWAY:
             raise CouplingDiverged(
@@ -162,15 +120,11 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
 def by_newton(
     loop: Loop, start: Vector, stiffness: Vector | None
 ) -> tuple[CouplingIteration, float | None]:
-    """Settle by Newton, from a displacement, shape (6,), m and rad; return also G.
+    """Settle by Newton, from a displacement (6,), m and rad; return also G.
 
-    The residual U(W(u)) - u has the slope C K - I: C the answer's derivative, K the scene's dw/du,
-    shape (6, 6), N/m, N/rad, N·m/m, N·m/rad, given or by differences.
-
-    Raises
-    ------
-    CouplingDiverged
-        If no part of a step leads nearer, or there is no rest.
+    The residual U(W(u)) - u has the slope C K - I: C the answer's derivative, K the scene's dw/du
+    (6, 6), N/m, N/rad, N·m/m, N·m/rad, given or by differences. CouplingDiverged if no part of a
+    step leads nearer, or there is no rest.
     """
     state, radius = loop.evaluate(start), None
     while state.size > loop.accuracy:
@@ -197,7 +151,7 @@ def by_newton(
 
 
 def _nearer(loop: Loop, state: CouplingIteration, step: Vector, radius: float) -> CouplingIteration:
-    """Go a Newton step, shape (6,), m and rad, or the part of it that leads nearer."""
+    """Go a Newton step (6,), m and rad, or the part of it that leads nearer."""
     fraction = 1.0
     for _ in range(HALVINGS):
         tried = loop.evaluate(state.displacement + fraction * step)
@@ -214,7 +168,7 @@ def _nearer(loop: Loop, state: CouplingIteration, step: Vector, radius: float) -
 
 
 def _differences(loop: Loop, state: CouplingIteration) -> Vector:
-    """Return the scene's stiffness dw/du, shape (6, 6), N/m to N·m/rad, by small moves of it."""
+    """Return the scene's stiffness dw/du (6, 6), N/m to N·m/rad, by small moves of it."""
     sizes = np.where(loop.scale.tolerance > 0.0, STEP * loop.scale.tolerance, 1e-9)
     slope = np.empty((6, 6))
     for column, size in enumerate(sizes):

@@ -1,184 +1,116 @@
-"""Who answers a mount: a table in this process, the server's table, or a solve each time."""
+"""What answers a mount: a table in this process, the server's table, or a solve each time.
+
+Each is a tolerance, ``translation``, m, and ``rotation``, rad, or None, and a function of a wrench
+(6,), N and N·m, and of whether the answer shall have its derivative.
+"""
 
 from __future__ import annotations
 
-import math
 import time
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeGuard, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...contract import OUTPUTS, OnThin
-from ..errors import InvalidArgument, ServerTimeout
+from ..errors import InvalidArgument, ServerTimeout, SourceError
 from ..replies import Displacement
-from ..wrenches import tolerance_body
-from .errors import DisplacementUnknown
-from .options import require_server
+from ..wrenches import OnThin, Vector, tolerance_body
 
-Vector = NDArray[np.float64]
-Tolerance = dict[str, float]
+if TYPE_CHECKING:
+    from .. import Client, Table
+
+Limit = dict[str, float]
+Ask = Callable[[Vector, bool], Displacement]
 
 LONGEST_CALL_S = 20.0  # proxies end calls that take longer
 
 
-class Source(Protocol):
-    """What a mount asks.
+def from_table(
+    table: Table, component: str, tolerance: Limit | None, method: str | None
+) -> tuple[Limit | None, Ask]:
+    """Answer from a downloaded table: in microseconds, without a server."""
+    name = getattr(table, "name", component)
+    if name != component:
+        raise InvalidArgument(f"the table is of component {name!r}, not of {component!r}")
+    if method is not None:  # an unknown one is refused here, not in the loop
+        table.answer(np.zeros(6), tolerance=tolerance, method=method)
 
-    Attributes
-    ----------
-    tolerance : dict or None
-        ``translation``, m, and ``rotation``, rad: the component's own.
-    """
+    def ask(wrench: Vector, derivatives: bool) -> Displacement:
+        return table.answer(wrench, tolerance=tolerance, method=method, derivatives=derivatives)
 
-    tolerance: Tolerance | None
-
-    def ask(self, wrench: Vector, *, derivatives: bool) -> Displacement:
-        """Return the answer to a wrench, shape (6,), N and N·m."""
-        ...
-
-
-class TableSource:
-    """A downloaded table: microseconds, no server."""
-
-    def __init__(
-        self, table: Any, component: str, tolerance: Tolerance | None, method: str | None
-    ) -> None:
-        name = getattr(table, "name", component)
-        if name != component:
-            raise InvalidArgument(f"the table is of component {name!r}, not of {component!r}")
-        self._table, self._asked, self._method = table, tolerance, method
-        if method is not None:  # an unknown one is refused here, not in the loop
-            table.answer(np.zeros(6), tolerance=tolerance, method=method)
-        own = getattr(table, "tolerance", None)
-        self.tolerance = tolerance or (None if own is None else tolerance_body(own))
-
-    def ask(self, wrench: Vector, *, derivatives: bool) -> Displacement:
-        """Return the answer to a wrench, shape (6,), N and N·m."""
-        return self._table.answer(
-            wrench, tolerance=self._asked, method=self._method, derivatives=derivatives
-        )
+    own = getattr(table, "tolerance", None)
+    return tolerance or (None if own is None else tolerance_body(own)), ask
 
 
-class ServerSource:
-    """The server's table; what it does not cover is queued there, where it can be solved."""
+def from_server(
+    client: Client,
+    component: str,
+    tolerance: Limit | None,
+    method: str | None,
+    on_thin: OnThin,
+) -> tuple[Limit | None, Ask]:
+    """Answer from the server's table; what it does not cover is queued, where it can be solved."""
+    facts = client.component(component)
+    # A measured table is never solved: to queue would be refused in the middle of the loop.
+    thin: OnThin = on_thin if facts.get("has_fea", True) else "estimate"
+    if method is not None:  # an unknown one is refused here, not in the loop
+        client.displacement(component, np.zeros(6), on_thin="estimate", method=method)
 
-    def __init__(
-        self,
-        client: Any,
-        component: str,
-        tolerance: Tolerance | None,
-        method: str | None,
-        on_thin: OnThin,
-    ) -> None:
-        facts = client.component(component)
-        # A measured table is never solved: to queue would be refused in the middle of the loop.
-        self._on_thin: OnThin = on_thin if facts.get("has_fea", True) else "estimate"
-        self._client, self._component = client, component
-        self._asked, self._method = tolerance, method
-        self.tolerance = tolerance or facts.get("tolerance")
-        if method is not None:  # an unknown one is refused here, not in the loop
-            client.displacement(component, np.zeros(6), on_thin="estimate", method=method)
-
-    def ask(self, wrench: Vector, *, derivatives: bool) -> Displacement:
-        """Return the answer to a wrench, shape (6,), N and N·m."""
-        return self._client.displacement(
-            self._component,
+    def ask(wrench: Vector, derivatives: bool) -> Displacement:
+        return client.displacement(
+            component,
             wrench,
-            on_thin=self._on_thin,
-            tolerance=self._asked,
-            method=self._method,
+            on_thin=thin,
+            tolerance=tolerance,
+            method=method,
             derivatives=derivatives,
         )
 
+    return tolerance or facts.get("tolerance"), ask
 
-class SolveSource:
-    """DirectFEA: each wrench is solved, and waited for."""
 
-    def __init__(
-        self,
-        client: Any,
-        component: str,
-        tolerance: Tolerance | None,
-        timeout: float,
-        beyond_range: bool,
-    ) -> None:
-        self._client, self._component = client, component
-        self._timeout, self._beyond = timeout, beyond_range
-        self.tolerance = tolerance or client.component(component).get("tolerance")
+def from_solves(
+    client: Client, component: str, tolerance: Limit | None, timeout: float, beyond_range: bool
+) -> tuple[Limit | None, Ask]:
+    """Solve each wrench, and wait for it at most `timeout` seconds (DirectFEA)."""
 
-    def ask(self, wrench: Vector, *, derivatives: bool) -> Displacement:
-        """Return the answer to a wrench, shape (6,), N and N·m.
-
-        Raises
-        ------
-        ProblemError
-            If the solve failed (424), or the wrench is beyond the load range (409).
-        ServerTimeout
-            If it has not ended in time; it goes on in the server.
-        """
-        deadline = time.monotonic() + self._timeout
+    def ask(wrench: Vector, derivatives: bool) -> Displacement:
+        deadline = time.monotonic() + timeout
         while True:
-            left = max(deadline - time.monotonic(), 0.0)
-            answer = self._client.solve(
-                self._component,
+            remaining = max(deadline - time.monotonic(), 0.0)
+            answer = client.solve(
+                component,
                 wrench,
-                wait_s=min(left, LONGEST_CALL_S),
-                beyond_range=self._beyond,
+                wait_s=min(remaining, LONGEST_CALL_S),
+                beyond_range=beyond_range,
             )
             if answer.covered:
                 break
-            if left == 0.0:
+            if remaining == 0.0:
                 job = f"job {answer.job.id}" if answer.job else "its solve"
                 raise ServerTimeout(
-                    f"{job} of {self._component} has not ended within {self._timeout:g} s; it goes "
-                    "on in the server: step again, or make the mount with a longer solve_timeout"
+                    f"{job} of {component} has not ended within {timeout:g} s; it goes on in the "
+                    "server: step again, or make the mount with a longer solve_timeout"
                 )
-        return self._with_derivative(answer, wrench) if derivatives else answer
+        if not derivatives:
+            return answer
+        # The solve's row brings its tangent with it.
+        row = client.displacement(component, wrench, on_thin="estimate", derivatives=True)
+        return row if row.covered else answer
 
-    def _with_derivative(self, solved: Displacement, wrench: Vector) -> Displacement:
-        """Return the answer of the solve's row, which brings its tangent with it."""
-        from_row = self._client.displacement(
-            self._component, wrench, on_thin="estimate", derivatives=True
-        )
-        return from_row if from_row.covered else solved
-
-
-def table_source(
-    source: Any, component: str, tolerance: Tolerance | None, method: str | None, on_thin: OnThin
-) -> Source:
-    """Return who answers from a table: the one given, or the server with its own."""
-    if hasattr(source, "answer"):
-        return TableSource(source, component, tolerance, method)
-    server = require_server(source, "table")
-    return ServerSource(server, component, tolerance, method, on_thin)
+    return tolerance or client.component(component).get("tolerance"), ask
 
 
-def known(answer: Displacement, unmeasured: str) -> Vector | None:
-    """Return an answer as numbers only, shape (6,), m and rad; None if there is none at all.
+def is_table(source: Table | Client) -> TypeGuard[Table]:
+    """Return whether a source answers in this process."""
+    return hasattr(source, "answer")
 
-    Parameters
-    ----------
-    answer : Displacement
-    unmeasured : {"refuse", "rigid"}
-        What an output that the table does not hold does: raise, or not move.
 
-    Raises
-    ------
-    DisplacementUnknown
-        If an output is not in the table.
-    """
-    vector = answer.vector
-    if vector is None:
-        return None
-    if not math.isnan(float(vector.sum())):
-        return vector
-    missing = np.isnan(vector)
-    if unmeasured == "rigid":
-        return np.where(missing, 0.0, vector)
-    names = ", ".join(np.array(OUTPUTS)[missing])
-    raise DisplacementUnknown(
-        f"the table of {answer.component} does not say {names} under this wrench, and a pose needs "
-        "all six: load a table that has them, name them among the scene's outputs if it was cut to "
-        "one, or make the mount with unmeasured='rigid', which takes 0 for them"
-    )
+def require_server(source: Table | Client, mode: str) -> Client:
+    """Return a source that is a server's client; SourceError if the mode needs one."""
+    if hasattr(source, "__aenter__"):
+        raise SourceError("a mount's steps block: give a Client in the place of the AsyncClient")
+    if hasattr(source, "displacement") and hasattr(source, "solve"):
+        return cast("Client", source)
+    what = "a Client" if mode != "table" else "a Client, or a Table from client.download(...)"
+    raise SourceError(f"mode {mode!r} asks {what}, not {type(source).__name__}")

@@ -16,11 +16,10 @@ from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
-from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.replies import json_reply, next_page
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.http.schemas import Queued
@@ -33,6 +32,7 @@ from wrenchbook.service.library.component import (
     vibration_of,
     warnings_of,
 )
+from wrenchbook.service.query import job_link
 from wrenchbook.service.tables.rows import warning_of
 from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.service.workspace import Workspace
@@ -280,7 +280,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
             {"translation": limit.translation, "rotation": limit.rotation} if limit else None
         ),
         "rows": table.row_count,
-        "pending_rows": workspace.pending_rows(component.name, table),
+        "pending_rows": workspace.unbuilt(component.name, table)[0],
         "solved": solved,
         "measured": table.row_count - solved,
         "another_setup": {"rows": table.other_rows, "wrenches": table.other_wrenches},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
-from functools import partial
 from typing import Any, TypeVar
 
 from fastapi import APIRouter, Request
@@ -11,9 +10,6 @@ from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from wrenchbook.service.answering.many import answer_or_submit_many
-from wrenchbook.service.answering.one import answer_or_submit
-from wrenchbook.service.answering.queries import BatchQuery, Query
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.http.access import Permission, permission_of
 from wrenchbook.service.http.access.control import beyond_scope
@@ -28,17 +24,16 @@ from wrenchbook.service.http.batch import (
 )
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
 from wrenchbook.service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
-from wrenchbook.service.http.fast_path import QUERY
 from wrenchbook.service.http.openapi import answers, refused, takes
-from wrenchbook.service.http.parsing import read_query, read_solve, refuse_query
+from wrenchbook.service.http.parsing import checked, loads_of, parsed_json, read_query, refuse_query
 from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.http.protocol import ANSWERED
 from wrenchbook.service.http.replies import write_batch, write_binary, write_outcome
 from wrenchbook.service.http.schemas import Displacement, Displacements
+from wrenchbook.service.query import Floats, Query, answer_or_submit, answer_or_submit_many
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.table.space import Space
 
-Body = TypeVar("Body", bytes, Spooled)
-Asked = TypeVar("Asked", Query, BatchQuery)
+Asked = TypeVar("Asked", Query, tuple[Floats, Query])
 
 
 class DirectRoute(APIRoute):
@@ -68,21 +63,18 @@ _MANY = answers(Displacements, _SOLVED, content=BINARY_REPLY) | answers(
 )
 
 
-def _asking(permission: Permission, read: Callable[[Body], Asked], body: Body) -> Asked:
-    """Read the body of a caller with a key for reading; refuse a query that queues solves.
-
-    Raises
-    ------
-    HttpProblemError
-        403.
-    """
+def _permitted(permission: Permission, read: Callable[[], Asked]) -> Asked:
+    """Read a query; 403 for a key for reading if it cannot be read or queues solves."""
+    if permission.allows("write"):
+        return read()
     try:
-        query = read(body)
+        asked = read()
     except HttpProblemError:
         raise beyond_scope(permission, "write") from None
+    query = asked if isinstance(asked, Query) else asked[1]
     if query.on_thin not in ("estimate", "reject"):
         raise beyond_scope(permission, "write")
-    return query
+    return asked
 
 
 @router.post(
@@ -94,17 +86,16 @@ def _asking(permission: Permission, read: Callable[[Body], Asked], body: Body) -
 )
 async def displacement(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
-    scope, body = request.scope, await read_limited(request.receive)
-    permission = permission_of(scope)
-    refuse_query(request.query_params)
-    read: Callable[[bytes], Query] = partial(
-        read_query, space=workspace.library.as_read(name).space
-    )
-    asking = read if permission.allows("write") else partial(_asking, permission, read)
-    query: Query = scope.get(QUERY) or asking(body)
-    outcome = await answer_or_submit(workspace, name, query)
-    request.app.state.counts.add(outcome.coverage, outcome.method, outcome.elapsed_us)
-    return write_outcome(outcome, derivatives=query.derivatives)
+    query, outcome = request.scope.get(ANSWERED, (None, None))
+    if query is None:
+        body = await read_limited(request.receive)
+        refuse_query(request.query_params)
+        space = workspace.library.as_read(name).space
+        query = _permitted(permission_of(request.scope), lambda: read_query(body, space))
+    outcome = await answer_or_submit(workspace, name, query, outcome)
+    reply = outcome.reply
+    request.app.state.counts.add(reply.coverage, reply.method or None, outcome.elapsed_us)
+    return write_outcome(outcome)
 
 
 @router.post(
@@ -115,25 +106,24 @@ async def displacement(name: str, request: Request) -> Response:
     openapi_extra=takes(BatchBody, BINARY_BODY, BinaryOptions),
 )
 async def displacements(name: str, request: Request) -> Response:
-    binary, permission = is_binary(request), permission_of(request.scope)
     workspace: Workspace = request.app.state.workspace
-    space = workspace.library.as_read(name).space
-    read: Callable[[Spooled], BatchQuery] = partial(read_batch_body, inputs=len(space.inputs))
-    if binary:
-        read = partial(_read_binary, options=dict(request.query_params), space=space)
-    else:
+    binary, permission = is_binary(request), permission_of(request.scope)
+    space, options = workspace.library.as_read(name).space, dict(request.query_params)
+    if not binary:
         refuse_query(request.query_params)
+
+    def read(body: Spooled) -> tuple[Floats, Query]:
+        if binary:
+            return read_binary(body, options, space)
+        return read_batch_body(body, len(space.inputs))
+
     async with spooled(request.receive, MOST_BATCH_BYTES) as body:
-        asking = read if permission.allows("write") else partial(_asking, permission, read)
-        batch = await run_in_threadpool(asking, body)
-        async with few_large(len(batch.wrenches)):
-            outcome = await answer_or_submit_many(workspace, name, batch)
-    request.app.state.counts.add_batch(outcome.coverage, outcome.method, outcome.elapsed_us)
+        wrenches, query = await run_in_threadpool(_permitted, permission, lambda: read(body))
+        async with few_large(len(wrenches)):
+            outcome = await answer_or_submit_many(workspace, name, wrenches, query)
+    coverage = outcome.replies.coverage
+    request.app.state.counts.add_batch(coverage, outcome.method, outcome.elapsed_us)
     return await run_in_threadpool(write_binary if binary else write_batch, outcome)
-
-
-def _read_binary(body: Spooled, options: dict[str, str], space: Space) -> BatchQuery:
-    return read_binary(body.read(), options, space)
 
 
 @router.post(
@@ -145,6 +135,7 @@ def _read_binary(body: Spooled, options: dict[str, str], space: Space) -> BatchQ
 )
 async def solve(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
-    body = await read_limited(request.receive)
-    query = read_solve(body, workspace.library.as_read(name).space)
+    content, space = await read_limited(request.receive), workspace.library.as_read(name).space
+    body: SolveBody = checked(SolveBody, parsed_json(content))
+    query = Query(loads_of(body, space), "solve", body.wait_s, beyond_range=body.beyond_range)
     return write_outcome(await answer_or_submit(workspace, name, query))

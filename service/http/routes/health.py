@@ -88,9 +88,7 @@ def _pending(workspace: Workspace) -> dict[str, int]:
     """Return how many rows are being built into each table that lacks some."""
     names, present = set(workspace.library.names()), workspace.tables.present()
     found = {
-        name: workspace.pending_rows(name, table)
-        for name, table in present.items()
-        if name in names
+        name: workspace.unbuilt(name, table)[0] for name, table in present.items() if name in names
     }
     return {name: count for name, count in found.items() if count}
 

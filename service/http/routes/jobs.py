@@ -16,12 +16,13 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from wrenchbook.service.contract import by_part
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.http.links import job_link, next_page
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.http.replies import next_page
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, zipped
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
+from wrenchbook.service.query import job_link
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 
@@ -112,7 +113,7 @@ def list_jobs(
 
 @router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
 async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
-    job = await workspace.wait(job_id, wait_s)
+    (job,) = await workspace.polls.wait_all([job_id], wait_s)
     return await run_in_threadpool(_whole_body, workspace, job)
 
 

@@ -18,8 +18,8 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Header, Request
 from starlette.responses import Response
 
-from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.http.replies import holds, naming
 
 router = APIRouter(include_in_schema=False)
 

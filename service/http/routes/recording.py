@@ -23,11 +23,11 @@ from wrenchbook.service.http.bodies import (
     StartBody,
 )
 from wrenchbook.service.http.body import read_limited
-from wrenchbook.service.http.links import job_link
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import both_tolerances, checked, read_block, read_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.displacement import DirectRoute
+from wrenchbook.service.query import job_link
 from wrenchbook.service.recording.start import (
     StartedSolves,
     start_envelope,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from typing import Annotated
+from statistics import median
+from typing import Annotated, Any
 
 import numpy as np
 import orjson
@@ -12,7 +13,6 @@ from fastapi import APIRouter, Header, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from wrenchbook.service.answering.scenes import scene_file, scene_reply
 from wrenchbook.service.http.bodies import (
     InterfaceSpan,
     SceneBody,
@@ -22,21 +22,26 @@ from wrenchbook.service.http.bodies import (
     ends_of,
 )
 from wrenchbook.service.http.body import read_limited
-from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.openapi import BYTES, refused, takes
-from wrenchbook.service.http.parsing import read_body
+from wrenchbook.service.http.parsing import read_body, tolerance_of
 from wrenchbook.service.http.problems import bad_body
-from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.replies import holds, json_reply, naming
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.http.schemas import Plans
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.scene.cut import cut
 from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
-from wrenchbook.surrogate.table.rows import Floats, LoadRange, Tolerance
+from wrenchbook.surrogate.scene.plan import ScenePlan, plan_of
+from wrenchbook.surrogate.scene.savings import measured
+from wrenchbook.surrogate.table.rows import Floats, LoadRange
 from wrenchbook.surrogate.table.space import Space
 
 router = APIRouter(prefix="/v1", tags=["scenes"], responses=refused(404, 422))
 CATCH_UP_S = 25.0
+SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
 
 
 @router.post(
@@ -54,7 +59,7 @@ async def plan_scene(request: Request, workspace: Opened) -> Response:
     plans = {}
     for name, need in needs.items():
         component, table = workspace.library[name], await workspace.newest(name, CATCH_UP_S)
-        plans[name] = await run_in_threadpool(scene_reply, workspace, component, table, need)
+        plans[name] = await run_in_threadpool(_plan, workspace, component, table, need)
     return json_reply({"components": plans})
 
 
@@ -87,8 +92,64 @@ async def scene_table(
     tag = f'"{table.version}-{what}-{table.packed.checksum:08x}"'
     if holds(if_none_match, tag):
         return Response(None, 304, naming(tag))
-    content = await run_in_threadpool(scene_file, workspace, component, table, need)
-    return Response(content, 200, naming(tag), PACKED_TYPE)
+
+    def file() -> bytes:
+        """Return the table cut to the scene, with the plan; of a rigid or linear component too."""
+        plan = _plan(workspace, component, table, need)
+        return b"".join(cut(table.packed, need, plan))
+
+    return Response(await run_in_threadpool(file), 200, naming(tag), PACKED_TYPE)
+
+
+def _plan(
+    workspace: Workspace, component: Component, table: ServedTable, need: Need
+) -> dict[str, Any]:
+    """Return a scene's plan of a component, as JSON values."""
+    built = table.surrogate()
+    plan = plan_of(built, need, solved=component.has_fea)
+    savings, limit, (whole, scene) = measured(built, plan), need.tolerance, plan.solves
+    body: dict[str, Any] = {
+        "decision": plan.decision,
+        "reason": plan.reason,
+        "loads": need.loads,
+        "axes": need.axes(),
+        "outputs": need.output_names(),
+        "tolerance": limit and {"translation": limit.translation, "rotation": limit.rotation},
+        "displacement_bound": [
+            value if np.isfinite(value) else None for value in plan.bound.tolist()
+        ],
+        "solves": {"whole": whole, "scene": scene},
+        "saves": {
+            "build_s": savings.build_s,
+            "memory_bytes": savings.memory_bytes,
+            "us_per_answer": savings.us_per_answer,
+        },
+        "saves_from": savings.origin | {"solves": _solves_from(workspace, component, plan)},
+        "table_version": table.version,
+    }
+    if plan.compliance is not None:
+        body["compliance"] = plan.compliance.tolist()
+    return body
+
+
+def _solves_from(workspace: Workspace, component: Component, plan: ScenePlan) -> str:
+    """Return the meaning of the numbers of solves, and the time that the saved ones take."""
+    whole, scene = plan.solves
+    if not component.has_fea:
+        return "the component has no finite-element setup: nothing is solved"
+    counted = (
+        f"counted: the first design of an empty table has {whole} wrenches for the whole load range"
+        f" and {scene} for the scene"
+    )
+    jobs = workspace.ledger.jobs(component.name, "done", SOLVES_TIMED)
+    times = [job.seconds for job in jobs if job.seconds is not None]
+    if not times:
+        return f"{counted}; no solve of it has been timed here yet"
+    each = median(times)
+    return (
+        f"{counted}; at {each:.3g} s a solve, the median of the last {len(times)}, that is "
+        f"{(whole - scene) * each:.3g} s less"
+    )
 
 
 def _need_of(component: Component, wanted: SceneComponent, where: str) -> Need:
@@ -106,86 +167,65 @@ def need_from(
 ) -> Need:
     """Return what a scene needs of a component, from the parts of a body.
 
-    Parameters
-    ----------
-    where, of_outputs : str
-        The places of the span and of the outputs in the body.
-
-    Raises
-    ------
-    HttpProblemError
-        422, if an interface, an input or an output is none of the component's, an end is beyond
-        the component's load range or the two ends are the wrong way round.
+    `where` and `of_outputs` are the places of the span and of the outputs in the body. Raises
+    HttpProblemError 422 if an interface, an input or an output is none of the component's, an end
+    is beyond the component's load range or the two ends are the wrong way round.
     """
     whole, names = component.load_range, component.space.output_names
     mistakes = [] if span is None else _unknown(span, whole.space, where)
     for place, name in enumerate(outputs or ()):
         if name not in names:
-            message = f"Input should be {in_words(names)}"
-            mistakes.append({"loc": f"{of_outputs}.{place}", "msg": message})
+            *first, last = [repr(known) for known in names]  # as pydantic lists a literal's
+            known = f"{', '.join(first)} or {last}" if first else last
+            mistakes.append({"loc": f"{of_outputs}.{place}", "msg": f"Input should be {known}"})
     if mistakes:
         raise bad_body(mistakes)
     bounds = None if span is None else _bounds(span, whole)
     read = None if outputs is None else [names.index(name) for name in outputs]
-    limit = Tolerance(tolerance.translation, tolerance.rotation) if tolerance else None
     try:
-        return need_of(whole, bounds, read, limit, component.idle)
+        return need_of(whole, bounds, read, tolerance_of(tolerance), component.idle)
     except NeedError as error:
-        places = _places(whole.space)
-        found = [{"loc": f"{where}.{places[at]}", "msg": text} for at, text in error.mistakes]
+        places = []  # force.0, loads.left.force.0
+        for number, load in enumerate(whole.space.inputs):
+            front = f"loads.{load.interface}." if load.interface else ""
+            is_scalar = load.kind == "scalar"
+            name = f"inputs.{load.name}" if is_scalar else f"{front}{load.kind}.{number % 3}"
+            places.append(f"{where}.{name}")
+        found = [{"loc": places[at], "msg": text} for at, text in error.mistakes]
         raise bad_body(found) from None
-
-
-def in_words(names: Sequence[str]) -> str:
-    """Return names as pydantic lists a literal's: ``'ux', 'uy' or 'uz'``."""
-    *first, last = [repr(name) for name in names]
-    return f"{', '.join(first)} or {last}" if first else last
 
 
 def _unknown(span: SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
     """Return the mistakes of interfaces and inputs that the component has not."""
     several = len(space.interfaces) > 1
     known = ", ".join(space.interfaces)
-    further = [one.name for one in space.inputs if one.kind == "scalar"]
-    plain = [name for name in ("force", "moment") if getattr(span, name) is not None]
-    found = []
-    for name in plain if several else ():
-        message = f"the component has the interfaces {known}: give 'loads' by interface"
-        found.append({"loc": f"{where}.{name}", "msg": message})
+    further = [load.name for load in space.inputs if load.kind == "scalar"]
+    mistakes = []
+    for name in ("force", "moment"):
+        if several and getattr(span, name) is not None:
+            text = f"the component has the interfaces {known}: give 'loads' by interface"
+            mistakes.append((name, text))
     for name in span.loads or ():
         if not several:
-            message = "the component has one interface: give 'force' and 'moment'"
-            found.append({"loc": f"{where}.loads", "msg": message})
+            text = "the component has one interface: give 'force' and 'moment'"
+            mistakes.append(("loads", text))
         elif name not in space.interfaces:
-            message = f"no interface of the component, which has {known}"
-            found.append({"loc": f"{where}.loads.{name}", "msg": message})
+            text = f"no interface of the component, which has {known}"
+            mistakes.append((f"loads.{name}", text))
     for name in set(span.inputs or ()).difference(further):
-        message = f"no further input of the component, which has {', '.join(further) or 'none'}"
-        found.append({"loc": f"{where}.inputs.{name}", "msg": message})
-    return found
+        text = f"no further input of the component, which has {', '.join(further) or 'none'}"
+        mistakes.append((f"inputs.{name}", text))
+    return [{"loc": f"{where}.{place}", "msg": text} for place, text in mistakes]
 
 
 def _bounds(span: SpaceSpan, whole: LoadRange) -> Floats:
     """Return the low and the high end of each input, shape (n, 2), N, N·m and further units."""
-    loads, none, further = span.loads or {}, InterfaceSpan(), span.inputs or {}
-    found = []
+    loads, further, bounds = span.loads or {}, span.inputs or {}, []
     for name in whole.space.interfaces:
-        one = loads.get(name, none) if name else span
-        found += ends_of(one.force, one.moment)
-    for given, low, high in zip(whole.space.inputs, whole.low, whole.high, strict=True):
-        if given.kind == "scalar":
-            ends = further.get(given.name, [low, high])
-            found.append([-ends, ends] if isinstance(ends, int | float) else list(ends))
-    return np.array(found)
-
-
-def _places(space: Space) -> list[str]:
-    """Return where a body has each input: ``force.0``, ``loads.left.force.0``."""
-    found = []
-    for place, one in enumerate(space.inputs):
-        if one.kind == "scalar":
-            found.append(f"inputs.{one.name}")
-        else:
-            front = f"loads.{one.interface}." if one.interface else ""
-            found.append(f"{front}{one.kind}.{place % 3}")
-    return found
+        of_interface = loads.get(name, InterfaceSpan()) if name else span
+        bounds += ends_of(of_interface.force, of_interface.moment)
+    for load, low, high in zip(whole.space.inputs, whole.low, whole.high, strict=True):
+        if load.kind == "scalar":
+            ends = further.get(load.name, [low, high])
+            bounds.append([-ends, ends] if isinstance(ends, int | float) else list(ends))
+    return np.array(bounds)

@@ -21,10 +21,9 @@ from wrenchbook.service.formats import SheetFullError, UnitError
 from wrenchbook.service.http.access.permission import permission_of
 from wrenchbook.service.http.body import received
 from wrenchbook.service.http.import_query import ImportQuery
-from wrenchbook.service.http.links import holds, naming
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.replies import holds, json_reply, naming
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.table_schemas import Imported, Table
 from wrenchbook.service.ledger import About
@@ -193,7 +192,7 @@ async def import_table(
 ) -> Response:
     component = workspace.library[name]
     _check_kind(request)
-    wish, table = query.wish(), workspace.tables.surrogate(name)
+    table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
     options = replace(query.options(), solved=solved, linear=component.linear)
     async with received(request) as sent:
@@ -207,10 +206,18 @@ async def import_table(
         caller = about.who or (request.client.host if request.client else "")
         async with one_reader(caller):
             reply = await run_in_threadpool(
-                import_files, workspace.ledger, component, sent.files, options, wish, about
+                import_files,
+                workspace.ledger,
+                component,
+                sent.files,
+                options,
+                about,
+                dry_run=query.dry_run,
+                partial=query.partial,
+                preview=query.preview,
             )
     loaded = reply.pop("loaded")
-    if reply["errors"] and not (wish.dry_run or loaded):
+    if reply["errors"] and not (query.dry_run or loaded):
         raise _refused(reply)
     wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
     caught_up = await workspace.caught_up(component.name, wait_s)
@@ -223,10 +230,7 @@ async def import_table(
 async def one_reader(caller: str) -> AsyncIterator[None]:
     """Wait until no other table of a caller (a key, or an address without keys) is being read.
 
-    Raises
-    ------
-    SandboxBusyError
-        If another one is still being read after `_READER_WAIT_S` seconds.
+    Raises SandboxBusyError after `_READER_WAIT_S` seconds.
     """
     lock = _reader_locks.setdefault(caller, asyncio.Lock())
     try:

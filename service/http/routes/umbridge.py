@@ -15,26 +15,22 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.routing import APIRoute
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
-from wrenchbook.service.answering.one import answer_or_submit
-from wrenchbook.service.answering.queries import Outcome, Query
 from wrenchbook.service.http import bodies
 from wrenchbook.service.http.bodies import Body, Flag, Seconds, ToleranceBody
 from wrenchbook.service.http.body import read_limited
 from wrenchbook.service.http.openapi import answers, takes
-from wrenchbook.service.http.parsing import known_method, parsed_json
-from wrenchbook.service.http.problems import HttpProblemError, problem_of
+from wrenchbook.service.http.parsing import known_method, parsed_json, tolerance_of
+from wrenchbook.service.http.problems import problem_of
 from wrenchbook.service.http.replies import json_reply
-from wrenchbook.service.library.component import UnknownComponentError
+from wrenchbook.service.query import Floats, Outcome, Query, answer_or_submit
 from wrenchbook.service.tables.served import TableBehindError
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
@@ -50,11 +46,11 @@ Kind = Literal["ModelNotFound", "UnsupportedFeature", "InvalidInput", "InvalidOu
 
 
 class UmBridgeError(Exception):
-    """An error in the protocol's form; status 500 where there is no output, 400 else."""
+    """An error in the protocol's form."""
 
     def __init__(self, kind: Kind, message: str) -> None:
         super().__init__(message)
-        self.kind, self.status = kind, 500 if kind == "InvalidOutput" else 400
+        self.kind: Kind = kind
 
 
 class Failure(TypedDict):
@@ -89,20 +85,6 @@ class EvaluateBody(Named):
     ]
     config: Config | None = None
 
-    def query(self, *, derivatives: bool) -> Query:
-        """Return the query of the main call."""
-        config = self.config or Config()
-        limit = config.tolerance
-        return Query(
-            wrench=tuple(load + 0.0 for load in self.input[0]),  # 0 for -0
-            on_thin=config.on_thin,
-            wait_s=config.wait_s,
-            tolerance=Tolerance(limit.translation, limit.rotation) if limit else None,
-            method=known_method(config.method, "config.method"),
-            beyond_range=config.beyond_range,
-            derivatives=derivatives,
-        )
-
 
 class ProductBody(EvaluateBody):
     """One wrench and the number of its vector and of the output's, which are 0."""
@@ -130,7 +112,7 @@ class UmBridgeRoute(APIRoute):
     """A call that reads its own body, and whose errors have the protocol's form."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return the endpoint, called with the request."""
+        """Return the endpoint, called with the request; its errors are answered."""
 
         async def handle(request: Request) -> Response:
             try:
@@ -138,9 +120,9 @@ class UmBridgeRoute(APIRoute):
             except ClientDisconnect:
                 raise
             except Exception as error:
-                failure = _failure(error)
-            body = {"error": {"type": failure.kind, "message": str(failure)}}
-            return json_reply(body, failure.status)
+                kind, message = _failure(error)
+            body = {"error": {"type": kind, "message": message}}
+            return json_reply(body, 500 if kind == "InvalidOutput" else 400)
 
         return handle
 
@@ -163,8 +145,12 @@ def _post(path: str, summary: str, reply: Any, body: Any = Named) -> Any:
 
 @router.get("/Info", summary="UM-Bridge: the protocol's version and the components")
 async def info(request: Request) -> Response:
-    names = await run_in_threadpool(_names, request.app.state.workspace)
-    return json_reply({"protocolVersion": 1.0, "models": names})
+    workspace: Workspace = request.app.state.workspace
+    names = await run_in_threadpool(workspace.library.names)
+    # Those that have rows first: programs try the first of a list.
+    filled = {name for name, table in workspace.tables.present().items() if table.row_count}
+    models = sorted(names, key=lambda name: name not in filled)
+    return json_reply({"protocolVersion": 1.0, "models": models})
 
 
 @_post("/ModelInfo", "which calls a component supports", dict[Literal["support"], dict[str, bool]])
@@ -193,22 +179,28 @@ async def output_sizes(request: Request) -> Response:
 )
 async def evaluate(request: Request) -> Response:
     body, space = await _checked(request, EvaluateBody)
-    outcome = await _outcome(request, body.name, body.query(derivatives=False))
-    return _reply(outcome, [_known(outcome, space)])
+    outcome = await _outcome(request, body)
+    names, reply = space.output_names, outcome.reply
+    values = np.array(reply.outputs or (None,) * len(names), dtype=float)
+    if np.isfinite(values).all():
+        return _reply(outcome, [values.tolist()])
+    lost = [name for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
+    why = reply.reason or "no row of the table holds it"
+    raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} not known: {why}")
 
 
 @_post("/Gradient", "J^T sens, J being du/dw", _Vector, GradientBody)
 async def gradient(request: Request) -> Response:
     body, _ = await _checked(request, GradientBody)
-    outcome = await _outcome(request, body.name, body.query(derivatives=True))
-    return _reply(outcome, _product(_jacobian(outcome).T, body.sens, "sens"))
+    outcome = await _outcome(request, body, derivatives=True)
+    return _product(outcome, _jacobian(outcome).T, body.sens, "sens")
 
 
 @_post("/ApplyJacobian", "J vec, J being du/dw", _Vector, JacobianBody)
 async def apply_jacobian(request: Request) -> Response:
     body, _ = await _checked(request, JacobianBody)
-    outcome = await _outcome(request, body.name, body.query(derivatives=True))
-    return _reply(outcome, _product(_jacobian(outcome), body.vec, "vec"))
+    outcome = await _outcome(request, body, derivatives=True)
+    return _product(outcome, _jacobian(outcome), body.vec, "vec")
 
 
 @_post("/ApplyHessian", "not offered; answers UnsupportedFeature", _Error)
@@ -228,8 +220,8 @@ async def _fields(request: Request) -> dict[str, Any]:
     if isinstance(name, str) and name in workspace.library:
         return fields
     names = ", ".join(await run_in_threadpool(workspace.library.names))
-    found = f"there is no component {name!r}" if "name" in fields else "the body has no 'name'"
-    raise UmBridgeError("ModelNotFound", f"{found}; there are: {names}")
+    mistake = f"there is no component {name!r}" if "name" in fields else "the body has no 'name'"
+    raise UmBridgeError("ModelNotFound", f"{mistake}; there are: {names}")
 
 
 def _space(request: Request, fields: dict[str, Any]) -> Space:
@@ -243,25 +235,29 @@ async def _checked(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
     return kind.model_validate(fields, context={"space": space}), space
 
 
-def _place(loc: str) -> str:
-    """Return a dotted place with its numbers in brackets: ``input[0][5]``."""
-    first, *rest = loc.split(".")
-    return first + "".join(f"[{one}]" if one.isdecimal() else f".{one}" for one in rest)
-
-
-async def _outcome(request: Request, name: str, query: Query) -> Outcome:
+async def _outcome(request: Request, body: EvaluateBody, *, derivatives: bool = False) -> Outcome:
     """Return a solved or estimated answer; rows that are being built are waited for."""
     workspace: Workspace = request.app.state.workspace
+    config = body.config or Config()
+    query = Query(
+        wrench=tuple(load + 0.0 for load in body.input[0]),  # 0 for -0
+        on_thin=config.on_thin,
+        wait_s=config.wait_s,
+        tolerance=tolerance_of(config.tolerance),
+        method=known_method(config.method, "config.method"),
+        beyond_range=config.beyond_range,
+        derivatives=derivatives,
+    )
     try:
-        outcome = await answer_or_submit(workspace, name, query)
+        outcome = await answer_or_submit(workspace, body.name, query)
     except TableBehindError:
-        if not await workspace.caught_up(name, query.wait_s):
+        if not await workspace.caught_up(body.name, query.wait_s):
             raise
-        outcome = await answer_or_submit(workspace, name, query)
+        outcome = await answer_or_submit(workspace, body.name, query)
     if not outcome.unsolved:
         return outcome
     if outcome.job is None:
-        raise UmBridgeError("InvalidOutput", f"not solved: {outcome.reason}")
+        raise UmBridgeError("InvalidOutput", f"not solved: {outcome.reply.reason}")
     raise UmBridgeError(
         "InvalidOutput",
         f"not solved within config wait_s: job {outcome.job.id} is {outcome.job.status}; ask again "
@@ -269,77 +265,54 @@ async def _outcome(request: Request, name: str, query: Query) -> Outcome:
     )
 
 
-def _known(outcome: Outcome, space: Space) -> list[float]:
-    """Return all outputs (m,), m and rad."""
-    names = space.output_names
-    values = np.array(outcome.displacement or (None,) * len(names), dtype=float)
-    if np.isfinite(values).all():
-        return values.tolist()
-    lost = [name for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
-    why = outcome.reason or "no row of the table holds it"
-    raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} not known: {why}")
-
-
-def _jacobian(outcome: Outcome) -> NDArray[np.float64]:
-    """Return du/dw, shape (m, n), m and rad over N, N·m and the units of further inputs."""
-    found = outcome.derivative
-    if found is None or not np.isfinite(found).all():
+def _jacobian(outcome: Outcome) -> Floats:
+    """Return du/dw (m, n), m and rad over N, N·m and the units of further inputs."""
+    derivative = outcome.details["derivative"]
+    if derivative is None or not np.isfinite(derivative).all():
         message = "the derivative is not known here: the row that answers brings no tangent"
         raise UmBridgeError("InvalidOutput", message)
-    return found
+    return derivative
 
 
-def _product(matrix: NDArray[np.float64], vector: list[float], name: str) -> list[float]:
-    """Return J^T sens, per N and N·m, or J vec, m and rad."""
-    found = matrix @ np.array(vector)
-    if not np.isfinite(found).all():
-        message = f"{name} is too large: the product with the derivative overflows"
-        raise UmBridgeError("InvalidInput", message)
-    return found.tolist()
+def _product(outcome: Outcome, matrix: Floats, vector: list[float], name: str) -> Response:
+    """Answer with J^T sens, per N and N·m, or J vec, m and rad."""
+    product = matrix @ np.array(vector)
+    if np.isfinite(product).all():
+        return _reply(outcome, product.tolist())
+    message = f"{name} is too large: the product with the derivative overflows"
+    raise UmBridgeError("InvalidInput", message)
 
 
 def _reply(outcome: Outcome, output: Any) -> Response:
     """Answer; the protocol allows no further keys, so the coverage is in the headers."""
     headers = {
-        "Wrenchbook-Coverage": outcome.coverage,
-        "Wrenchbook-Method": str(outcome.method),
-        "Wrenchbook-Table-Version": str(outcome.table_version),
+        "Wrenchbook-Coverage": outcome.reply.coverage,
+        "Wrenchbook-Method": outcome.reply.method,
+        "Wrenchbook-Table-Version": str(outcome.table.version),
     }
     return json_reply({"output": output}, 200, headers)
 
 
-def _failure(error: Exception) -> UmBridgeError:
-    """Return an error in this protocol's form; an unknown one is logged."""
+def _failure(error: Exception) -> tuple[Kind, str]:
+    """Return an error's kind in this protocol and its message; an unknown error is logged."""
     if isinstance(error, UmBridgeError):
-        return error
+        return error.kind, str(error)
     try:
         problem = problem_of(error)
     except Exception:
         log.exception("a call of /umbridge failed")
-        return UmBridgeError(
-            "InvalidOutput", "the server made a mistake; its log has the traceback"
-        )
+        return "InvalidOutput", "the server made a mistake; its log has the traceback"
+    message, mistakes = str(problem.body["detail"]), problem.body.get("errors")
+    if problem.status == 422 and mistakes:
+        texts = []
+        for mistake in mistakes:
+            # A dotted place with its numbers in brackets: input[0][5].
+            first, *rest = mistake["loc"].split(".")
+            place = first + "".join(f"[{key}]" if key.isdecimal() else f".{key}" for key in rest)
+            texts.append(f"{place}: {mistake['msg']}")
+        message = "; ".join(texts)
     if problem.status == 404:
-        kind = "ModelNotFound"
-    else:  # no output: a solve or the ledger failed
-        kind = "InvalidOutput" if problem.status >= 500 or problem.status == 424 else "InvalidInput"
-    return UmBridgeError(kind, _message(problem))
-
-
-def _message(problem: HttpProblemError) -> str:
-    errors = problem.body.get("errors")
-    if problem.status != 422 or not errors:
-        return str(problem.body["detail"])
-    return "; ".join(f"{_place(one['loc'])}: {one['msg']}" for one in errors)
-
-
-def _names(workspace: Workspace) -> list[str]:
-    """Return the components, those that have rows first: programs try the first of a list."""
-    return sorted(workspace.library.names(), key=lambda name: not _has_rows(workspace, name))
-
-
-def _has_rows(workspace: Workspace, name: str) -> bool:
-    try:
-        return workspace.tables.surrogate(name).row_count > 0
-    except (TableBehindError, UnknownComponentError):  # still being built, or just removed
-        return False
+        return "ModelNotFound", message
+    has_failed = problem.status >= 500 or problem.status == 424  # a solve or the ledger
+    kind: Kind = "InvalidOutput" if has_failed else "InvalidInput"
+    return kind, message

@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 from tests.service.fmu.made import need_compiler, packed, solved, wrenches_of
 from tests.service.stub_server import Answer, running_stub
 from wrenchbook.service.cli.main import app
-from wrenchbook.service.fmu import library
-from wrenchbook.service.fmu.library import make_library
+from wrenchbook.service.fmu.export import LIBRARY_FILES, make_library
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.packed.writer import pack
 
@@ -131,7 +130,7 @@ def test_the_same_table_gives_the_same_zip(table):
 
 def test_the_page_on_c_shows_the_example_of_the_zip():
     page = (ROOT / "data/docs/how-to/c.md").read_text()
-    assert page.split("```c\n")[1].split("```")[0] == (library._FILES / "example.c").read_text()
+    assert page.split("```c\n")[1].split("```")[0] == (LIBRARY_FILES / "example.c").read_text()
 
 
 def test_the_command_writes_the_library_and_describes_it_as_json(table, tmp_path):

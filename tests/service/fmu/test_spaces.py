@@ -11,7 +11,7 @@ import pytest
 
 from tests.service.fmu.made import need_compiler, opened, packed
 from tests.surrogate.test_space import range_of, solved
-from wrenchbook.service.fmu.library import make_library
+from wrenchbook.service.fmu.export import make_library
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import Input, space_of

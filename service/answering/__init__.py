@@ -1,1 +1,0 @@
-"""From a query to its answer or its solve; knows no HTTP."""

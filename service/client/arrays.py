@@ -1,0 +1,310 @@
+"""Tables on arrays of JAX and PyTorch, for many environments at once.
+
+The kernel answers on the host, whatever the device: the numbers are those of `Table.batch`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InvalidArgument, required
+from .table import Table
+from .wrenches import Tolerance
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+Floats = NDArray[np.float64]
+Array: TypeAlias = Any  # of JAX or PyTorch, neither of which need be installed
+Shapes = list[tuple[tuple[int, ...], Array]]  # shape and type of each result
+OUTSIDE = 2
+
+
+class Answers(NamedTuple):
+    """The answers to wrenches, shape (..., n).
+
+    Attributes
+    ----------
+    displacement, error : array
+        Shape (..., m), m and rad; NaN where unknown. Only displacements have derivatives.
+    coverage : array of int32
+        Shape (...): 0 is covered, 1 thin, 2 outside.
+    """
+
+    displacement: Array
+    error: Array
+    coverage: Array
+
+
+class Host:
+    """The kernel's batches on numpy arrays of any leading shape, of a table's present version."""
+
+    def __init__(self, table: Table, method: str | None, tolerance: Tolerance | None) -> None:
+        table.batch(np.zeros((1, table.packed.inputs)), tolerance, method)  # refuses wrong options
+        self.name, self.packed = table.name, table.packed
+        self.options = table.allowed_errors(tolerance), method
+        self.threads = os.cpu_count() or 1
+
+    def answers(self, wrenches: Array) -> tuple[Floats, Floats, NDArray[np.int32]]:
+        """Return displacements and errors (..., m), m and rad, and coverage (...)."""
+        rows, strange, shape = self._rows(wrenches)
+        moved, error, coverage = self.packed.batch(rows, *self.options, self.threads)
+        moved[strange] = error[strange] = np.nan
+        coverage[strange] = OUTSIDE
+        moved, error = moved.reshape(*shape, -1), error.reshape(*shape, -1)
+        return moved, error, coverage.astype(np.int32).reshape(shape)
+
+    def slopes(self, wrenches: Array) -> Floats:
+        """Return du/dw (..., m, n), SI."""
+        rows, strange, shape = self._rows(wrenches)
+        slopes = self.packed.derivatives(rows, *self.options, self.threads)
+        slopes[strange] = np.nan
+        return slopes.reshape(*shape, *slopes.shape[1:])
+
+    def inverse(self, moved: Array, start: Array) -> tuple[Floats, Floats]:
+        """Return wrenches (..., n), SI, and the stiffness there (..., n, m); NaN without one."""
+        shape, n, m = moved.shape[:-1], self.packed.inputs, self.packed.outputs
+        targets = np.asarray(moved, dtype=float).reshape(-1, m)
+        starts = np.asarray(start, dtype=float).reshape(-1, n)
+        wrenches = np.full((len(targets), n), np.nan)
+        stiffness = np.full((len(targets), n, m), np.nan)
+        for row, (target, begin) in enumerate(zip(targets, starts, strict=True)):
+            try:
+                found = self.packed.inverse(target, begin, self.options[1])
+            except (ArithmeticError, ValueError):  # no such wrench, or no finite number
+                continue
+            wrenches[row], stiffness[row] = found
+        return wrenches.reshape(*shape, n), stiffness.reshape(*shape, n, m)
+
+    def require_shape(self, shape: tuple[int, ...], count: int, name: str) -> None:
+        """Refuse an array whose last dimension is not `count`."""
+        if not shape or shape[-1] != count:
+            raise InvalidArgument(
+                f"{name} of {self.name} have the shape ({count},) or (k, {count}), not "
+                f"{tuple(shape)}: the order is that of table.space"
+            )
+
+    def _rows(self, wrenches: Array) -> tuple[Floats, NDArray[np.intp], tuple[int, ...]]:
+        """Return wrenches (k, n), zero where a wrench is not finite, which of them, and (...)."""
+        array = np.asarray(wrenches, dtype=float)
+        rows = array.reshape(-1, self.packed.inputs) + 0.0  # no negative zeros; a copy
+        strange = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+        rows[strange] = 0.0
+        return rows, strange, array.shape[:-1]
+
+
+class Evaluator:
+    """A function of wrenches (..., n), SI, in the order of ``table.space.inputs``.
+
+    `jax` and `torch` make one, of the table's version of then. Results have the wrenches' type; the
+    kernel computes in float64. Wrenches that are not finite are outside, with NaN.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        xp: ModuleType,
+        array: Callable[[Array], Array],
+        answers: Callable[[Array], tuple[Array, Array, Array]],
+        slopes: Callable[[Array], Array],
+        inverse: Callable[[Array, Array], Array],
+    ) -> None:
+        self._host, self._xp, self._array = host, xp, array
+        self._answers, self._slopes, self._inverse = answers, slopes, inverse
+
+    def __call__(self, wrenches: Array) -> Answers:
+        """Return displacements, error bars and coverage."""
+        return Answers(*self._answers(self._wrenches(wrenches)))
+
+    def displacement(self, wrenches: Array) -> Array:
+        """Return the displacements alone, shape (..., m), m and rad, to differentiate."""
+        return self(wrenches).displacement
+
+    def derivative(self, wrenches: Array) -> Array:
+        """Return du/dw, shape (..., m, n), SI, in one call; it has no derivative itself."""
+        return self._slopes(self._wrenches(wrenches))
+
+    def inverse(self, displacements: Array, start: Array = None) -> Array:
+        """Return the wrenches (..., n), SI, of displacements (..., m), m and rad, as joints do.
+
+        The derivative by the displacements is the stiffness. NaN where no wrench is found.
+
+        Parameters
+        ----------
+        displacements : array
+            Shape (..., m), m and rad.
+        start : array, optional
+            Shape (..., n), SI: where Newton's method starts, and the further inputs; zero if not
+            given. It has no derivative.
+        """
+        host, moved = self._host, self._array(displacements)
+        host.require_shape(moved.shape, host.packed.outputs, "displacements")
+        begin = self._wrenches(np.zeros(host.packed.inputs) if start is None else start)
+        lead = np.broadcast_shapes(moved.shape[:-1], begin.shape[:-1])
+        moved = self._xp.broadcast_to(moved, (*lead, host.packed.outputs))
+        return self._inverse(moved, self._xp.broadcast_to(begin, (*lead, host.packed.inputs)))
+
+    def _wrenches(self, wrenches: Array) -> Array:
+        array = self._array(wrenches)
+        self._host.require_shape(array.shape, self._host.packed.inputs, "wrenches")
+        return array
+
+
+def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = None) -> Evaluator:
+    """Return a function on arrays of JAX: ``jit``, ``vmap``, ``grad`` and ``jacfwd`` work on it.
+
+    Parameters
+    ----------
+    table : Table
+        A downloaded or opened one.
+    method : str, optional
+        How the table answers; its own choice otherwise.
+    tolerance : mapping or pair, optional
+        As in `Table.answer`.
+
+    Raises
+    ------
+    InvalidArgument
+        If the table does not answer by the method, or the tolerance is none.
+    MissingPackage
+        If JAX is not installed.
+    """
+    package = required("jax", "arrays.jax", "'wrenchbook[jax]'")
+    jnp = required("jax.numpy", "arrays.jax", "'wrenchbook[jax]'")
+    host = Host(table, method, tolerance)
+    n, m = host.packed.inputs, host.packed.outputs
+
+    def on_host(function: Callable[..., Iterable[Array]], shapes: Shapes, *arrays: Array) -> Array:
+        """Call a function of numpy arrays; `vmap` calls it once, with all lines."""
+
+        def call(*values: Array) -> list[Array]:
+            blocks = function(*values)
+            return [block.astype(kind) for block, (_, kind) in zip(blocks, shapes, strict=True)]
+
+        results = [package.ShapeDtypeStruct(shape, kind) for shape, kind in shapes]
+        return package.pure_callback(call, results, *arrays, vmap_method="broadcast_all")
+
+    def array(values: Array) -> Array:
+        kind = jnp.asarray(values).dtype
+        return jnp.asarray(values, dtype=kind if kind in (np.float32, np.float64) else float)
+
+    def slopes(w: Array) -> Array:
+        return on_host(lambda w: [host.slopes(w)], [((*w.shape[:-1], m, n), w.dtype)], w)[0]
+
+    @package.custom_jvp
+    def answers(w: Array) -> tuple[Array, Array, Array]:
+        block = (*w.shape[:-1], m), w.dtype
+        return tuple(on_host(host.answers, [block, block, (w.shape[:-1], np.int32)], w))
+
+    @answers.defjvp
+    def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+        moved, error, coverage = answers(*primals)
+        change = jnp.einsum("...qn,...n->...q", slopes(*primals), tangents[0])
+        nothing = np.zeros(coverage.shape, package.dtypes.float0)
+        return (moved, error, coverage), (change, jnp.zeros_like(error), nothing)
+
+    def wrench_and_stiffness(u: Array, start: Array) -> tuple[Array, Array]:
+        lead = u.shape[:-1]
+        return on_host(host.inverse, [((*lead, n), u.dtype), ((*lead, n, m), u.dtype)], u, start)
+
+    @package.custom_jvp
+    def inverse(u: Array, start: Array) -> Array:
+        return wrench_and_stiffness(u, start)[0]
+
+    @inverse.defjvp
+    def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+        wrench, stiffness = wrench_and_stiffness(*primals)
+        return wrench, jnp.einsum("...nq,...q->...n", stiffness, tangents[0])
+
+    return Evaluator(host, jnp, array, answers, slopes, inverse)
+
+
+def torch(table: Table, method: str | None = None, tolerance: Tolerance | None = None) -> Evaluator:
+    """Return a function on tensors of PyTorch: ``autograd`` and ``torch.func`` work on it.
+
+    Results are on the wrenches' device. Parameters and errors are those of `jax`.
+
+    Raises
+    ------
+    InvalidArgument
+        As of `jax`.
+    MissingPackage
+        If PyTorch is not installed.
+    """
+    package = required("torch", "arrays.torch", "'wrenchbook[torch]'")
+    host = Host(table, method, tolerance)
+    slopes = _torch_function(package, lambda w: (host.slopes(w),))
+    answers = _torch_function(package, host.answers, lambda w, *_: slopes(w)[0])
+    inverse = _torch_function(package, host.inverse, lambda *tensors: tensors[-1])
+
+    def array(values: Array) -> Array:
+        tensor = package.as_tensor(values)
+        floats = tensor.dtype in (package.float32, package.float64)
+        return tensor if floats else tensor.to(package.get_default_dtype())
+
+    return Evaluator(
+        host,
+        package,
+        array,
+        answers,
+        lambda w: slopes(w)[0],
+        lambda u, start: inverse(u, start.to(u))[0],
+    )
+
+
+def _torch_function(
+    package: ModuleType,
+    on_host: Callable[..., tuple[Array, ...]],
+    jacobian: Callable[..., Array] | None = None,
+) -> Callable[..., tuple[Array, ...]]:
+    """Return a function of tensors by one of numpy arrays (..., k).
+
+    Of the tensors that it returns the first is differentiable by the first argument, with a
+    `jacobian` of arguments and results; none without. `vmap` calls it once, with all lines.
+    """
+
+    class Function(package.autograd.Function):
+        @staticmethod
+        def forward(*tensors: Array) -> tuple[Array, ...]:
+            like = tensors[0]
+            blocks = on_host(*(tensor.detach().cpu().numpy() for tensor in tensors))
+            kinds = {"f": like.dtype, "i": package.int32}
+            return tuple(
+                package.tensor(block, dtype=kinds[block.dtype.kind], device=like.device)
+                for block in blocks
+            )
+
+        @staticmethod
+        def setup_context(ctx: Array, inputs: tuple[Array, ...], output: tuple[Array, ...]) -> None:
+            ctx.counts = len(inputs), len(output)
+            ctx.save_for_backward(*inputs, *output)
+            ctx.save_for_forward(*inputs, *output)
+            ctx.mark_non_differentiable(*output[0 if jacobian is None else 1 :])
+
+        @staticmethod
+        def backward(ctx: Array, *grads: Array) -> tuple[Array, ...]:
+            assert jacobian is not None
+            slopes = jacobian(*ctx.saved_tensors)
+            change = package.einsum("...qn,...q->...n", slopes, grads[0])
+            return change, *[None] * (ctx.counts[0] - 1)
+
+        @staticmethod
+        def jvp(ctx: Array, *steps: Array) -> tuple[Array, ...]:
+            assert jacobian is not None
+            slopes = jacobian(*ctx.saved_tensors)
+            change = package.einsum("...qn,...n->...q", slopes, steps[0])
+            return change, *[None] * (ctx.counts[1] - 1)
+
+        @staticmethod
+        def vmap(_: object, dims: tuple[int | None, ...], *tensors: Array) -> tuple[Array, Array]:
+            pairs = zip(tensors, dims, strict=True)
+            first = [tensor if dim is None else tensor.movedim(dim, 0) for tensor, dim in pairs]
+            results = Function.apply(*first)
+            return results, (0,) * len(results)
+
+    return Function.apply

@@ -1,0 +1,595 @@
+"""From a query to its answer by a table, or to its solve. All quantities are SI.
+
+`answer` and `answer_many` only compute; `submit` and `submit_many` use the ledger, in one thread.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from math import hypot
+from time import perf_counter_ns
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
+
+from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.service.client.replies import EXACT, ROUNDED
+from wrenchbook.service.contract import OnThin, by_part
+from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.submission import Placed
+from wrenchbook.service.tables.rows import others_in_words
+from wrenchbook.service.tables.served import (
+    ROW,
+    ROW_DETAIL,
+    ServedTable,
+    TableBehindError,
+    row_table,
+)
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.kernel.explain import explain
+from wrenchbook.surrogate.kernel.replies import Replies, Reply
+from wrenchbook.surrogate.rig_error import error_of_a_reading
+from wrenchbook.surrogate.solver_error import UNKNOWN
+from wrenchbook.surrogate.table.row_index import RowIndex
+from wrenchbook.surrogate.table.rows import Rows, Tolerance, acting_one, why_beyond
+
+Floats = NDArray[np.float64]
+Wanted = OnThin | Literal["solve"]
+
+_PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
+_NUMBERS = frozenset({int, float})  # not bool, which is an int to isinstance
+_ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}
+
+
+class Query(NamedTuple):
+    """A query of the main call, of a batch or of DirectFEA; a tuple takes a third of the time.
+
+    `on_thin` "solve" asks no table, `method` None is the component's own, and so is `tolerance`.
+    A batch has its wrenches beside it: its `wrench` is empty.
+    """
+
+    wrench: tuple[float, ...]
+    on_thin: Wanted = "queue"
+    wait_s: float = 30.0
+    tolerance: Tolerance | None = None
+    method: str | None = None
+    detail: bool = False
+    beyond_range: bool = False
+    derivatives: bool = False
+
+
+class RefusedError(Exception):
+    """A refusal with its remedy; `facts` are for programs."""
+
+    def __init__(self, message: str, **facts: Any) -> None:
+        super().__init__(message)
+        self.facts = facts
+
+
+class NotCoveredError(RefusedError):
+    """The table does not cover the wrench, and the query takes no other answer."""
+
+    def __init__(self, message: str, limit: Tolerance | None, **facts: Any) -> None:
+        tolerance = None
+        if limit is not None:
+            message = f"{message} Tolerance: {limit.translation:g} m, {limit.rotation:g} rad."
+            tolerance = {"translation": limit.translation, "rotation": limit.rotation}
+        super().__init__(message, tolerance=tolerance, **facts)
+
+
+class BeyondRangeError(RefusedError):
+    """The wrench is outside the load range, and the query did not say that it may be."""
+
+
+class SolveFailedError(RefusedError):
+    """The solve of this wrench failed."""
+
+    def __init__(self, job: JobRecord) -> None:
+        error = job.error or {}
+        message, remedy = error.get("message", ""), error.get("remedy", "")
+        # Failures that older versions stored end in their remedy already.
+        text = message if message.endswith(remedy) else f"{message} {remedy}"
+        retry = f"Once mended, POST /v1/jobs/{job.id}/retry."
+        super().__init__(f"{text} {retry}".strip(), error=error)
+        self.kind = error.get("kind", "unknown")
+        self.job = job
+
+
+@dataclass(slots=True)
+class Outcome:
+    """The kernel's reply, and the solve that gave it or will.
+
+    `unsolved`: a solve was asked for and has not answered. `began`: when the request that has the
+    job began, s since the epoch; later jobs are its own. `row`: the ledger's number of the row that
+    a solve gave, `notes` those of its solver. `details`: further fields of the reply.
+    """
+
+    component: str
+    table: ServedTable
+    reply: Reply
+    elapsed_us: float
+    unsolved: bool = False
+    job: JobRecord | None = None
+    began: float | None = None
+    row: int | None = None
+    notes: list[str] = field(default_factory=list)
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class BatchOutcome:
+    """The kernel's replies to wrenches; `jobs` of those not covered by their place.
+
+    `derivatives` (k, outputs, inputs) has NaN where du/dw is not known; `tolerance` is that of the
+    error bars.
+    """
+
+    component: str
+    table: ServedTable
+    replies: Replies
+    elapsed_us: float
+    method: str
+    jobs: dict[int, Placed] = field(default_factory=dict)
+    derivatives: Floats | None = None
+    tolerance: Tolerance | None = None
+
+    @property
+    def unsolved(self) -> bool:
+        """Whether a solve that was asked for has not answered."""
+        return any(placed.job is None or not placed.job.is_final for placed in self.jobs.values())
+
+
+_NOTHING = Reply(None, None, None, None, None, None, "thin", "", None, "", None, False, None, ())
+
+
+def plain_query(fields: Any) -> Query | None:
+    """Return the query of a body of only force, moment and on_thin; None if it is unusual."""
+    if type(fields) is not dict or not fields.keys() <= _PLAIN_FIELDS:
+        return None
+    force, moment = fields.get("force"), fields.get("moment")
+    if type(force) is not list or type(moment) is not list or len(force) != 3 or len(moment) != 3:
+        return None
+    numbers = (*force, *moment)
+    # Finite loads that are too large together: pydantic finds the one that is, if any.
+    if not _NUMBERS.issuperset(map(type, numbers)) or hypot(*numbers) > LARGEST_LOAD:
+        return None
+    word = fields.get("on_thin", "queue")
+    on_thin = _ON_THIN.get(word) if type(word) is str else None
+    # Adding zero makes floats of all, and 0 of -0.
+    return Query(tuple([number + 0.0 for number in numbers]), on_thin) if on_thin else None
+
+
+def answer(table: ServedTable, query: Query) -> Reply:
+    """Return the table's reply to a query: nothing is read, queued or counted."""
+    tolerance = query.tolerance
+    limits = None if tolerance is None else table.limits(tolerance)
+    reply = table.packed.answer(query.wrench, limits, query.method)
+    if reply.row is not None:
+        text = f"{EXACT if reply.exact else ROUNDED} {reply.reason}".rstrip()
+        reply = reply._replace(reason=text)
+    return reply
+
+
+def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
+    """Return the answer of a component's newest table; raises UnknownComponentError."""
+    table = workspace.tables.surrogate(name)
+    if workspace.settings.method is not None:
+        table.prefer(workspace.settings.method)
+    if query.on_thin == "solve":
+        return Outcome(name, table, _NOTHING, 0.0)
+    started = perf_counter_ns()
+    reply = answer(table, query)
+    elapsed_us = (perf_counter_ns() - started) / 1e3
+    if reply.coverage != "covered" and table.other_wrenches:
+        reply = reply._replace(reason=_also(reply.reason, others_in_words(name, table)))
+    outcome = Outcome(name, table, reply, elapsed_us)
+    if query.derivatives or query.detail:
+        _describe(workspace, query, outcome)
+    return outcome
+
+
+def answered_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Outcome, bool]:
+    """Return the table's answer, and whether it is the whole answer to a plain query.
+
+    It is not where that needs a solve, another thread or a refusal.
+    """
+    outcome = answered(workspace, name, query)
+    table, coverage = outcome.table, outcome.reply.coverage
+    if coverage == "covered":
+        return outcome, True
+    if query.on_thin != "estimate" or table.needs_compliance or not table.row_count:
+        return outcome, False
+    if workspace.tables.is_extended(name):
+        return outcome, False  # rows that are being built are part of the reason
+    component = workspace.library.as_read(name)
+    wrench = tuple(acting_one(query.wrench, component.idle))
+    workspace.query_counts.note(name, component.load_range, wrench, coverage)
+    return outcome, True
+
+
+async def answer_or_submit(
+    workspace: Workspace, name: str, query: Query, outcome: Outcome | None = None
+) -> Outcome:
+    """Return the answer of a component's table or, where that is too thin, of a solve.
+
+    `outcome` is the table's answer if it is known already. Raises UnknownComponentError, and what
+    `submit` does.
+    """
+    if outcome is None and (query.detail or query.method is not None):
+        outcome = await run_in_threadpool(answered, workspace, name, query)
+    outcome = outcome or answered(workspace, name, query)
+    if outcome.reply.coverage == "covered":
+        return outcome
+    outcome = await run_in_threadpool(submit, workspace, query, outcome)
+    job = outcome.job
+    if query.on_thin in ("wait", "solve") and query.wait_s and job and not job.is_final:
+        (outcome.job,) = await workspace.polls.wait_all([job.id], query.wait_s)
+        outcome = await run_in_threadpool(_ended, workspace, query, outcome)
+    return outcome
+
+
+def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
+    """Return the outcome of a query that the table does not cover: a newer row's answer, or a job.
+
+    Raises NotCoveredError if the query takes only covered answers, BeyondRangeError if it waits for
+    a solve outside the load range, NoSetupError if nothing can be solved, SolveFailedError if the
+    solve of this wrench failed, TableBehindError if only rows that are being built can answer.
+    """
+    name = outcome.component
+    if outcome.table.needs_compliance:
+        workspace.surrogate(name)  # has its solves queued
+    component = workspace.library[name]
+    # Jobs and statistics leave out the loads on locked freedoms.
+    query = query._replace(wrench=tuple(acting_one(query.wrench, component.idle)))
+    wrench = np.array([query.wrench])
+    if query.on_thin != "solve":
+        rows = _uncovered(workspace, component, query, outcome)
+        if query.on_thin == "estimate":
+            return outcome
+        row = _rows_at(component, rows, wrench)[0]
+        if row is not None:
+            return _by_row(workspace, query, outcome, row)
+    outcome.began, outcome.unsolved = time.time(), True
+    submission, beyond = workspace.submission, ""
+    component = submission.solvable(name)
+    if not query.beyond_range and not component.load_range.holds(wrench)[0]:
+        beyond = why_beyond(component.load_range, wrench[0])
+    if query.on_thin != "queue":
+        if beyond:
+            raise BeyondRangeError(
+                f"{beyond}. Nothing was queued. Ask with beyond_range true to have it solved all "
+                "the same.",
+                coverage="outside",
+            )
+        asked_by, urgent = query.on_thin, query.wait_s > 0
+        job = submission.own(name, query.wrench, urgent=urgent, asked_by=asked_by)
+        placed, why = Placed(job, own=True), ""
+    elif beyond:
+        placed = Placed(None, own=False)
+        why = f"no solve is queued beyond the load range unless beyond_range: {beyond}"
+    else:
+        (placed,), limit = submission.queue(name, wrench), submission.queue_limit
+        why = f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)"
+    outcome.job = placed.job
+    if placed.job is None:
+        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
+        outcome.reply = outcome.reply._replace(reason=_also(reason, why))
+        return outcome
+    return _ended(workspace, query, outcome) if placed.own else outcome
+
+
+def _uncovered(workspace: Workspace, component: Component, query: Query, outcome: Outcome) -> Rows:
+    """Count a query that the table does not cover, complete the reason, and refuse it for `reject`.
+
+    Returns the rows that no table holds yet.
+    """
+    table, reply = outcome.table, outcome.reply
+    count, rows = workspace.unbuilt(component.name, table)
+    soon = _being_built(component, table, query.on_thin, count)
+    reason = _also(reply.reason if table.row_count or not soon else "", soon)
+    span = component.load_range
+    workspace.query_counts.note(component.name, span, query.wrench, reply.coverage)
+    if table.needs_compliance and query.on_thin in ("estimate", "reject"):
+        with suppress(LedgerUnavailableError):  # an estimate needs no ledger
+            for job in workspace.ledger.open_jobs(component.name, component.fingerprint)[:1]:
+                awaited = f"job {job.id} solves the component's compliance"
+                reason = _also(reason, f"{awaited}: ask again once it is done")
+    outcome.reply = reply._replace(reason=reason)
+    if query.on_thin == "reject":
+        solve = "'queue' or 'wait' to have it solved, or " if component.has_fea else ""
+        raise NotCoveredError(
+            f"{reason}. Ask with on_thin {solve}'estimate' for the best guess.",
+            query.tolerance or table.tolerance,
+            reason=reason,
+            coverage=reply.coverage,
+        )
+    return rows
+
+
+def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
+    """Return the short form of a job, as displacement answers carry it.
+
+    `since`, the start of the request that queued it, s, adds whether the job is the request's own.
+    """
+    own = {} if since is None else {"new": job.created >= since}
+    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}", **own}
+
+
+def fields_of(outcome: Outcome) -> dict[str, Any]:
+    """Return the fields of a reply, for JSON."""
+    table, reply = outcome.table, outcome.reply
+    value, error, names = reply.outputs, reply.error, outcome.table.interfaces
+    fields: dict[str, Any] = {"component": outcome.component}
+    if names:
+        values, errors = (by_part(six, names) if six else {} for six in (value, error))
+        unknown = {"translation": None, "rotation": None}
+        fields["displacements"] = {
+            name: values.get(name, unknown) | {"error": errors.get(name)} for name in names
+        }
+    else:
+        fields["translation"] = value[:3] if value else None
+        fields["rotation"] = value[3:] if value else None
+        fields["error"] = {"translation": error[:3], "rotation": error[3:]} if error else None
+    fields["coverage"] = reply.coverage
+    fields["within_tolerance"] = reply.within_tolerance
+    fields["source"] = reply.source or ("table" if value else None)
+    fields["method"] = reply.method or None
+    fields["table_version"] = table.version
+    fields["elapsed_us"] = outcome.elapsed_us
+    if reply.reason:
+        fields["reason"] = reply.reason
+    if reply.missing:
+        fields["missing"] = reply.missing
+    if outcome.row is not None:
+        fields["row"] = outcome.row
+    if outcome.notes:
+        fields["notes"] = outcome.notes
+    if outcome.details:
+        fields |= outcome.details
+    if outcome.job is not None or outcome.unsolved:
+        fields["job"] = outcome.job and job_link(outcome.job, outcome.began)
+    return fields
+
+
+def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -> BatchOutcome:
+    """Return the table's replies to wrenches (k, inputs), with the options of a query."""
+    started = perf_counter_ns()
+    options = table.limits(query.tolerance), query.method
+    replies = table.packed.batch(wrenches, *options)
+    elapsed_us = (perf_counter_ns() - started) / 1e3
+    method = table.packed.answers_by(query.method)
+    outcome = BatchOutcome(name, table, replies, elapsed_us, method)
+    if table.bars_are_whole:
+        outcome.tolerance = query.tolerance or table.tolerance
+    if query.derivatives:
+        outcome.derivatives = table.packed.derivatives(wrenches, *options)
+    return outcome
+
+
+async def answer_or_submit_many(
+    workspace: Workspace, name: str, wrenches: Floats, query: Query
+) -> BatchOutcome:
+    """Return the answers of a component's table to wrenches and, where that is too thin, of solves.
+
+    `queue` places wrenches as those of a loop; `wait` gives each its own exact solve. Either adds
+    no more open jobs than queries may have. Raises UnknownComponentError, and what `submit_many`
+    does.
+    """
+    outcome = await run_in_threadpool(submit_many, workspace, name, wrenches, query)
+    open_jobs = {placed.job.id for placed in outcome.jobs.values() if placed.job}
+    if query.on_thin == "wait" and outcome.unsolved and open_jobs:
+        await workspace.polls.wait_all(sorted(open_jobs), query.wait_s)
+        await run_in_threadpool(_take_rows, workspace, wrenches, query, outcome, anew=True)
+    return outcome
+
+
+def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query) -> BatchOutcome:
+    """Return the table's answers, those of newer rows, and the jobs of other wrenches.
+
+    Raises NotCoveredError if the query takes only covered answers, BeyondRangeError if it waits for
+    solves outside the load range, NoSetupError if nothing can be solved, TableBehindError if only
+    rows that are being built can answer.
+    """
+    table = workspace.surrogate(name)
+    outcome = answer_many(name, table, wrenches, query)
+    coverage = outcome.replies.coverage
+    thin = np.flatnonzero(coverage)
+    if not len(thin):
+        return outcome
+    component = workspace.library[name]
+    count, new = workspace.unbuilt(name, table)
+    _being_built(component, table, query.on_thin, count)
+    acting = component.acting(wrenches)
+    workspace.query_counts.note_batch(name, component.load_range, acting, coverage)
+    if query.on_thin == "estimate":
+        return outcome
+    if query.on_thin == "reject":
+        first = query._replace(wrench=tuple(wrenches[thin[0]].tolist()))
+        reason = answer(table, first).reason
+        raise NotCoveredError(
+            f"{len(thin)} of {len(wrenches)} wrenches are not covered, the first is number "
+            f"{thin[0]}: {reason}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
+            query.tolerance or table.tolerance,
+            reason=reason,
+            uncovered=thin.tolist(),
+        )
+    rows = _rows_at(component, new, acting[thin])
+    for place, row in zip(thin.tolist(), rows, strict=True):
+        if row is not None:
+            _take_row(workspace, acting, query, outcome, place, row)
+    thin = thin[[row is None for row in rows]]
+    component = workspace.submission.solvable(name)
+    out = ~component.load_range.holds(acting[thin]) & (not query.beyond_range)
+    if out.any() and query.on_thin == "wait":
+        first = int(thin[out][0])
+        raise BeyondRangeError(
+            f"{int(out.sum())} wrenches are outside the load range, the first is number {first}: "
+            f"{why_beyond(component.load_range, acting[first])}. Nothing was queued. Ask with "
+            "beyond_range true to have them solved all the same.",
+            beyond=thin[out].tolist(),
+        )
+    place_jobs = workspace.submission.queue
+    if query.on_thin == "wait":
+        place_jobs = workspace.submission.each
+    placed = iter(place_jobs(name, acting[thin[~out]]))
+    outcome.jobs = {
+        place: Placed(None, own=False, reason="beyond-range") if is_out else next(placed)
+        for place, is_out in zip(thin.tolist(), out.tolist(), strict=True)
+    }
+    _take_rows(workspace, acting, query, outcome)
+    return outcome
+
+
+def known_slopes(derivative: Floats) -> Floats | None:
+    """du/dw (outputs, inputs) in one piece, as orjson needs it; None if nothing of it is known."""
+    return None if np.isnan(derivative).all() else np.ascontiguousarray(derivative)
+
+
+def _also(reason: str, more: str) -> str:
+    """Two reasons in one text; either may be empty."""
+    return f"{reason}; {more}" if reason and more else reason or more
+
+
+def _being_built(component: Component, table: ServedTable, on_thin: Wanted, count: int) -> str:
+    """How many rows a table will have more in a moment, in words; "" if none.
+
+    Raises TableBehindError if no solve can answer in their place, and the table has no rows or the
+    query takes no estimate.
+    """
+    if not count:
+        return ""
+    rows = f"{count} row(s) are being built"
+    if not component.has_fea and not (table.row_count and on_thin == "estimate"):
+        raise TableBehindError.unbuilt(component.name, rows)
+    return f"{rows}: the table answers from them soon"
+
+
+def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | None]:
+    """Return the row at each wrench (k, inputs), within 1e-6 of the range in each load."""
+    if not len(rows):
+        return [None] * len(wrenches)
+    places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
+    return [None if place < 0 else rows.take([place]) for place in places.tolist()]
+
+
+def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTable:
+    """Return a table of one row, or of its number: the kernel has one law for it and for all."""
+    component, newest = workspace.library[name], workspace.tables.surrogate(name)
+    if isinstance(row, int):
+        row = Rows.from_records([asdict(workspace.ledger.row(row))], component.space)
+    return row_table(component, row, workspace.solver_error(name), newest)
+
+
+def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows | int) -> Outcome:
+    """Return the answer of a row that no table holds yet."""
+    name, job = outcome.component, outcome.job
+    table, query = _table_of_row(workspace, name, row), query._replace(method=None)
+    notes = workspace.notes(job) if job else []
+    reply = answer(table, query)
+    seq = int(table.rows.seq[0])
+    solved = Outcome(name, table, reply, outcome.elapsed_us, job=job, row=seq, notes=notes)
+    _describe(workspace, query, solved)
+    return solved
+
+
+def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
+    """Return the answer of the outcome's job if it has ended; raises SolveFailedError."""
+    job = outcome.job
+    assert job is not None
+    if job.status == "failed":
+        raise SolveFailedError(job)
+    if job.row is None:
+        return outcome
+    return _by_row(workspace, query, outcome, job.row)
+
+
+def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
+    """Add the derivative and the details that a query asks for."""
+    table, reply, details = outcome.table, outcome.reply, outcome.details
+    options = query.wrench, table.limits(query.tolerance), query.method
+    if query.derivatives:
+        details["derivative"] = known_slopes(table.packed.derivative(*options))
+    if not query.detail:
+        return
+    by_row = outcome.row is not None or reply.method == ROW
+    # A row answers without the axes, which only a component of a single wrench has.
+    by_axes = table.load_range.space.is_default and not by_row
+    details["axes"] = explain(table.packed, *options) if by_axes else []
+    details["method_detail"] = ROW_DETAIL if by_row else table.method_detail(reply.method)
+    has_fea = workspace.library.as_read(outcome.component).has_fea
+    if reply.interpolation is not None:
+        details["error_parts"] = _error_parts(table, reply, has_fea=has_fea)
+    noise = table.summary.get("noise_of_a_reading")
+    bars = reply.error, reply.interpolation, noise
+    if all(six is not None and None not in six for six in bars):
+        six = error_of_a_reading(*(np.array(six, dtype=float) for six in bars)).tolist()
+        details["error_of_a_reading"] = by_part(six, table.interfaces)
+
+
+def _error_parts(table: ServedTable, reply: Reply, *, has_fea: bool) -> dict[str, Any]:
+    """Return the parts of an error bar by cause, and their bases in words."""
+
+    def part(bars: Sequence[float | None] | None) -> dict[str, Any] | None:
+        return None if bars is None else by_part(bars, table.interfaces)
+
+    parts: dict[str, Any] = {"table": part(reply.interpolation)}
+    solver = table.solver_error
+    if has_fea and solver is None:
+        parts |= {"mesh": None, "mesh_basis": UNKNOWN}
+    elif has_fea and solver is not None:
+        parts["mesh"] = part(reply.discretisation)
+        if "linearity" in solver.values:
+            parts["linearity"] = part(reply.linearity)
+        parts |= {name: text for name, text in solver.values.items() if name.endswith("_basis")}
+    if any(reply.measurement or ()):
+        parts["measurement"] = part(reply.measurement)
+    return parts
+
+
+def _take_rows(
+    workspace: Workspace,
+    wrenches: Floats,
+    query: Query,
+    outcome: BatchOutcome,
+    *,
+    anew: bool = False,
+) -> None:
+    """Put the rows of the jobs that are done in the place of the table's answers.
+
+    The jobs are read `anew` where they have been waited for.
+    """
+    wrenches = workspace.library[outcome.component].acting(wrenches)
+    jobs = {placed.job.id: placed.job for placed in outcome.jobs.values() if placed.job}
+    if anew:
+        jobs = {number: workspace.ledger.job(number) for number in jobs}
+    for place, placed in outcome.jobs.items():
+        if placed.job is None:
+            continue
+        job = jobs[placed.job.id]
+        outcome.jobs[place] = Placed(job, placed.own)
+        if job.row is not None and placed.own:
+            _take_row(workspace, wrenches, query, outcome, place, job.row)
+
+
+def _take_row(
+    workspace: Workspace,
+    wrenches: Floats,
+    query: Query,
+    outcome: BatchOutcome,
+    place: int,
+    row: Rows | int,
+) -> None:
+    """Put a row's answer in the place of the table's answer to a wrench."""
+    table, wrench = _table_of_row(workspace, outcome.component, row), wrenches[place, None]
+    limits = table.limits(query.tolerance)
+    new, replies = table.packed.batch(wrench, limits), outcome.replies
+    replies.outputs[place], replies.errors[place] = new.outputs[0], new.errors[0]
+    replies.coverage[place] = new.coverage[0]
+    if outcome.derivatives is not None:
+        outcome.derivatives[place] = table.packed.derivatives(wrench, limits)[0]

@@ -1,0 +1,68 @@
+"""Single rows into a ledger and out of it, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from wrenchbook.service.ledger import Ledger, LedgerRow, NotedRows
+from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.space import DEFAULT, Space
+
+
+@dataclass(frozen=True)
+class NewRow:
+    """A row to be inserted; its columns are those of `Rows`, SI, with a note."""
+
+    wrench: Sequence[float]
+    displacement: Sequence[float]
+    source: str = "measured"
+    compliance: Sequence[Sequence[float]] | None = None
+    uncertainty: Sequence[float] | None = None
+    origin: str = ""
+    fingerprint: str | None = None
+    curvature: Sequence[float] | None = None
+
+
+def noted(new: Iterable[NewRow], fingerprint: str = "", space: Space = DEFAULT) -> NotedRows:
+    """Rows as columns; those without a fingerprint get the one given."""
+    rows = list(new)
+    records = [
+        {
+            **vars(row),
+            "seq": number,
+            "fingerprint": fingerprint if row.fingerprint is None else row.fingerprint,
+        }
+        for number, row in enumerate(rows, 1)
+    ]
+    return NotedRows(Rows.from_records(records, space), [row.origin for row in rows])
+
+
+def insert(
+    ledger: Ledger,
+    component: str,
+    fingerprint: str,
+    new: Iterable[NewRow],
+    above: int = 0,
+    space: Space = DEFAULT,
+) -> tuple[int, int]:
+    """Insert rows; return how many were new and how many known."""
+    block = noted(new, fingerprint, space)
+    return ledger.insert_rows(component, block.rows, block.note, above=above)
+
+
+def stored(
+    ledger: Ledger,
+    component: str,
+    fingerprint: str | None = None,
+    after: int = 0,
+    space: Space = DEFAULT,
+) -> list[LedgerRow]:
+    """A component's rows with a seq above `after`, by seq, without withdrawn and damaged ones."""
+    changes = ledger.row_changes(component, after, 10**9, space=space)
+    rows = ledger.rows_of(changes.rows.seq.tolist())
+    return [
+        rows[seq]
+        for seq in sorted(rows)
+        if seq > after and fingerprint in (None, rows[seq].fingerprint)
+    ]
