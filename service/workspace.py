@@ -23,8 +23,7 @@ from wrenchbook.service.jobs.attempt import (
     notes_of,
     read_progress,
 )
-from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.solver_pool import open_engine
+from wrenchbook.service.jobs.dispatcher import Dispatcher, open_engine
 from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
 from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError
 from wrenchbook.service.ledger.watch import Watcher
