@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..contract import LOADS
-from .errors import InvalidArgument
+from .errors import InvalidArgument, Json
 from .request import Call, Request, component_path, sync_and_async
 from .wrenches import one_wrench
 
@@ -86,8 +85,8 @@ class DeformedShape:
     coverage: str
     reason: str
     source: str
-    raw: Mapping[str, Any]
-    error_parts: Mapping[str, Any] | None = None
+    raw: Mapping[str, Json]
+    error_parts: Mapping[str, Json] | None = None
     within_tolerance: bool | None = None
 
     @property
@@ -100,7 +99,7 @@ class DeformedShape:
         return self.vertices + scale * self.displacement
 
     @classmethod
-    def of(cls, raw: Mapping[str, Any]) -> DeformedShape:
+    def of(cls, raw: Mapping[str, Json]) -> DeformedShape:
         """Return the shape of a reply."""
         error, stress = raw["error"], raw["stress"]
         return cls(

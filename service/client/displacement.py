@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from numpy.typing import ArrayLike
 
 from ..contract import OnThin
+from .errors import Document
 from .replies import Displacement, Displacements
 from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
-from .wrenches import Vector, loads_body, many_wrenches, options, wrench_of
+from .wrenches import Load, Tolerance, Vector, loads_body, many_wrenches, options, wrench_of
 
 BINARY_FROM = 1000  # wrenches from which a batch is sent as float64, if not given
 
@@ -54,11 +54,11 @@ class DisplacementCalls:
         force: ArrayLike | None = None,
         moment: ArrayLike | None = None,
         *,
-        loads: Mapping[str, Any] | None = None,
+        loads: Mapping[str, Load] | None = None,
         inputs: Mapping[str, float] | None = None,
         on_thin: OnThin = "queue",
         wait_s: float | None = None,
-        tolerance: Any = None,
+        tolerance: Tolerance | None = None,
         method: str | None = None,
         detail: bool = False,
         derivatives: bool = False,
@@ -101,7 +101,7 @@ class DisplacementCalls:
         *,
         on_thin: OnThin = "queue",
         wait_s: float | None = None,
-        tolerance: Any = None,
+        tolerance: Tolerance | None = None,
         method: str | None = None,
         derivatives: bool = False,
         beyond_range: bool = False,
@@ -142,7 +142,7 @@ class DisplacementCalls:
         force: ArrayLike | None = None,
         moment: ArrayLike | None = None,
         *,
-        loads: Mapping[str, Any] | None = None,
+        loads: Mapping[str, Load] | None = None,
         inputs: Mapping[str, float] | None = None,
         wait_s: float | None = None,
         beyond_range: bool = False,
@@ -172,14 +172,14 @@ class DisplacementCalls:
         return (yield from _one(name, "solve", body, chosen))
 
 
-def _one(name: str, call: str, loads: dict[str, Any], chosen: dict[str, Any]) -> Call[Displacement]:
+def _one(name: str, call: str, loads: Document, chosen: Document) -> Call[Displacement]:
     """Send the loads that `loads_body` returns."""
     path, body = component_path(name, call), loads | chosen
     reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen))
     return Displacement.read(name, wrench_of(loads), reply.json(), loads.get("loads"))
 
 
-def _binary_batch(name: str, block: Vector, chosen: dict[str, Any]) -> Request:
+def _binary_batch(name: str, block: Vector, chosen: Document) -> Request:
     """Return the request of a batch, shape (n, inputs), SI, in its binary form."""
     tolerance = chosen.pop("tolerance", {})
     return Request(
@@ -192,7 +192,7 @@ def _binary_batch(name: str, block: Vector, chosen: dict[str, Any]) -> Request:
     )
 
 
-def _server_wait(chosen: dict[str, Any]) -> float:
+def _server_wait(chosen: Document) -> float:
     """Return how long the server may wait before it answers, s.
 
     With ``on_thin`` it waits only with ``wait``, 30 s if not given; `solve` gives the time.

@@ -6,9 +6,8 @@ import http.client
 import json
 import time
 from dataclasses import dataclass
-from typing import Any
 
-from .errors import ProblemError, ServerUnreachable
+from .errors import Document, ProblemError, ServerUnreachable
 from .request import Item, Items, Listen, NextLine, Pause, sync_and_async_iterator
 
 SILENCE_S = 45.0  # three heartbeats: a connection without one is dead
@@ -31,7 +30,7 @@ class Event:
     """
 
     kind: str
-    body: dict[str, Any]
+    body: Document
     id: str = ""
 
 

@@ -8,11 +8,10 @@ import secrets
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from .errors import InvalidArgument, ProblemError, ServerTimeout, ServerUnreachable
+from .errors import Document, InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
 from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
 
 _FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed")
@@ -70,9 +69,9 @@ class LibraryCalls:
     """Components, and their tables as files."""
 
     @sync_and_async
-    def components(self) -> Call[list[dict[str, Any]]]:
+    def components(self) -> Call[list[Document]]:
         """Return the library: per component its name, title, range, rows, table version."""
-        found: list[dict[str, Any]] = []
+        found: list[Document] = []
         next_page = "/v1/components"
         while next_page:
             page = (yield Request("GET", next_page)).json()
@@ -81,7 +80,7 @@ class LibraryCalls:
         return found
 
     @sync_and_async
-    def component(self, name: str) -> Call[dict[str, Any]]:
+    def component(self, name: str) -> Call[Document]:
         """Return a component: its wrench contract, load range, rows and coverage.
 
         Raises
@@ -92,7 +91,7 @@ class LibraryCalls:
         return (yield Request("GET", component_path(name))).json()
 
     @sync_and_async
-    def compliance(self, name: str) -> Call[dict[str, Any]]:
+    def compliance(self, name: str) -> Call[Document]:
         """Return a component's 6x6 compliance and checks of its rows against physics.
 
         Returns
@@ -110,7 +109,7 @@ class LibraryCalls:
         return (yield Request("GET", component_path(name, "compliance"))).json()
 
     @sync_and_async
-    def add_component(self, component: str | Path | Mapping[str, Any]) -> Call[dict[str, Any]]:
+    def add_component(self, component: str | Path | Mapping[str, Json]) -> Call[Document]:
         """Add a component.
 
         Parameters
@@ -151,8 +150,8 @@ class LibraryCalls:
         decimal: str | None = None,
         *,
         displacements: str | Path | None = None,
-        **columns: Any,
-    ) -> Call[dict[str, Any]]:
+        **columns: Json,
+    ) -> Call[Document]:
         """Load a table from outside: all its rows, or none; with ``partial=True`` the good ones.
 
         Parameters
@@ -196,7 +195,7 @@ class LibraryCalls:
         format: str = "csv",  # noqa: A002 (the contract's word)
         units: Mapping[str, str] | None = None,
         table_version: int | None = None,
-    ) -> Call[Any]:
+    ) -> Call[Json]:
         """Return a component's table.
 
         Parameters
@@ -247,7 +246,7 @@ class LibraryCalls:
     @sync_and_async
     def withdraw_import(
         self, name: str, number: int, finding: str | None = None, *, restore: bool = False
-    ) -> Call[dict[str, Any]]:
+    ) -> Call[Document]:
         """Withdraw the rows of an import, or those that one of its findings names.
 
         The rows stay in the ledger. Rows that are withdrawn already do not change.
@@ -277,7 +276,7 @@ class LibraryCalls:
         return (yield Request("POST" if restore else "DELETE", path, query=query)).json()
 
     @sync_and_async
-    def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Call[dict[str, Any]]:
+    def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Call[Document]:
         """Start making a report of error against run time; it takes minutes.
 
         Parameters
@@ -300,7 +299,7 @@ class LibraryCalls:
         return (yield Request("POST", path, query=query, repeatable=False)).json()
 
     @sync_and_async
-    def report_state(self, name: str) -> Call[dict[str, Any]]:
+    def report_state(self, name: str) -> Call[Document]:
         """Return ``state`` (none, running, done, failed), ``fraction`` and ``message``."""
         query = {"format": "state"}
         return (yield Request("GET", component_path(name, "report"), query=query)).json()
@@ -318,7 +317,7 @@ class LibraryCalls:
         return (yield Request("GET", component_path(name, "report"), query=query)).content
 
     @sync_and_async
-    def health(self) -> Call[dict[str, Any]]:
+    def health(self) -> Call[Document]:
         """Return the server's readiness: ``status`` and, if it is not ready, its ``faults``.
 
         Raises
@@ -344,8 +343,8 @@ class LibraryCalls:
 
 
 def _import_query(
-    format_: str | None, dry_run: bool, decimal: str | None, filename: str, columns: dict[str, Any]
-) -> dict[str, Any]:
+    format_: str | None, dry_run: bool, decimal: str | None, filename: str, columns: Document
+) -> Document:
     """Return the query of an import."""
     mapping, ignore = columns.pop("mapping", None), columns.pop("ignore", ())
     rig = columns.pop("rig", None)

@@ -142,7 +142,9 @@ class Recorder:
         checked = one_wrench(wrench) if default else checked_rows(np.stack([wrench]))
         packed = checked.astype("<f8").tobytes()
         with self._changed:
-            self._check()
+            if self._closing:
+                raise RecorderError("the recorder is closed; make another one")
+            self._check_failed()
             if self._count >= MOST_PENDING:
                 raise RecorderError(
                     f"the wrench was not taken: {self._count} wrenches wait for the server "
@@ -238,8 +240,13 @@ class Recorder:
                     self.component, self.kind, block, self._key, self._sequence
                 )
             except Exception as error:
-                self._note(error)
+                # Sending a block once more is safe, so after a passing error it is sent again.
+                again = isinstance(error, OSError | http.client.HTTPException | ValueError)
+                if isinstance(error, ProblemError):
+                    again = error.status >= 500 or error.status in _AGAIN
                 with self._changed:
+                    self._trouble, self._failed = error, not again
+                    self._changed.notify_all()
                     if self._failed:
                         return
                     self._changed.wait_for(lambda: self._closing or self._hurry, wait)
@@ -269,27 +276,12 @@ class Recorder:
                 if not self._blocks and time.monotonic() - self._opened_at >= FLUSH_S:
                     self._seal()
 
-    def _note(self, error: Exception) -> None:
-        """Keep an error, and whether the block can be taken later."""
-        # Sending a block once more is safe, so after a passing error it is sent again.
-        again = isinstance(error, OSError | http.client.HTTPException | ValueError)
-        if isinstance(error, ProblemError):
-            again = error.status >= 500 or error.status in _AGAIN
-        with self._changed:
-            self._trouble, self._failed = error, not again
-            self._changed.notify_all()
-
     def _seal(self) -> None:
         """Make the block that is being filled a full one."""
         if self._open:
             self._blocks.append(bytes(self._open))
             self._open.clear()
             self._sealed += 1
-
-    def _check(self) -> None:
-        if self._closing:
-            raise RecorderError("the recorder is closed; make another one")
-        self._check_failed()
 
     def _check_failed(self) -> None:
         if self._failed:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..contract import COVERAGE
-from .errors import InvalidArgument
+from .errors import Document, InvalidArgument, Json
 from .job import Job, joined
 from .notebook import (
     DISPLACEMENT_COLUMNS,
@@ -88,7 +88,7 @@ class Displacement:
     reason: str
     within_tolerance: bool | None = None
     derivative: Vector | None = None
-    raw: dict[str, Any] = field(default_factory=dict, repr=False)
+    raw: Document = field(default_factory=dict, repr=False)
     interfaces: Mapping[str, Displacement] = field(default_factory=dict)
 
     @classmethod
@@ -96,8 +96,8 @@ class Displacement:
         cls,
         component: str,
         wrench: Vector,
-        body: Mapping[str, Any],
-        loads: Mapping[str, Any] | None = None,
+        body: Mapping[str, Json],
+        loads: Mapping[str, Json] | None = None,
     ) -> Self:
         """Make one from the reply to `wrench`, shape (6,), N and N·m, or to the wire's loads."""
         error = body.get("error") or {}
@@ -266,10 +266,10 @@ class Displacements:
     method: str | None = None
     within_tolerance: NDArray[np.bool_] | None = None
     derivatives: Vector | None = None
-    raw: dict[str, Any] = field(default_factory=dict, repr=False)
+    raw: Document = field(default_factory=dict, repr=False)
 
     @classmethod
-    def read(cls, component: str, wrenches: Vector, body: Mapping[str, Any]) -> Self:
+    def read(cls, component: str, wrenches: Vector, body: Mapping[str, Json]) -> Self:
         """Make one from the reply to `wrenches`, shape (n, 6), N and N·m."""
         count, jobs = len(wrenches), body.get("jobs") or ()
         return cls(
@@ -336,7 +336,7 @@ class Displacements:
         """
         return require_pandas().DataFrame(self._columns())
 
-    def _columns(self) -> dict[str, Any]:
+    def _columns(self) -> Document:
         return {
             **_named(WRENCH_COLUMNS, self.wrenches, "input"),
             **_named(DISPLACEMENT_COLUMNS, self.displacements, "output"),
@@ -356,14 +356,14 @@ class Displacements:
         return self.coverage == "covered"
 
 
-def _named(names: Sequence[str], block: Vector, word: str) -> dict[str, Any]:
+def _named(names: Sequence[str], block: Vector, word: str) -> Document:
     """Return a block's columns, by their places where they are not those of one wrench."""
     if block.shape[1] != len(names):
         names = [f"{word} {place}" for place in range(block.shape[1])]
     return named_columns(names, block)
 
 
-def _array(values: Any) -> Vector | None:
+def _array(values: Json) -> Vector | None:
     """Return floats, NaN for null, as an array that is not written to by mistake, or None."""
     if values is None:
         return None
@@ -372,7 +372,7 @@ def _array(values: Any) -> Vector | None:
     return array
 
 
-def judged(flags: Any) -> NDArray[np.bool_] | None:
+def judged(flags: Json) -> NDArray[np.bool_] | None:
     """Return where error bars are within the tolerance, shape (n,), dimensionless, or None."""
     return None if flags is None else np.array([one is True for one in flags], dtype=bool)
 
@@ -392,7 +392,7 @@ def bars_within(bars: Vector, allowed: ArrayLike) -> NDArray[np.bool_]:
     return np.logical_and(within, ~np.all(unknown, axis=1))
 
 
-def _tangents(found: Any) -> Vector | None:
+def _tangents(found: Json) -> Vector | None:
     """Return shape (n, m, inputs) of a batch's derivatives, NaN for null; None without any."""
     if found is None:
         return None
@@ -402,7 +402,7 @@ def _tangents(found: Any) -> Vector | None:
     return np.array(blocks).reshape(len(blocks), *shape)
 
 
-def _block(rows: Any, count: int) -> Vector:
+def _block(rows: Json, count: int) -> Vector:
     """Return shape (n, m); a row, or a number, that is null becomes NaN."""
     outputs = next((len(row) for row in rows if row is not None), 6)
     unknown = (np.nan,) * outputs

@@ -44,28 +44,8 @@ class Transport:
     """The address of a server, and connections to it that block.
 
     Each request takes an idle connection or opens one, and puts it back: threads never share one,
-    and a loop of calls stays on one socket. A forked child opens its own.
-
-    Parameters
-    ----------
-    url : str
-        Address of the server, with a path if it is served below one.
-    timeout : float
-        Seconds without an answer before `ServerTimeout`; the time that the server may wait before
-        it answers is added. A server that refuses the connection is tried again for as long, but
-        10 s at most.
-    key : str, optional
-        A key of the server; the variable WRENCHBOOK_KEY if not given.
-
-    Attributes
-    ----------
-    retry_s : float
-        Seconds for which a server that refuses, or is busy, is tried again: 10; 0 for not at all.
-
-    Raises
-    ------
-    InvalidArgument
-        If the address or the key is none.
+    and a loop of calls stays on one socket. A forked child opens its own. Parameters are those of
+    `Client`; InvalidArgument if the address or the key is none.
     """
 
     def __init__(

@@ -135,7 +135,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         **openapi.OPTIONS,
     )
     app.state.counts = counts
-    rates = Rates(settings.folder / SHARED / "rates") if settings.part == "web" else None
+    rates = Rates(settings.folder / SHARED / "rates")
     keyring = Keyring(settings.folder)
     app.state.access = AccessControl(keyring, security or SecuritySettings(), rates)
     return _with_routes(app, settings)

@@ -46,7 +46,7 @@ from wrenchbook.service.query import (
 )
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
 from wrenchbook.service.submission import NoSetupError
-from wrenchbook.service.tables.served import TableBehindError
+from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.surrogate.answer import UnknownMethodError
 
 MEDIA_TYPE = "application/problem+json"

@@ -264,7 +264,9 @@ class FastPathProtocol(HttpToolsProtocol):
             return
         if self._partial or not self._in_request:
             data, self._partial = self._partial + data, b""
-            if self._fast is not None and self._is_free() and self._answer(self._fast, data):
+            # No other request is being answered, and the caller reads answers.
+            free = not self.flow.write_paused and not self.transport.is_closing()
+            if self._fast and free and self._is_answered() and self._answer(self._fast, data):
                 return
         self._unset_keepalive_if_required()
         try:
@@ -384,9 +386,6 @@ class FastPathProtocol(HttpToolsProtocol):
         self.app = refusal.response()
         self.parser = HttpRequestParser(self)
         self.parser.feed_data(b"GET / HTTP/1.1\r\n\r\n")
-        self._log_refusal()
-
-    def _log_refusal(self) -> None:
         kind, now = FastPathProtocol, self.loop.time()
         kind._refusals += 1
         if now - kind._logged_at >= REFUSALS_S:
@@ -426,32 +425,21 @@ class FastPathProtocol(HttpToolsProtocol):
         found = fast.answer(head, data[head.size :]) if missing == 0 else {}
         if isinstance(found, bytes):
             self._in_request, self._used = False, True
-            self._write(head, found)
+            fields = self.server_state.default_headers
+            self.transport.write(reply_bytes(fields, head, found, close=self._is_last))
+            self.server_state.total_requests += 1
+            self._answered_at = self.loop.time()
+            if self._is_last:
+                self.transport.close()
+            elif self.timeout_keep_alive_task is None:
+                self._close_after(self.timeout_keep_alive)
             return True
         self._found = found
         return False
 
-    def _is_free(self) -> bool:
-        """Return whether no other request is being answered, and the caller reads answers."""
-        return (
-            self._is_answered() and not self.flow.write_paused and not self.transport.is_closing()
-        )
-
     def _is_answered(self) -> bool:
         """Return whether no request of the application is being answered."""
         return self.cycle is None or self.cycle.response_complete
-
-    def _write(self, head: Head, content: bytes) -> None:
-        """Write a 200; the time until an idle connection is closed begins anew."""
-        fields = self.server_state.default_headers
-        self.transport.write(reply_bytes(fields, head, content, close=self._is_last))
-        self.server_state.total_requests += 1
-        if self._is_last:
-            self.transport.close()
-            return
-        self._answered_at = self.loop.time()
-        if self.timeout_keep_alive_task is None:
-            self._close_after(self.timeout_keep_alive)
 
     def _check_timeouts(self) -> None:
         """Close a connection that keeps the server waiting for too long."""

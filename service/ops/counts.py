@@ -13,6 +13,7 @@ import os
 import threading
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -160,8 +161,11 @@ class SharedCounts:
 
     def __init__(self, folder: Path, counts: Counts, listeners: Callable[[], int]) -> None:
         self._counts, self._listeners = counts, listeners
-        folder.mkdir(parents=True, exist_ok=True)
-        self._folder, self._own = folder, folder / f"{_free_number(folder)}.json"
+        number = 0
+        with suppress(OSError):  # on a read-only disk counts are not shared
+            folder.mkdir(parents=True, exist_ok=True)
+            number = _free_number(folder)
+        self._folder, self._own = folder, folder / f"{number}.json"
         counts.add_all(_read(self._own)[0])
         self._writing = threading.Lock()
         self._stopping = threading.Event()

@@ -11,7 +11,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any, Protocol
 
-from prometheus_client import CollectorRegistry, GCCollector, ProcessCollector, generate_latest
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -74,25 +74,13 @@ class Metrics(Collector):
         self._read: Statistics | None = None
         self._version: int | None = None
         self._registry = CollectorRegistry()
-        self._total: Callable[[], tuple[Counts, int, dict[str, int]]] = lambda: (
-            counts,
-            listeners(),
-            {},
-        )
-        self._shared = None
-        if settings.part == "web":
-            folder = settings.folder / SHARED / COUNTS
-            self._shared = SharedCounts(folder, counts, listeners)
-            self._total = self._shared.together
-        else:
-            ProcessCollector(registry=self._registry)
-            GCCollector(registry=self._registry)
+        folder = settings.folder / SHARED / COUNTS
+        self._shared = SharedCounts(folder, counts, listeners)
         self._registry.register(self)
 
     def stop(self) -> None:
         """Stop sharing counts with other processes."""
-        if self._shared:
-            self._shared.stop()
+        self._shared.stop()
 
     def text(self) -> bytes:
         """Return Prometheus' text format. It reads the ledger: not for the event loop."""
@@ -100,13 +88,12 @@ class Metrics(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Yield all metrics."""
-        counts, listening, pids = self._total()
+        counts, listening, pids = self._shared.together()
         yield from _of_queries(counts)
         yield from _of_requests(counts)
         yield GaugeMetricFamily("wrenchbook_event_listeners", "of GET /v1/events", value=listening)
-        if self._shared:
-            builder = CoordinatorState(self._workspace.settings.folder / SHARED).read().pid
-            yield from _of_processes({**pids, "builder": builder} if builder else pids)
+        builder = CoordinatorState(self._workspace.settings.folder / SHARED).read().pid
+        yield from _of_processes({**pids, "builder": builder} if builder else pids)
         yield from self._of_ledger()
         yield from self._of_tables()
         yield from self._of_server()

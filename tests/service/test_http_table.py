@@ -12,7 +12,7 @@ from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.routes import components, table
 from wrenchbook.service.sandbox import SandboxBusyError
-from wrenchbook.service.tables import live
+from wrenchbook.service.tables import build as builds
 from wrenchbook.service.workspace import Settings
 
 RIG = {"name": "rig", "title": "rig", "range": {"force": [900] * 3, "moment": [90] * 3}}
@@ -356,13 +356,13 @@ def test_an_import_says_which_version_holds_its_rows_and_whether_it_answers_alre
 @pytest.fixture
 def slow_build(monkeypatch):
     """Hold builds of tables up until the event is set."""
-    may_build, build = threading.Event(), live.make
+    may_build, build = threading.Event(), builds.build_table
 
     def slow(*given):
         assert may_build.wait(20)
         return build(*given)
 
-    monkeypatch.setattr(live, "make", slow)
+    monkeypatch.setattr(builds, "build_table", slow)
     yield may_build
     may_build.set()
 

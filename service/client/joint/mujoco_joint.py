@@ -107,8 +107,8 @@ class MujocoJoint(Joint):
     def _find(self, body: int, name: str) -> None:
         """Find the joints of the tip: axes, places in qpos and qvel."""
         model, first = self._model, int(self._model.body_jntadr[body])
-        found = list(range(first, first + int(model.body_jntnum[body])))
-        kinds = [int(model.jnt_type[one]) for one in found]
+        joints = list(range(first, first + int(model.body_jntnum[body])))
+        kinds = [int(model.jnt_type[joint]) for joint in joints]
         moves, turns = self.free[self.free < 3], self.free[self.free >= 3]
         if len(turns) not in (0, 1, 3):
             raise JointError(
@@ -121,11 +121,26 @@ class MujocoJoint(Joint):
                 f"{len(moves)} slides" + {0: "", 1: " and a hinge", 3: " and a ball"}[len(turns)]
             )
             raise JointError(f"body {name!r} must have {words}, in this order; {_REMEDY}")
-        self._require_bare(found, name)
-        self._axes = self._frame(found, name)
-        self._slides = np.array([model.jnt_qposadr[one] for one in found[: len(moves)]], dtype=int)
-        self._turn = int(model.jnt_qposadr[found[-1]]) if turning else -1
-        start = int(model.jnt_dofadr[first]) if found else 0
+        for joint in joints:
+            dof = int(model.jnt_dofadr[joint])
+            forces = {
+                "stiffness": model.jnt_stiffness[joint],
+                "damping": model.dof_damping[dof],
+                "frictionloss": model.dof_frictionloss[dof],
+                "a limited range": model.jnt_limited[joint],
+            }
+            present = [word for word, value in forces.items() if np.any(value)]
+            if present:
+                raise JointError(
+                    f"a joint of body {name!r} has {present[0]}, which would add to the part's "
+                    "own: remove it (a default class may set it)"
+                )
+        self._axes = self._frame(joints, name)
+        self._slides = np.array(
+            [model.jnt_qposadr[joint] for joint in joints[: len(moves)]], dtype=int
+        )
+        self._turn = int(model.jnt_qposadr[joints[-1]]) if turning else -1
+        start = int(model.jnt_dofadr[first]) if joints else 0
         count = len(self.free)
         self._dofs = slice(start, start + count)
         self._units = np.eye(model.nv)[self._dofs]
@@ -135,31 +150,13 @@ class MujocoJoint(Joint):
         self._unturned = np.zeros((FREEDOMS, count))
         self._unturned[self.free, np.arange(count)] = 1.0
 
-    def _require_bare(self, found: list[int], name: str) -> None:
-        """Refuse joints with forces of their own."""
-        model = self._model
-        for one in found:
-            dof = int(model.jnt_dofadr[one])
-            own = {
-                "stiffness": model.jnt_stiffness[one],
-                "damping": model.dof_damping[dof],
-                "frictionloss": model.dof_frictionloss[dof],
-                "a limited range": model.jnt_limited[one],
-            }
-            for word, value in own.items():
-                if np.any(value):
-                    raise JointError(
-                        f"a joint of body {name!r} has {word}, which would add to the part's own: "
-                        "remove it (a default class may set it)"
-                    )
-
-    def _frame(self, found: list[int], name: str) -> Vector:
+    def _frame(self, joints: list[int], name: str) -> Vector:
         """Return the interface frame's axes in the tip's body, shape (3, 3), as columns.
 
         Of a part with locked freedoms they are the body's own.
         """
         own = {
-            int(at): axis for at, axis in zip(self.free, self._model.jnt_axis[found], strict=False)
+            int(at): axis for at, axis in zip(self.free, self._model.jnt_axis[joints], strict=False)
         }
         straight = [own[at] for at in range(3) if at in own]
         given = np.array(straight).T if len(straight) == 3 else np.eye(3)
@@ -185,9 +182,15 @@ class MujocoJoint(Joint):
         self._watch_base()
         moved, turned = self._displacement()
         wrench, stiffness = self.state(moved, turned)
-        self._map = self._to_contract(turned)
+        # From the joints' velocities to those of the contract, shape (6, free): a ball's is that of
+        # the tip in its own axes; the contract's about fixed ones.
+        self._map = self._unturned.copy()
+        if self._turns:
+            self._map[3:, -3:] = rotation_matrix(turned) @ self._axes.T
         own = self._map.T @ stiffness @ self._map
-        inverse_mass = self._inverse_mass()
+        solved = np.empty_like(self._units)
+        engine.mj_solveM(model, data, solved, self._units)
+        inverse_mass = solved[:, dofs]  # accelerations of the freedoms by unit loads on them
         slope = self._rate(own, inverse_mass, float(model.opt.timestep))
         self._law = wrench @ self._map, slope
         data.qfrc_applied[dofs] = 0.0
@@ -230,22 +233,6 @@ class MujocoJoint(Joint):
         implicit = np.eye(len(slope)) + dt * slope @ inverse_mass
         return np.linalg.solve(implicit, force + slope @ velocity)
 
-    def _add_to_mass(self) -> None:
-        """Add what the velocity after the step changes to the mass matrix of this step."""
-        rows, columns, at = self._places
-        self._data.M[at] += float(self._model.opt.timestep) * self._law[1][rows, columns]
-
-    def _read(self) -> None:
-        """Set the wrench of the step that has been made."""
-        force, slope = self._law
-        self.wrench = self._map @ (force + slope @ self._data.qvel[self._dofs])
-
-    def _inverse_mass(self) -> Vector:
-        """Return the accelerations of the freedoms by unit loads on them, shape (n, n), SI."""
-        solved = np.empty_like(self._units)
-        engine.mj_solveM(self._model, self._data, solved, self._units)
-        return solved[:, self._dofs]
-
     def _displacement(self) -> tuple[Vector, Vector]:
         """Return translation, m, and rotation vector, rad, in the undeformed interface frame."""
         position, moved, turned = self._data.qpos, np.zeros(3), np.zeros(3)
@@ -258,16 +245,6 @@ class MujocoJoint(Joint):
             engine.mju_quat2Vel(turned, position[self._turn : self._turn + 4], 1.0)
             turned = turned @ self._axes
         return moved, turned
-
-    def _to_contract(self, rotation: Vector) -> Vector:
-        """Return what turns the joints' velocities into those of the contract, shape (6, free).
-
-        A ball's velocity is that of the tip in its own axes; the contract's about fixed ones.
-        """
-        found = self._unturned.copy()
-        if self._turns:
-            found[3:, -3:] = rotation_matrix(rotation) @ self._axes.T
-        return found
 
 
 def step_joints(*joints: MujocoJoint) -> None:
@@ -290,13 +267,16 @@ def step_joints(*joints: MujocoJoint) -> None:
     for joint in joints:
         joint._push()
     for joint in joints:
-        joint._add_to_mass()
+        # What the velocity after the step changes.
+        rows, columns, at = joint._places
+        data.M[at] += float(model.opt.timestep) * joint._law[1][rows, columns]
     engine.mj_factorM(model, data)
     if model.opt.solver == engine.mjtSolver.mjSOL_PGS or model.opt.noslip_iterations:
         engine.mj_projectConstraint(model, data)
     engine.mj_step2(model, data)
     for joint in joints:
-        joint._read()
+        force, slope = joint._law
+        joint.wrench = joint._map @ (force + slope @ data.qvel[joint._dofs])
 
 
 def _require_one_scene(joints: Sequence[MujocoJoint]) -> None:

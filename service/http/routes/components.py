@@ -33,8 +33,7 @@ from wrenchbook.service.library.component import (
     warnings_of,
 )
 from wrenchbook.service.query import job_link
-from wrenchbook.service.tables.rows import warning_of
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.mapped import ServedTable, warning_of
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import Tolerance

@@ -20,7 +20,8 @@ from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.replies import next_page
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.jobs.attempt import LOG, pieces_of, zipped
+from wrenchbook.service.jobs.attempt import LOG, pieces_of, read_progress, zipped
+from wrenchbook.service.jobs.waiting import why_waiting
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
 from wrenchbook.service.query import job_link
 from wrenchbook.service.workspace import Workspace
@@ -66,7 +67,7 @@ def job_body(
         "error": redact_values(job.error),
     }
     if job.status == "running":
-        progress = workspace.progress(job)
+        progress = read_progress(workspace.attempt_folder(job))
         body["progress"] = asdict(progress) if progress else None
     if job.status == "done" and job.row is not None:
         body["row"] = job.row
@@ -120,7 +121,10 @@ async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -
 def _whole_body(workspace: Workspace, job: JobRecord) -> dict[str, Any]:
     """Return what one job's own reply has more than in lists: its notes, why it waits."""
     body = job_body(workspace, job) | {"notes": redact_values(workspace.notes(job))}
-    waiting = workspace.why_waiting(job)
+    waiting = None
+    if job.status == "waiting":
+        trouble = workspace.tables.trouble()
+        waiting = why_waiting(workspace.ledger, job, workspace.settings.solvers, trouble)
     return body | {"waiting": redact_values(asdict(waiting)) if waiting else None}
 
 

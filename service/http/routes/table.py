@@ -37,7 +37,7 @@ from wrenchbook.service.tables.exporting import (
     export_table,
 )
 from wrenchbook.service.tables.importing import import_files, solved_compliance
-from wrenchbook.service.tables.packed_files import setup_of
+from wrenchbook.service.tables.store import setup_of
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.packed.format import SUFFIX
 
