@@ -9,7 +9,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from wrenchbook.service.jobs.attempt import (
     LOG,
     Attempt,
     BadOutcomeError,
-    Engine,
     attempt_folder,
     last_words,
     prepare,
@@ -29,7 +27,7 @@ from wrenchbook.service.jobs.attempt import (
     solver_seconds,
     tidy,
 )
-from wrenchbook.service.jobs.solver_pool import LocalEngine
+from wrenchbook.service.jobs.engines import Engine
 from wrenchbook.service.ledger import Beat, JobRecord, Ledger, StaleAttemptError
 from wrenchbook.service.library.component import estimate_of
 from wrenchbook.service.tables.solver_errors import SolverErrors
@@ -508,47 +506,3 @@ def _bad_answer(error: Exception) -> dict[str, str]:
         "message": f"the solver's answer is not usable: {error!r}",
         "remedy": "see result.json and log.txt in the attempt's folder",
     }
-
-
-class EngineSettingsError(ValueError):
-    """An engine cannot be opened with these settings; the message has the remedy."""
-
-
-_SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # that Dask connects to other machines by
-
-
-def open_engine(
-    name: str = "local", slots: int | None = None, *, scheduler: str | None = None
-) -> Engine:
-    """Return the engine ``local``, with so many slots, or ``dask``, of the scheduler at an address.
-
-    Raises `EngineSettingsError` if there is none of that name, or it lacks its scheduler or its
-    packages.
-    """
-    check_engine(name, scheduler)
-    if name == "local":
-        return LocalEngine(slots)
-    # Only a server with a cluster has Dask, and waits for its import.
-    from wrenchbook.service.jobs.dask import DaskEngine
-
-    return DaskEngine(scheduler or "")
-
-
-def check_engine(name: str, scheduler: str | None) -> None:
-    """Refuse, before anything is opened, settings that `open_engine` would refuse."""
-    why = None
-    if name not in ("local", "dask"):
-        why = f"there is no engine {name!r}; there are: local, dask"
-    elif name == "local":
-        why = scheduler and "the engine local has no scheduler; add --engine dask"
-    elif not scheduler:
-        why = "the engine dask needs --scheduler tcp://HOST:8786 (or tls://)"
-    elif "://" not in scheduler:
-        why = f"{scheduler!r} is no address; write tcp://{scheduler}"
-    elif scheduler.split("://")[0] not in _SCHEMES:
-        begins = " or ".join(f"{scheme}://" for scheme in _SCHEMES)
-        why = f"{scheduler!r} is no address of a Dask scheduler: it begins with {begins}"
-    elif find_spec("distributed") is None:
-        why = "the engine dask is not installed: pip install wrenchbook[cluster]"
-    if why:
-        raise EngineSettingsError(why)

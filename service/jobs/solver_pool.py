@@ -150,7 +150,7 @@ class LocalEngine(Listeners):
         """Do nothing: lock and files hold the whole state."""
 
     def poll(self, attempt: Attempt) -> State:
-        """Return the attempt's state; see `Engine.poll`."""
+        """Return the attempt's state; see `service.jobs.engines`."""
         folder = attempt.folder
         if (folder / OUTCOME).exists():
             return "finished"

@@ -19,7 +19,7 @@ from wrenchbook.service.jobs.attempt import (
     read_outcome,
     read_progress,
 )
-from wrenchbook.service.jobs.dispatcher import open_engine
+from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 HERE = Path(__file__).parent
