@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 import orjson
 from starlette.concurrency import run_in_threadpool
 
+from wrenchbook.service.jobs.attempt import read_progress
 from wrenchbook.service.ledger import JobRecord, LedgerError, LedgerUnavailableError
-from wrenchbook.service.tables.served import TableBehindError
+from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
 
 _log = logging.getLogger(__name__)
@@ -319,7 +320,7 @@ def _progressed(workspace: Workspace, before: Seen, now: Seen) -> list[Notice]:
     running = [number for number, state in now.jobs.items() if state[0] == "running"]
     for number in running[:ONE_BY_ONE]:
         job = workspace.ledger.job(number)
-        progress = workspace.progress(job)
+        progress = read_progress(workspace.attempt_folder(job))
         if progress is None or job.status != "running":
             continue
         last = before.jobs.get(number, ("", 0, 0.0))[2]

@@ -23,12 +23,12 @@ from wrenchbook.service.contract import OnThin, by_part
 from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placed
-from wrenchbook.service.tables.rows import others_in_words
-from wrenchbook.service.tables.served import (
+from wrenchbook.service.tables.mapped import (
     ROW,
     ROW_DETAIL,
     ServedTable,
     TableBehindError,
+    others_in_words,
     row_table,
 )
 from wrenchbook.service.workspace import Workspace
@@ -179,8 +179,6 @@ def answer(table: ServedTable, query: Query) -> Reply:
 def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
     """Return the answer of a component's newest table; raises UnknownComponentError."""
     table = workspace.tables.surrogate(name)
-    if workspace.settings.method is not None:
-        table.prefer(workspace.settings.method)
     if query.on_thin == "solve":
         return Outcome(name, table, _NOTHING, 0.0)
     started = perf_counter_ns()
@@ -205,8 +203,6 @@ def answered_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Out
         return outcome, True
     if query.on_thin != "estimate" or table.needs_compliance or not table.row_count:
         return outcome, False
-    if workspace.tables.is_extended(name):
-        return outcome, False  # rows that are being built are part of the reason
     component = workspace.library.as_read(name)
     wrench = tuple(acting_one(query.wrench, component.idle))
     workspace.query_counts.note(name, component.load_range, wrench, coverage)

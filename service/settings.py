@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.ops.retention import KEEP, Keep
 from wrenchbook.service.submission import QUEUE_LIMIT
-from wrenchbook.service.tables.served import TABLE_MEMORY
-
-# What a process does: all; or, of a server's processes, build tables and dispatch jobs, or answer.
-Part = Literal["all", "builder", "web"]
+from wrenchbook.service.tables.store import TABLE_MEMORY
 
 
 @dataclass(frozen=True)
@@ -43,8 +40,8 @@ class Settings:
         Which folders of ended attempts are kept.
     access_log:
         Whether each request is a line of the log.
-    part:
-        What this process does.
+    opentelemetry:
+        Whether requests are traced; without it, OTEL_* variables of the environment decide.
     processes:
         How many web workers the server has.
     """
@@ -59,19 +56,16 @@ class Settings:
     keep: Keep = KEEP
     method: str | None = None
     access_log: bool = False
-    part: Part = "all"
     processes: int = 1
 
 
-def settings_of_options(options: Mapping[str, Any], part: Part = "all") -> Settings:
+def settings_of_options(options: Mapping[str, Any]) -> Settings:
     """Return the settings of a process of the server by the options of `serve`.
 
     Parameters
     ----------
     options : mapping
         By name; those that are no settings of a workspace are ignored.
-    part
-        As in `Settings`.
     """
     keep = Keep(
         *(options[f"keep_{one}"] for one in ("days", "count", "failed_days", "failed_count"))
@@ -87,6 +81,5 @@ def settings_of_options(options: Mapping[str, Any], part: Part = "all") -> Setti
         keep=keep,
         method=options["method"],
         access_log=options["access_log"],
-        part=part,
         processes=options["processes"],
     )

@@ -1,4 +1,4 @@
-"""An opened data directory: library, ledger, live tables, dispatcher."""
+"""An opened data directory, as a web worker has it: library, ledger, tables, queue."""
 
 from __future__ import annotations
 
@@ -15,31 +15,19 @@ from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
-from wrenchbook.service.jobs.attempt import (
-    Attempt,
-    Engine,
-    Progress,
-    attempt_folder,
-    notes_of,
-    read_progress,
-)
-from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.solver_pool import open_engine
-from wrenchbook.service.jobs.waiting import Polls, Waiting, why_waiting
+from wrenchbook.service.jobs.attempt import Attempt, attempt_folder, notes_of
+from wrenchbook.service.jobs.waiting import Polls
 from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError
 from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.checks import is_full
-from wrenchbook.service.ops.retention import Retention
 from wrenchbook.service.report.queue import Reports
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
-from wrenchbook.service.tables.live import Tables
-from wrenchbook.service.tables.mapped import MappedTables
-from wrenchbook.service.tables.served import ServedTable, TableBehindError
+from wrenchbook.service.tables.mapped import MappedTables, ServedTable, TableBehindError
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
@@ -78,19 +66,24 @@ class Workspace:
         self.query_counts = QueryStatistics(self.ledger)
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
         self.errors = SolverErrors(self.ledger)
-        self.tables = self._open_tables(settings.folder / "tables")
-        self._retention = Retention(self.ledger, self._jobs_folder, settings.keep)
+        self.tables = MappedTables(
+            self.ledger,
+            self.library,
+            settings.folder / "tables",
+            CoordinatorState(settings.folder / FOLDER),
+            self.errors,
+            settings.table_memory,
+            settings.method,
+        )
         self.fields = FieldStore(settings.folder / "fields")
         self.shapes = DeformedSurfaces(self.fields)
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
-        self._dispatcher: Dispatcher | None = None
-        self._engine: Engine | None = None
         self.polls = Polls(self.ledger)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._compliance_requested: dict[str, tuple[str, int]] = {}
 
     def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
-        """Load the tables, recover the jobs that were running, and start solving."""
+        """Map the tables; `loop` is that of the callers who wait for jobs."""
         self._loop = loop
         # Threads of small matrix products only wait for each other, the more the busier the cores.
         threadpool_limits(limits=1)
@@ -100,27 +93,10 @@ class Workspace:
         self.watcher.start()
         self.tables.start()
         self.query_counts.start()
-        self.start_solving()
-
-    def start_solving(self) -> None:
-        """Run the jobs of the ledger, without tables: all that `wrenchbook work` needs."""
-        if not self.settings.solvers or self.settings.part == "web":
-            return
-        settings = self.settings
-        self._engine = open_engine(settings.engine, settings.solvers, scheduler=settings.scheduler)
-        where = self._bundle, self._jobs_folder, self.fields, self.errors
-        self._dispatcher = Dispatcher(self.ledger, self._engine, *where)
-        self._dispatcher.start()
-        self._retention.start()
 
     def close(self) -> None:
-        """Stop; the solves that run are ended and wait again for the next start."""
+        """Stop."""
         self.watcher.stop()
-        self._retention.stop()
-        if self._dispatcher and self._engine:
-            self._dispatcher.stop()
-            self._engine.close()
-            log.info("solvers have ended; the jobs they were at wait for the next start")
         self.reports.close()
         self.shapes.close()
         self.tables.stop()
@@ -134,8 +110,6 @@ class Workspace:
         once a version of its table.
         """
         table = self.tables.surrogate(name)
-        if self.settings.method is not None:
-            table.prefer(self.settings.method)
         if table.needs_compliance:
             self._ask_compliance(name, table)
         return table
@@ -227,22 +201,6 @@ class Workspace:
         # A design separates by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
 
-    def why_waiting(self, job: JobRecord) -> Waiting | None:
-        """Return why a job waits and for how long it may; None if it does not wait."""
-        if job.status != "waiting":
-            return None
-        return why_waiting(self.ledger, job, self.settings.solvers, self.trouble())
-
-    def trouble(self) -> str | None:
-        """Return why no job runs; None if nothing is wrong."""
-        if isinstance(self.tables, MappedTables):
-            return self.tables.trouble()
-        return self._dispatcher.trouble if self._dispatcher else None
-
-    def progress(self, job: JobRecord) -> Progress | None:
-        """Return the progress of a running job; None before its solver's first report."""
-        return read_progress(self.attempt_folder(job))
-
     def notes(self, job: JobRecord) -> list[str]:
         """Return the solver's notes on the answer of a done job."""
         if job.status != "done":
@@ -260,7 +218,7 @@ class Workspace:
             return [f"nothing is accepted: {trouble}"]
         if is_full(self.settings.folder):
             return ["nothing is accepted: the disk is full; make room"]
-        trouble = self.trouble()
+        trouble = self.tables.trouble()
         return [f"jobs do not run: {trouble}"] if trouble else []
 
     def broken(self) -> dict[str, str]:
@@ -272,14 +230,6 @@ class Workspace:
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
         return {**damaged, **self.tables.faults(), **self.library.broken()}
 
-    def _open_tables(self, folder: Path) -> Tables | MappedTables:
-        if self.settings.part == "web":
-            state = CoordinatorState(self.settings.folder / FOLDER)
-            return MappedTables(
-                self.ledger, self.library, folder, state, self.errors, self.settings.table_memory
-            )
-        return Tables(self.ledger, self.library, folder, self.errors, self.settings.table_memory)
-
     def _on_checked(self, component: Component) -> None:
         """Keep the estimate of an upload's check before another process can build its table."""
         estimate = solver_error_of(component.folder, component.fingerprint)
@@ -289,10 +239,8 @@ class Workspace:
             self.errors.settle(component.name, component.fingerprint, estimate)
 
     def _on_added(self, component: Component) -> None:
-        try:
+        with suppress(TableBehindError):  # the ledger has rows of an earlier one of this name
             self.surrogate(component.name)
-        except TableBehindError:
-            self.tables.notify()  # the ledger has rows of an earlier component of this name
 
     def _on_copy(self, component: Component, name: str) -> None:
         """Carry the solver's error along, before rows of the copy can be answered without it."""
@@ -312,13 +260,7 @@ class Workspace:
         except LedgerUnavailableError:
             del self._compliance_requested[name]  # the next query tries again
 
-    def _bundle(self, name: str) -> Path:
-        return self.library[name].folder
-
     def _on_commit(self) -> None:
-        """Wake the tables and the callers that wait for a job; for the watcher's thread."""
-        self.tables.notify()
-        loop = self._loop
-        if loop is None or loop.is_closed():
-            return
-        loop.call_soon_threadsafe(self.polls.notify)
+        """Wake the callers that wait for a job; for the watcher's thread."""
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self.polls.notify)

@@ -111,10 +111,9 @@ def serve(
 
 def _serve(**options: Any) -> None:
     """Serve by the settings found."""
-    from wrenchbook.service.jobs.solver_pool import EngineSettingsError, check_engine
+    from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
     from wrenchbook.service.keys import require_keys
-    from wrenchbook.service.workers.listen import AddressError
-    from wrenchbook.service.workers.supervisor import supervise
+    from wrenchbook.service.workers.supervisor import AddressError, supervise
 
     try:
         check_engine(options["engine"], options["scheduler"])
@@ -165,20 +164,18 @@ def work(
     import signal
     import threading
 
-    from wrenchbook.service.workspace import Settings, Workspace
+    from wrenchbook.service.settings import Settings
+    from wrenchbook.service.workers.builder import opened, solving
 
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    workspace = Workspace(Settings(data, solvers))
-    try:
-        workspace.start_solving()
+    settings = Settings(data, solvers)
+    with opened(settings) as parts, solving(settings, parts):
         ready = {"data": str(data), "solvers": solvers, "pid": os.getpid()}
         line = f"solving for {data} with {solvers} solvers"
         print(json.dumps(ready) if as_json else line, flush=True)
         stop.wait()
-    finally:
-        workspace.close()
 
 
 def demo(

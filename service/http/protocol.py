@@ -25,8 +25,7 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from wrenchbook.service.http.access.headers import PLAIN
-from wrenchbook.service.http.access.permission import PERMISSION, Permission
+from wrenchbook.service.http.access import PERMISSION, PLAIN, Permission
 from wrenchbook.service.http.instrumentation import HEADER, id_of
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.query import answered_at_once, fields_of, plain_query
@@ -239,7 +238,7 @@ class FastPathProtocol(HttpToolsProtocol):
         if self.root_path or config.access_log or self.limit_concurrency is not None:
             self._fast = None  # uvicorn alone logs and counts
         self._partial = b""  # a query of the fast path until all of its body is there
-        self._found: dict[str, Any] = {}  # for the scope of the query that has arrived
+        self._known: dict[str, Any] = {}  # for the scope of the query that has arrived
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
         """Begin a connection; close it if there are too many."""
@@ -264,7 +263,9 @@ class FastPathProtocol(HttpToolsProtocol):
             return
         if self._partial or not self._in_request:
             data, self._partial = self._partial + data, b""
-            if self._fast is not None and self._is_free() and self._answer(self._fast, data):
+            # No other request is being answered, and the caller reads answers.
+            free = not self.flow.write_paused and not self.transport.is_closing()
+            if self._fast and free and self._is_answered() and self._answer(self._fast, data):
                 return
         self._unset_keepalive_if_required()
         try:
@@ -273,7 +274,7 @@ class FastPathProtocol(HttpToolsProtocol):
             pass  # see `on_headers_complete`
         except HttpParserError:
             self._refuse()
-        self._found = {}
+        self._known = {}
 
     def on_message_begin(self) -> None:
         """Begin a request."""
@@ -308,7 +309,7 @@ class FastPathProtocol(HttpToolsProtocol):
         super().on_headers_complete()
         self.app, self._in_body = app, True
         scope: Any = self.scope
-        scope.update(self._found)
+        scope.update(self._known)
         if self._is_last:
             self.cycle.keep_alive = False
 
@@ -384,9 +385,6 @@ class FastPathProtocol(HttpToolsProtocol):
         self.app = refusal.response()
         self.parser = HttpRequestParser(self)
         self.parser.feed_data(b"GET / HTTP/1.1\r\n\r\n")
-        self._log_refusal()
-
-    def _log_refusal(self) -> None:
         kind, now = FastPathProtocol, self.loop.time()
         kind._refusals += 1
         if now - kind._logged_at >= REFUSALS_S:
@@ -423,35 +421,24 @@ class FastPathProtocol(HttpToolsProtocol):
                 self._unset_keepalive_if_required()
             self._partial, self._body_bytes = data, len(data) - head.size
             return True
-        found = fast.answer(head, data[head.size :]) if missing == 0 else {}
-        if isinstance(found, bytes):
+        known = fast.answer(head, data[head.size :]) if missing == 0 else {}
+        if isinstance(known, bytes):
             self._in_request, self._used = False, True
-            self._write(head, found)
+            fields = self.server_state.default_headers
+            self.transport.write(reply_bytes(fields, head, known, close=self._is_last))
+            self.server_state.total_requests += 1
+            self._answered_at = self.loop.time()
+            if self._is_last:
+                self.transport.close()
+            elif self.timeout_keep_alive_task is None:
+                self._close_after(self.timeout_keep_alive)
             return True
-        self._found = found
+        self._known = known
         return False
-
-    def _is_free(self) -> bool:
-        """Return whether no other request is being answered, and the caller reads answers."""
-        return (
-            self._is_answered() and not self.flow.write_paused and not self.transport.is_closing()
-        )
 
     def _is_answered(self) -> bool:
         """Return whether no request of the application is being answered."""
         return self.cycle is None or self.cycle.response_complete
-
-    def _write(self, head: Head, content: bytes) -> None:
-        """Write a 200; the time until an idle connection is closed begins anew."""
-        fields = self.server_state.default_headers
-        self.transport.write(reply_bytes(fields, head, content, close=self._is_last))
-        self.server_state.total_requests += 1
-        if self._is_last:
-            self.transport.close()
-            return
-        self._answered_at = self.loop.time()
-        if self.timeout_keep_alive_task is None:
-            self._close_after(self.timeout_keep_alive)
 
     def _check_timeouts(self) -> None:
         """Close a connection that keeps the server waiting for too long."""

@@ -29,8 +29,8 @@ from wrenchbook.service.ops.checks import (
     move_aside,
 )
 from wrenchbook.service.ops.restore import in_use
-from wrenchbook.service.tables.files import TableFiles
 from wrenchbook.service.tables.rows import unsolved
+from wrenchbook.service.tables.store import TableStore
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows, joined
@@ -162,7 +162,7 @@ def _check_tables(
     """Compare the rows of the ledger and of the table files; repair either from the other."""
     whole, findings = _read_all(folder, mend=mend, count=ledger.count_rows)
     findings += _damaged_rows(ledger, whole, mend=mend)
-    files = TableFiles(folder, ledger)
+    files = TableStore(folder, ledger)
     for name in library.names():
         findings += _compare(ledger, library[name], files, whole.get(name), mend=mend)
         findings += _of_another_setup(ledger, library[name])
@@ -232,7 +232,7 @@ def _damaged_rows(ledger: Ledger, whole: Whole, *, mend: bool) -> Iterator[DataF
 def _compare(
     ledger: Ledger,
     component: Component,
-    files: TableFiles,
+    files: TableStore,
     on_file: tuple[Rows, TableMeta] | None,
     *,
     mend: bool,

@@ -11,7 +11,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any, Protocol
 
-from prometheus_client import CollectorRegistry, GCCollector, ProcessCollector, generate_latest
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -54,16 +54,7 @@ class MetricsSource(Protocol):
 
 
 class Metrics(Collector):
-    """The metrics of one server.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    counts : Counts
-        Queries answered by this process.
-    listeners : callable
-        Returns the number of event listeners of this process.
-    """
+    """The metrics of one server: `counts` and event `listeners` are those of this process."""
 
     def __init__(
         self, workspace: MetricsSource, counts: Counts, listeners: Callable[[], int]
@@ -74,25 +65,13 @@ class Metrics(Collector):
         self._read: Statistics | None = None
         self._version: int | None = None
         self._registry = CollectorRegistry()
-        self._total: Callable[[], tuple[Counts, int, dict[str, int]]] = lambda: (
-            counts,
-            listeners(),
-            {},
-        )
-        self._shared = None
-        if settings.part == "web":
-            folder = settings.folder / SHARED / COUNTS
-            self._shared = SharedCounts(folder, counts, listeners)
-            self._total = self._shared.together
-        else:
-            ProcessCollector(registry=self._registry)
-            GCCollector(registry=self._registry)
+        folder = settings.folder / SHARED / COUNTS
+        self._shared = SharedCounts(folder, counts, listeners)
         self._registry.register(self)
 
     def stop(self) -> None:
         """Stop sharing counts with other processes."""
-        if self._shared:
-            self._shared.stop()
+        self._shared.stop()
 
     def text(self) -> bytes:
         """Return Prometheus' text format. It reads the ledger: not for the event loop."""
@@ -100,13 +79,12 @@ class Metrics(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Yield all metrics."""
-        counts, listening, pids = self._total()
+        counts, listening, pids = self._shared.together()
         yield from _of_queries(counts)
         yield from _of_requests(counts)
         yield GaugeMetricFamily("wrenchbook_event_listeners", "of GET /v1/events", value=listening)
-        if self._shared:
-            builder = CoordinatorState(self._workspace.settings.folder / SHARED).read().pid
-            yield from _of_processes({**pids, "builder": builder} if builder else pids)
+        builder = CoordinatorState(self._workspace.settings.folder / SHARED).read().pid
+        yield from _of_processes({**pids, "builder": builder} if builder else pids)
         yield from self._of_ledger()
         yield from self._of_tables()
         yield from self._of_server()
@@ -177,8 +155,8 @@ def _of_queries(counts: Counts) -> Iterator[Metric]:
     queries = CounterMetricFamily(
         "wrenchbook_queries", "wrenches answered", labels=("coverage", "method")
     )
-    for words, number in sorted(counts.queries().items()):
-        queries.add_metric(words, number)
+    for labels, number in counts.queries().items():
+        queries.add_metric(labels, number)
     yield queries
     text = "time a table took for one call"
     yield HistogramMetricFamily(
@@ -190,8 +168,8 @@ def _of_requests(counts: Counts) -> Iterator[Metric]:
     labels = ("route", "method", "status")
     requests = CounterMetricFamily("wrenchbook_http_requests", "by route template", labels=labels)
     of_route: dict[str, list[float]] = {}
-    for (route, method, status), numbers in sorted(counts.requests().items()):
-        requests.add_metric((route, method, str(status)), sum(numbers[:-1]))
+    for (route, method, status), numbers in counts.of("request"):
+        requests.add_metric((route, method, status), sum(numbers[:-1]))
         total = of_route.get(route, [0.0] * len(numbers))
         of_route[route] = [one + more for one, more in zip(total, numbers, strict=True)]
     yield requests

@@ -27,7 +27,7 @@ from wrenchbook.service.recording.thinning import (
     scaled_loads,
     take,
 )
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import COVERED, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance

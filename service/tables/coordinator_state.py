@@ -33,11 +33,14 @@ class Status:
         Why a component's table is not what the ledger says, by its name.
     pid : int
         Of the building process; 0 if it has written none.
+    failed : dict of str to int
+        The ledger's newest change of a component when its table could not be built.
     """
 
     trouble: str | None = None
     faults: dict[str, str] = field(default_factory=dict)
     pid: int = 0
+    failed: dict[str, int] = field(default_factory=dict)
 
 
 class CoordinatorState:
@@ -53,7 +56,8 @@ class CoordinatorState:
         self._folder = folder
         self._written: Status | None = None
         self._lock: int | None = None
-        folder.mkdir(parents=True, exist_ok=True)
+        with suppress(OSError):  # a web worker answers on a read-only disk
+            folder.mkdir(parents=True, exist_ok=True)
 
     def take(self) -> bool:
         """Take the lock of the process that builds; False if another process has it."""

@@ -14,8 +14,8 @@ from wrenchbook.service.formats import Options, ParsedTable, ReadResult, read_un
 from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import About, Ledger, row_keys
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.tables.rows import noted_rows
-from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.findings.find import MOST
 from wrenchbook.surrogate.table.compliance import fit_compliance
 

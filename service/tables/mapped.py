@@ -1,4 +1,4 @@
-"""Tables that another process builds and this one maps: none is built where answers are given."""
+"""A web worker's tables: mapped from the files that the builder writes, never built for answers."""
 
 from __future__ import annotations
 
@@ -6,30 +6,37 @@ import logging
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables.build import build_table, packed_bytes
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Mapped, Status
-from wrenchbook.service.tables.current import START_S, SWITCH_S, CurrentTables
-from wrenchbook.service.tables.packed_files import (
+from wrenchbook.service.tables.rows import unsolved
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.service.tables.store import (
+    TABLE_MEMORY,
     PackedFile,
+    TableStore,
+    drop_least_used,
     is_of,
-    origin_of,
     setup_of,
 )
-from wrenchbook.service.tables.rows import count_others
-from wrenchbook.service.tables.served import (
-    TABLE_MEMORY,
-    ServedTable,
-    drop_built,
-)
-from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.surrogate.answer import BY_AXES, allowed_by
+from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kriging import Hyperparameters
 from wrenchbook.surrogate.packed.format import PackedTableError
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.compliance import ComplianceFit
+from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
 
@@ -37,22 +44,158 @@ LOOK_S = 0.02  # between looks at the folder: microseconds each
 # A folder's time goes on in steps of up to 10 ms (a kernel's tick): what came within the step of
 # the last look is seen by the looks of this long after a change.
 SETTLED_S = 0.1
+START_S = 30.0  # for a start to wait for the builder: a table that comes later answers 503
+# How long a thread that computes may keep the interpreter from one that answers: about what an
+# answer takes; Python's own 5 ms are felt by each call.
+SWITCH_S = 0.0005
+ROW = "row"  # the method of an answer by one row
+ROW_DETAIL = "the displacement that a row of the table has at this wrench"
+_ALL_PARTS = 4  # the place in the solver's flags of whether error bars have all their parts
 
 
-class MappedTables(CurrentTables):
-    """Tables by component name, mapped from the files that the building process writes.
+class TableBehindError(Exception):
+    """The table does not hold yet all rows that the ledger has; ask again."""
 
-    It has the calls of `Tables`. One thread maps each new version and then swaps it in; without a
-    building process the last versions go on answering.
+    @classmethod
+    def unbuilt(cls, name: str, why: str | None) -> TableBehindError:
+        """Return the error of a table with rows that was never built since the start."""
+        why = why or "it is being built for the first time since the start"
+        return cls(
+            f"the table of {name!r} has rows and cannot answer yet: {why}. No solve was queued; "
+            "ask again in a while"
+        )
 
-    Parameters
-    ----------
-    ledger, library, folder
-        As of `Tables`.
-    state : CoordinatorState
-        Of the building process.
-    errors, memory
-        As of `Tables`.
+
+class ServedTable:
+    """A packed table and its facts; rows and numpy table are read and built on first use.
+
+    `sources` has the number of rows of each source, `default` the method that answers without a
+    choice of the caller's, `interfaces` the names where there are several, `needs_compliance`
+    whether solves of a linear component's 6x6 compliance are missing, and `bars_are_whole` whether
+    error bars have all their parts. `other_rows` are rows of another setup of the component, and
+    `other_wrenches` their wrenches that no row here has.
+    """
+
+    other_rows: int = 0
+    other_wrenches: int = 0
+
+    def __init__(
+        self,
+        packed: PackedTable,
+        rows_of: Callable[[], Rows] | None = None,
+        built: AnyTable | None = None,
+        method: str | None = None,
+    ) -> None:
+        self.packed, self._rows_of, self.built = packed, rows_of, built
+        self._rows = None if built is None else built.rows
+        self.used, self._lock = time.monotonic(), threading.Lock()
+        provenance, self.summary = packed.words["provenance"], packed.words["summary"]
+        self.version: int = provenance["version"]
+        self.row_count: int = provenance["rows"]
+        self.sources: dict[str, int] = provenance["sources"]
+        self.linear: bool = provenance["linear"]
+        self.default: str = packed.words["groups"][0]["method"]
+        self.needs_compliance = self.linear and not self.fit.complete
+        self.bars_are_whole = bool(packed.arrays["solver/flags"][_ALL_PARTS])
+        low, high = packed.arrays["space/range"]
+        self.load_range = LoadRange(low, high, Space.read(packed.words["space"]))
+        self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
+        self.interfaces = self.load_range.space.several
+        limit = packed.arrays["space/tolerance"][[0, 3]].tolist()
+        self.tolerance = Tolerance(*limit) if np.isfinite(limit).all() else None
+        self.solver_error = SolverError.read(packed.words["solver_error"])
+        # The server's method answers where the table's inputs have it.
+        if method is not None and (self.load_range.space.is_default or method not in BY_AXES):
+            self.packed.method = self.default = method
+        packed.answer([0.0] * len(packed.words["space"]["inputs"]))  # reads pages: 0.1 ms
+
+    @property
+    def rows(self) -> Rows:
+        """The rows of this version, read on first use: 0.05 s for 20,000."""
+        rows, self.used = self._rows, time.monotonic()
+        if rows is None:
+            assert self._rows_of is not None
+            rows = self._rows = self._rows_of()
+        return rows
+
+    def surrogate(self) -> AnyTable:
+        """Return the numpy table, built from the rows on first use: seconds for 20,000."""
+        with self._lock:
+            built, self.used = self.built, time.monotonic()
+            if built is None:
+                built = self.built = build(
+                    self.rows,
+                    self.load_range,
+                    tolerance=self.tolerance,
+                    linear=self.linear,
+                    version=self.version,
+                    solver_error=self.solver_error,
+                    locked=self.locked,
+                )
+            built.packed = self.packed
+            return built
+
+    def rows_in_memory(self) -> int:
+        """Return the number of rows in memory; 0 if nothing could read them again."""
+        return 0 if self._rows is None or self._rows_of is None else self.row_count
+
+    def drop(self) -> None:
+        """Drop rows and numpy table."""
+        self.built = self._rows = None
+
+    def limits(self, tolerance: Tolerance | None) -> tuple[float, ...] | None:
+        """Return the largest error of each output by a tolerance, (m,), m and rad."""
+        return None if tolerance is None else allowed_by(tolerance, self.load_range.space)
+
+    @property
+    def fit(self) -> ComplianceFit:
+        """The compliance of the outputs that the fewest rows hold."""
+        matrix, half_width, known = (
+            self.packed.arrays[f"g0/fit/{name}"] for name in ("matrix", "bar", "known")
+        )
+        origin = self.summary["compliance"]["origin"]
+        offset = self.packed.arrays.get("g0/fit/offset", np.zeros(len(matrix)))
+        return ComplianceFit(matrix, known.astype(bool), half_width, origin, offset)
+
+    @property
+    def steepest(self) -> Floats:
+        """The largest change of each output over half the load range, (6,), m and rad."""
+        arrays = self.packed.arrays
+        steepest = np.zeros(len(self.load_range.space.outputs))
+        for group in range(len(self.packed.words["groups"])):
+            outputs = arrays[f"g{group}/outputs"].astype(bool)
+            steepest[outputs] = arrays[f"g{group}/row/steepest"][outputs]
+        return steepest
+
+    @property
+    def hyperparameters(self) -> Hyperparameters | None:
+        """Those of the first outputs that have a kriging, None without one."""
+        arrays = self.packed.arrays
+        for group in range(len(self.packed.words["groups"])):
+            if f"g{group}/kriging/rates" in arrays:
+                weights = arrays[f"g{group}/kriging/terms"][:, -1]
+                groups = self.load_range.space.kriging_groups
+                stated = arrays.get(f"g{group}/kriging/smoothness", [Hyperparameters.smoothness])
+                rates = arrays[f"g{group}/kriging/rates"]
+                return Hyperparameters(rates, weights, groups, int(stated[0]))
+        return None
+
+    def method_detail(self, method: str) -> str:
+        """How a method answers, or why it is the one that does, in the group of the fewest rows."""
+        group = self.packed.words["groups"][0]
+        if method == ROW:
+            return ROW_DETAIL
+        if method == "kriging" and group["kriging"]:
+            return group["kriging"]
+        return group["method_reason"] if method == group["method"] else "asked for"
+
+
+class MappedTables:
+    """The newest tables by component name, mapped from the files that the builder writes.
+
+    A request takes the table there is (`surrogate`, a dictionary look-up). One thread maps each
+    new version and then swaps it in; without a builder the last versions go on answering.
+    `method` answers where a request names none; `memory` is in MB.
     """
 
     def __init__(
@@ -63,22 +206,28 @@ class MappedTables(CurrentTables):
         state: CoordinatorState,
         errors: SolverErrors | None = None,
         memory: float = TABLE_MEMORY,
+        method: str | None = None,
     ) -> None:
-        super().__init__(ledger, library, folder, errors, memory)
-        self._state = state
+        self._ledger, self._library, self._state = ledger, library, state
+        self._memory, self._method = memory, method
+        self._store = TableStore(folder, ledger, errors)
+        self.written = self._store.written
+        self._tables: dict[str, ServedTable] = {}
         self._mapped: dict[str, tuple[PackedFile, Component]] = {}
         self._refused: dict[Path, tuple[PackedFile, Component]] = {}
         self._unread: dict[str, str] = {}
         self._status, self._published = Status(), Mapped()
+        self._changed = threading.Condition()
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="tables-follow", daemon=True)
 
     def start(self) -> None:
-        """Start to follow; return once every table is there that the builder can build."""
+        """Start to follow; return once the small tables are there that the builder can build."""
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_S))
         self._thread.start()
-        names = set(self._library.names())
-        with self._grown:
-            self._grown.wait_for(lambda: names <= {*self._mapped, *self.faults()}, START_S)
+        names = self._store.small(self._library.names())
+        with self._changed:
+            self._changed.wait_for(lambda: names <= {*self._mapped, *self.faults()}, START_S)
 
     def stop(self) -> None:
         """Stop following."""
@@ -87,12 +236,36 @@ class MappedTables(CurrentTables):
             self._thread.join()
         self._state.unpublish()
 
+    def surrogate(self, name: str) -> ServedTable:
+        """Return the newest table of a component.
+
+        Raises UnknownComponentError, and TableBehindError if it has rows and has not been built
+        since the start.
+        """
+        known = self._tables.get(name)
+        if known is not None:
+            return known
+        component = self._library[name]
+        if self._store.size(name):
+            raise TableBehindError.unbuilt(name, self.faults().get(name))
+        table = build_table(
+            component, Rows.empty(component.space), 0, self._store.solver_error(component)
+        )
+        packed = PackedTable.from_bytes(packed_bytes(table, component))
+        with self._changed:
+            empty = ServedTable(packed, built=table, method=self._method)
+            return self._tables.setdefault(name, empty)
+
+    def present(self) -> dict[str, ServedTable]:
+        """Return the tables that answer now, by component."""
+        return self._tables.copy()
+
     def faults(self) -> dict[str, str]:
-        """Return why a component's table differs from the ledger, by its name."""
+        """Why a component's table differs from the ledger, by its name."""
         return {**self._status.faults, **self._unread}
 
     def trouble(self) -> str | None:
-        """Return why no job runs, as far as it is known here."""
+        """Why no job runs, as far as it is known here."""
         if not self._state.is_taken():
             return "the process that runs them has ended; it is started again"
         return self._status.trouble
@@ -101,56 +274,53 @@ class MappedTables(CurrentTables):
         """Return the components that have no table yet: they answer 503 if they have rows."""
         return [name for name in self._library.names() if name not in self._tables]
 
-    def notify(self) -> None:
-        """Do nothing: the builder has seen by itself what has changed."""
-
     def catch_up(self, name: str, timeout: float) -> bool:
-        """Wait until a table holds all rows committed when this is called, in each web worker.
+        """Wait until every web worker's table holds all rows committed when this is called.
 
         Returns False if time ran out, or if the table cannot be built: see `faults`.
         """
         goal, end = self._ledger.last_seq(name), time.monotonic() + timeout
         component = self._library[name]
+        setup = setup_of(component)
 
-        def settled() -> bool:
+        def holds() -> bool:
             # A file that does not fit a component that was just added is written anew.
-            return self._holds(component, goal) or name in self._status.faults
+            table = self._tables.get(name)
+            return table is not None and table.version >= goal and _mark(table)[1] == setup
 
-        with self._grown:
-            self._grown.wait_for(settled, timeout)
-        while self._holds(component, goal):
-            if self._others_hold(name, goal, setup_of(component)):
+        def ended() -> bool:
+            failed = name in self._status.faults and self._status.failed.get(name, -1) >= goal
+            return holds() or failed
+
+        with self._changed:
+            self._changed.wait_for(ended, timeout)
+        while holds():
+            others = (mapped.get(name, [0, ""]) for mapped in self._state.others())
+            if all(int(version) >= goal and its == setup for version, its in others):
                 return True
             if time.monotonic() >= end or self._stopping.wait(LOOK_S / 4):
                 break
         return False
 
-    def _others_hold(self, name: str, goal: int, setup: str) -> bool:
-        """Return whether the other web workers answer from a table up to goal, of a setup."""
-        found = (one.get(name, [0, ""]) for one in self._state.others())
-        return all(int(version) >= goal and its == setup for version, its in found)
-
-    def _holds(self, component: Component, goal: int) -> bool:
-        """Return whether a table is of the component as it is now and has all rows up to goal."""
-        table = self._tables.get(component.name)
-        if table is None or table.version < goal:
-            return False
-        return _mark(table)[1] == setup_of(component)
-
-    def _late(self) -> str:
-        ended = "; the process that builds tables has ended and is started again"
-        return "" if self._state.is_taken() else ended
-
-    def _look(self, name: str) -> None:
-        """Do nothing: the builder looks at the ledger itself."""
+    def caught_up(self, name: str, timeout: float) -> ServedTable:
+        """Return the table with all rows committed by now, or raise TableBehindError."""
+        if self.catch_up(name, timeout):
+            return self.surrogate(name)
+        why = self.faults().get(name, f"its newest rows are not in it after {timeout:g} s")
+        if not self._state.is_taken():
+            why += "; the process that builds tables has ended and is started again"
+        raise TableBehindError(
+            f"the table of {name!r} is older than the ledger: {why}. No solve was queued; ask "
+            "again in a while"
+        )
 
     def _follow(self) -> None:
         seen, changed = None, 0.0
         while not self._stopping.wait(LOOK_S):
             try:
-                drop_built(self.present().values(), self._memory)
+                drop_least_used(self.present().values(), self._memory)
                 # The library's version takes up what another process has added.
-                now = self._library.version(), self._packed.stamp(), self._state.read()
+                now = self._library.version(), self._store.stamp(), self._state.read()
                 if now != seen:
                     seen, changed = now, time.monotonic()
                 elif time.monotonic() - changed > SETTLED_S:
@@ -162,7 +332,7 @@ class MappedTables(CurrentTables):
                 self._stopping.wait(1.0)
 
     def _map_new(self, status: Status) -> None:
-        for name, files in self._packed.found().items():
+        for name, files in self._store.packed_files().items():
             if name in self._library:
                 component = self._library[name]
                 next((file for file in files if self._map(component, file)), None)
@@ -170,11 +340,12 @@ class MappedTables(CurrentTables):
                     self._unread.pop(name, None)
         mapped = {name: _mark(table) for name, table in self.present().items()}
         if mapped != self._published or status != self._status:  # a new builder's folder is empty
-            self._state.publish(mapped)
-            self._published = mapped
-        with self._grown:
+            with suppress(OSError):  # answers need no disk
+                self._state.publish(mapped)
+                self._published = mapped
+        with self._changed:
             self._status = status
-            self._grown.notify_all()
+            self._changed.notify_all()
 
     def _map(self, component: Component, file: PackedFile) -> bool:
         """Take a file up unless it is of anything else; return whether it is taken up."""
@@ -183,25 +354,71 @@ class MappedTables(CurrentTables):
             return seen == self._mapped.get(name)
         try:
             packed = PackedTable.open(file.path)
-            origin = origin_of(self._ledger, component, file.version, self._errors)
-            if not is_of(packed, name, origin):
+            if not is_of(packed, name, self._store.origin(component, file.version)):
                 raise PackedTableError(f"{file.path} is not of version {file.version} of {name}")
-            rows_of = partial(self._files.rows, component, file.version)
-            table = ServedTable(packed, rows_of)
+            rows_of = partial(self._store.rows, component, file.version)
+            table = ServedTable(packed, rows_of, method=self._method)
         except (PackedTableError, KeyError) as error:
             if file.path.exists():
                 log.error("the table of %s stays as it is: %s", name, error)
                 self._unread[name], self._refused[file.path] = str(error), seen
             return False
         with suppress(LedgerUnavailableError):
-            count_others(self._ledger, component, table)
-        with self._grown:
+            others = self._ledger.of_other_setups(name, component.fingerprint)
+            table.other_rows = sum(others.values())
+            solved = not component.has_fea or (table.linear and not table.needs_compliance)
+            if others and not solved:
+                table.other_wrenches = len(unsolved(component, others, table.rows.wrench))
+        with self._changed:
             self._unread.pop(name, None)
             self._tables[name], self._mapped[name] = table, seen
-            self._grown.notify_all()
+            self._changed.notify_all()
         return True
 
 
 def _mark(table: ServedTable) -> list[int | str]:
     """Return a table's version, and the setup that its file was built from."""
     return [table.version, table.packed.words["provenance"]["origin"].get("setup", "")]
+
+
+def row_table(
+    component: Component, row: Rows, error: SolverError | None, near: ServedTable
+) -> ServedTable:
+    """Return a table of one row, which answers its wrench until the component's table holds it.
+
+    A row without a tangent takes the steepest slopes of `near`, the component's newest table.
+    """
+    built = build(
+        row,
+        component.load_range,
+        tolerance=component.tolerance,
+        linear=False,  # the row answers, and no compliance through it
+        version=max(near.version, int(row.seq[0])),
+        solver_error=error,
+        locked=component.idle,
+    )
+    for _, group in built.groups:
+        group.exact.steepest = np.fmax(group.exact.steepest, near.steepest)
+    return ServedTable(PackedTable.from_bytes(packed_bytes(built, component)), built=built)
+
+
+def others_in_words(name: str, table: ServedTable) -> str:
+    """Return how many rows belong to another setup and what to do; empty if nothing is to do."""
+    if not table.other_wrenches:
+        return ""
+    return (
+        f"{table.other_rows} rows belong to another setup of {name!r} and are not in its table: "
+        f"POST /v1/components/{name}/table/resolve, or wrenchbook resolve {name}, solves their "
+        f"{table.other_wrenches} wrenches again"
+    )
+
+
+def warning_of(component: Component, table: ServedTable) -> str:
+    """As `others_in_words`, also of a component that nothing can be solved for."""
+    if component.has_fea or not table.other_rows:
+        return others_in_words(component.name, table)
+    return (
+        f"{table.other_rows} rows belong to another setup of {component.name!r} and are not in its "
+        "table: it has no finite-element setup now. Put its files back, or export the rows and "
+        "load them as measured ones, without a fingerprint"
+    )

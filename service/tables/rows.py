@@ -18,10 +18,9 @@ from wrenchbook.service.formats import ParsedTable
 from wrenchbook.service.formats.rows import MEASURED
 from wrenchbook.service.ledger import ImportRecord, Ledger, NotedRows, packed, unpacked
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.served import ServedTable
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
-from wrenchbook.surrogate.table.rows import Floats, Rows, joined_columns
+from wrenchbook.surrogate.table.rows import Floats, Rows, joined, joined_columns
 
 CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
@@ -133,24 +132,19 @@ def _who(seq: int, firsts: list[int], spans: Sequence[tuple[int, int, ImportReco
     return spans[at][2].who if at >= 0 and seq <= spans[at][1] else ""
 
 
-def without(rows: Rows, removed: Iterable[int]) -> Rows:
-    """Return rows without those of some numbers."""
-    return rows.take(~np.isin(rows.seq, list(removed)))
-
-
-def count_others(ledger: Ledger, component: Component, table: ServedTable) -> None:
-    """Note at a table how many rows of other setups the ledger has.
-
-    Raises
-    ------
-    LedgerUnavailableError
-        If the ledger cannot be read.
-    """
-    found = ledger.of_other_setups(component.name, component.fingerprint)
-    table.other_rows = sum(found.values())
-    settled = not component.has_fea or (table.linear and not table.needs_compliance)
-    if found and not settled:
-        table.other_wrenches = len(unsolved(component, found, table.rows.wrench))
+def followed(ledger: Ledger, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
+    """Return a component's rows with the ledger's changes after a seq, and up to which seq."""
+    fresh = [rows]  # joined at the end: a table of a million rows comes in fifty parts
+    setup = {"space": component.space, "fingerprint": component.fingerprint}
+    while True:
+        changes = ledger.row_changes(component.name, after, **setup)
+        if changes.gone:
+            kept = joined(fresh)
+            fresh = [kept.take(~np.isin(kept.seq, list(changes.gone)))]
+        fresh.append(changes.rows)
+        after = changes.last_seq
+        if changes.whole:
+            return joined(fresh), after
 
 
 def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Floats:
@@ -172,25 +166,3 @@ def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Fl
     distinct = dict.fromkeys(packed(component.acting(unpacked(others, inputs))))
     has = set(packed(component.acting(known)))
     return unpacked((wrench for wrench in distinct if wrench not in has), inputs)
-
-
-def others_in_words(name: str, table: ServedTable) -> str:
-    """Return how many rows belong to another setup and what to do; empty if nothing is to do."""
-    if not table.other_wrenches:
-        return ""
-    return (
-        f"{table.other_rows} rows belong to another setup of {name!r} and are not in its table: "
-        f"POST /v1/components/{name}/table/resolve, or wrenchbook resolve {name}, solves their "
-        f"{table.other_wrenches} wrenches again"
-    )
-
-
-def warning_of(component: Component, table: ServedTable) -> str:
-    """Return `others_in_words`; also of a component that nothing can be solved for."""
-    if component.has_fea or not table.other_rows:
-        return others_in_words(component.name, table)
-    return (
-        f"{table.other_rows} rows belong to another setup of {component.name!r} and are not in its "
-        "table: it has no finite-element setup now. Put its files back, or export the rows and "
-        "load them as measured ones, without a fingerprint"
-    )

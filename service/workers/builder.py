@@ -3,63 +3,116 @@
 from __future__ import annotations
 
 import logging
-import os
 import signal
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
+from threadpoolctl import threadpool_limits
 from uvicorn.config import STARTUP_FAILURE
 
-from wrenchbook.service.settings import settings_of_options
-from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState, Status
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.fields.store import FieldStore
+from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.jobs.engines import open_engine
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.ops.retention import Retention
+from wrenchbook.service.settings import Settings, settings_of_options
+from wrenchbook.service.tables.build import TableBuilder
+from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
+from wrenchbook.service.tables.solver_errors import SolverErrors
 
 log = logging.getLogger(__name__)
 
-STATUS_S = 0.25  # between two looks at the status that web workers read
+Parts = tuple[Ledger, Library, SolverErrors]
 
 
-class Builder:
-    """Builds tables and dispatches jobs until SIGTERM.
+@contextmanager
+def opened(settings: Settings) -> Iterator[Parts]:
+    """Open ledger, library and solver errors of a data directory.
 
-    Attributes
-    ----------
-    started : bool
-        Whether the tables are loaded and jobs run.
+    A full disk or a damaged ledger does not keep the existing tables from answering.
     """
+    folder = settings.folder
+    ledger = Ledger(folder / "ledger.sqlite", patient=True)
+    try:
+        if trouble := ledger.trouble():
+            log.error("nothing is accepted until this is repaired: %s", trouble)
+        library = Library(folder / "components", allow_decks=settings.allow_decks)
+        yield ledger, library, SolverErrors(ledger)
+    finally:
+        ledger.close()
 
-    def __init__(self, options: Mapping[str, Any]) -> None:
-        self._settings = settings_of_options(options, "builder")
-        self._state = CoordinatorState(self._settings.folder / FOLDER)
-        self._stop = threading.Event()
-        self.started = False
 
-    def run(self, sockets: object = None) -> None:
-        """Build and dispatch; a data directory with another builder ends the process."""
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the parent ends this process
-        signal.signal(signal.SIGTERM, lambda *_: self._stop.set())
-        if not self._state.take():
-            log.error(
-                "another server uses %s; stop it first, or serve another directory with --data",
-                self._settings.folder,
-            )
-            sys.exit(STARTUP_FAILURE)
-        workspace = Workspace(self._settings)
-        try:
-            workspace.start()
-            self._write_status(workspace)
-            self.started = True
-            while not self._stop.wait(STATUS_S):
-                self._write_status(workspace)
-        finally:
-            workspace.close()
-            self._state.release()
+@contextmanager
+def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
+    """Run the jobs of a ledger, if the settings have solvers: all that `wrenchbook work` needs.
 
-    def _write_status(self, workspace: Workspace) -> None:
-        try:
-            faults = workspace.tables.faults()
-            self._state.write(Status(workspace.trouble(), faults, os.getpid()))
-        except OSError as error:
-            log.warning("the builder's status cannot be written for web workers: %s", error)
+    Solves that run at the end are ended, and wait for the next start.
+    """
+    if not settings.solvers:
+        yield None
+        return
+    (ledger, library, errors), jobs = parts, settings.folder / "jobs"
+    engine = open_engine(settings.engine, settings.solvers, scheduler=settings.scheduler)
+    fields = FieldStore(settings.folder / "fields")
+    dispatcher = Dispatcher(ledger, engine, lambda name: library[name].folder, jobs, fields, errors)
+    retention = Retention(ledger, jobs, settings.keep)
+    dispatcher.start()
+    retention.start()
+    try:
+        yield dispatcher
+    finally:
+        retention.stop()
+        dispatcher.stop()
+        engine.close()
+        log.info("solvers have ended; the jobs they were at wait for the next start")
+
+
+@contextmanager
+def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Iterator[TableBuilder]:
+    """Build tables and run jobs, once the small tables are there."""
+    # Threads of small matrix products only wait for each other, the more the busier the cores.
+    threadpool_limits(limits=1)
+    ledger, library, errors = parts
+    dispatcher: Dispatcher | None = None
+    tables = TableBuilder(
+        ledger,
+        library,
+        settings.folder / "tables",
+        state,
+        errors,
+        settings.table_memory,
+        trouble=lambda: dispatcher and dispatcher.trouble,
+    )
+    with ExitStack() as stack:
+        stack.callback(tables.stop)
+        tables.start()
+        dispatcher = stack.enter_context(solving(settings, parts))
+        yield tables
+
+
+def run(options: Mapping[str, Any], started: threading.Event) -> None:
+    """Build tables and dispatch jobs until SIGTERM; `started` is set once both are at work.
+
+    A data directory with another builder ends the process.
+    """
+    stop = threading.Event()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the parent ends this process
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    settings = settings_of_options(options)
+    state = CoordinatorState(settings.folder / FOLDER)
+    if not state.take():
+        log.error(
+            "another server uses %s; stop it first, or serve another directory with --data",
+            settings.folder,
+        )
+        sys.exit(STARTUP_FAILURE)
+    try:
+        with opened(settings) as parts, building(settings, parts, state):
+            started.set()
+            stop.wait()
+    finally:
+        state.release()

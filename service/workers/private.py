@@ -1,4 +1,4 @@
-"""A server of one's own for the length of a command."""
+"""A private server for the length of a command."""
 
 from __future__ import annotations
 
@@ -28,12 +28,9 @@ class ServerDidNotStartError(RuntimeError):
 
 @contextmanager
 def private_server(folder: Path, solvers: int) -> Iterator[Client]:
-    """Start a server of one's own on a data directory and stop it at the end.
+    """Start a server on a data directory, for the length of a command.
 
-    Raises
-    ------
-    ServerDidNotStartError
-        If it is not ready within a minute.
+    Raises ServerDidNotStartError if it is not ready within a minute.
     """
     command = child_command("wrenchbook.service.cli.main", "serve", "--data", str(folder))
     command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
@@ -47,48 +44,33 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
             env=os.environ | {OWN_KEY: key},
             process_group=0,  # Ctrl-C ends the command, which then cancels its jobs at the server
         )
+        assert server.stdout is not None
+        watchdog = threading.Timer(START_S, server.kill)  # ends a silent server
         try:
-            with Client(_address(server, log), timeout=START_S, key=key) as client:
-                _wait_until_ready(client, server, log)
+            watchdog.start()
+            lines = (line for line in server.stdout if line.startswith(_ANNOUNCEMENT))
+            address = next(lines, "").removeprefix(_ANNOUNCEMENT).strip()
+            watchdog.cancel()
+            if not address:
+                raise _did_not_start(log)
+            with Client(address, timeout=START_S, key=key) as client:
+                deadline = time.monotonic() + START_S
+                while not client.is_ready():
+                    if time.monotonic() > deadline or server.poll() is not None:
+                        raise _did_not_start(log)
+                    time.sleep(0.05)
                 yield client
         finally:
-            _stop(server)
-
-
-def _address(server: subprocess.Popen[str], log: TextIO) -> str:
-    """Read the announced address; a silent server is ended after a minute."""
-    assert server.stdout is not None
-    watchdog = threading.Timer(START_S, server.kill)
-    watchdog.start()
-    try:
-        for line in server.stdout:
-            if line.startswith(_ANNOUNCEMENT):
-                return line.removeprefix(_ANNOUNCEMENT).strip()
-    finally:
-        watchdog.cancel()
-    raise _did_not_start(log)
-
-
-def _wait_until_ready(client: Client, server: subprocess.Popen[str], log: TextIO) -> None:
-    deadline = time.monotonic() + START_S
-    while time.monotonic() < deadline and server.poll() is None:
-        if client.is_ready():
-            return
-        time.sleep(0.05)
-    raise _did_not_start(log)
+            watchdog.cancel()
+            server.terminate()
+            try:
+                server.wait(STOP_S)
+            except subprocess.TimeoutExpired:
+                server.kill()
+                server.wait()
+            server.stdout.close()
 
 
 def _did_not_start(log: TextIO) -> ServerDidNotStartError:
     log.seek(0)
     return ServerDidNotStartError(f"The server did not start. Its log ends:\n{log.read()[-2000:]}")
-
-
-def _stop(server: subprocess.Popen[str]) -> None:
-    server.terminate()
-    try:
-        server.wait(STOP_S)
-    except subprocess.TimeoutExpired:
-        server.kill()
-        server.wait()
-    if server.stdout:
-        server.stdout.close()

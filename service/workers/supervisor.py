@@ -1,7 +1,8 @@
-"""The parent process of a server: uvicorn's supervisor of web workers, and of one builder.
+"""The parent process of a server, which keeps one builder and the web workers running.
 
 It holds the listening socket, so that connections in its queue outlive a web worker, and imports
-neither tables nor the ledger.
+neither tables nor the ledger. uvicorn's `Multiprocess` has neither a second kind of process nor
+replaced web workers that finish imports of minutes, and waits for each answer to a ping.
 """
 
 from __future__ import annotations
@@ -16,265 +17,231 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from functools import partial
 from multiprocessing import forkserver
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Final
 
-from uvicorn import Config
 from uvicorn.config import STARTUP_FAILURE
 from uvicorn.importer import import_from_string
-from uvicorn.supervisors import multiprocess
 
 from wrenchbook.service.ops.logs import set_up
-from wrenchbook.service.workers.listen import bind_to
 
 log = logging.getLogger("wrenchbook.service.workers")
 
-BUILDER: Final = "wrenchbook.service.workers.builder:Builder"
-WEB_WORKER: Final = "wrenchbook.service.workers.web_worker:WebWorker"
-# For an answer to a ping, and for the start of a web worker at SIGHUP: on a machine with ten times
+# Name in ps and top, and what a process runs: `run(options, started, *sockets)`.
+BUILDER: Final = "wb-builder", "wrenchbook.service.workers.builder:run"
+WEB_WORKER: Final = "wb-webworker", "wrenchbook.service.workers.web_worker:run"
+HEARTBEAT_S: Final = 0.25
+# Without a heartbeat, and for the start of a web worker at SIGHUP: on a machine with ten times
 # the work it can do, a thread waited for 3 s and a start took 20 s.
-HEALTH_S: Final = 30
+HEALTH_S: Final = 30.0
 RETIRE: Final = signal.SIGUSR1  # to a web worker that is replaced: see `Server.retire`
 STOP_S: Final = 30.0  # for a process to end after SIGTERM
-LOOK_S: Final = 0.05  # between two looks at processes that start
+LOOK_S: Final = 0.1  # between two looks at signals and heartbeats; an end is seen at once
 _ENDS: Final = frozenset({signal.SIGINT, signal.SIGTERM})
 # From SIGTERM until connections are refused: web workers take those that wait within 0.1 s.
 REFUSE_AFTER_S: Final = 0.2
 
-
 # Child processes are forked from one that has imported their modules: three seconds, once.
 forks = multiprocessing.get_context("forkserver")
+
+
+class AddressError(OSError):
+    """A server cannot listen on the address it was given."""
 
 
 class WorkerFailedError(RuntimeError):
     """A process of the server could not start; its log says why."""
 
 
-class Worker(multiprocess.Process):
-    """A child process, which runs what `config.app` makes: `run(sockets)`, `started`.
+class Child:
+    """A child process, which ends at once with its parent; `started` is by its last heartbeat."""
 
-    It ends at once with its parent, whatever ends that.
-    """
+    def __init__(self, kind: tuple[str, str], options: Mapping[str, Any], *sockets: Any) -> None:
+        self._heartbeats, end = forks.Pipe(duplex=False)
+        self.process = forks.Process(target=_run, args=(*kind, dict(options), end, *sockets))
+        self.process.start()
+        end.close()
+        self.name, self.started, self.begun = kind[0], False, time.monotonic()
+        self._heard = self.begun
 
-    def __init__(self, config: Config, sockets: list[socket.socket]) -> None:
-        super().__init__(config, sockets)
-        self.process: Any = forks.Process(target=self.target, args=(sockets,))
-        self._pinged_at: float | None = None  # while the answer to a ping of `is_alive` is due
-
-    def target(self, sockets: list[socket.socket] | None = None) -> None:
-        """Run in the child."""
-        threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
-        make: Any = self.config.app
-        self._server = make()
-        super().target(sockets)
-
-    def is_alive(self, timeout: float = HEALTH_S) -> bool:
-        """Return whether it runs, and has answered the last ping or has `timeout` left for that.
-
-        Waits for nothing: a build can keep the builder from an answer for half a minute, and
-        signals and ends of other processes cannot wait for that.
-        """
-        if not self.process.is_alive():
-            return False
+    def is_healthy(self) -> bool:
+        """Return whether it runs and has sent a heartbeat within `HEALTH_S`; waits for nothing."""
         with suppress(OSError, EOFError):
-            while self.parent_conn.poll():
-                self.parent_conn.recv()
-                self._pinged_at = None
-            if self._pinged_at is None:
-                self.parent_conn.send(b"ping")
-                self._pinged_at = time.monotonic()
-            return time.monotonic() - self._pinged_at < timeout
-        return False
+            while self._heartbeats.poll():
+                self.started, self._heard = self._heartbeats.recv(), time.monotonic()
+        return self.process.is_alive() and time.monotonic() - self._heard < HEALTH_S
 
-    def _healthcheck(self, timeout: float) -> bool | None:
-        """Return whether it has started; None if it does not answer a ping, or ends meanwhile."""
-        with suppress(OSError, EOFError):
-            self.parent_conn.send(b"ping")
-            if self.parent_conn in wait([self.parent_conn, self.process.sentinel], timeout):
-                return self.parent_conn.recv()
-        return None
+    def send(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        if self.process.is_alive():
+            with suppress(ProcessLookupError):
+                os.kill(self.process.pid or 0, number)
 
+    def join(self) -> None:
+        """Return once it has ended; kill it after `STOP_S`."""
+        self.process.join(STOP_S)
+        if self.process.exitcode is None:
+            log.error("pid %s did not end in %g s and is killed", self.process.pid, STOP_S)
+            self.kill()
 
-def _wait_for_end(worker: multiprocess.Process) -> None:
-    """Return once a process has ended; kill it after `STOP_S`."""
-    worker.process.join(STOP_S)
-    if worker.exitcode is None:
-        log.error("pid %s did not end in %g s and is killed", worker.pid, STOP_S)
-        worker.process.kill()
-        worker.process.join()
+    def kill(self) -> None:
+        """End it at once."""
+        self.process.kill()
+        self.process.join()
 
 
-class Supervisor(multiprocess.Multiprocess):
+def _run(
+    name: str, path: str, options: Mapping[str, Any], end: Connection, *sockets: socket.socket
+) -> None:
+    """Run in a child process; end it when its parent has ended, and leave solvers running."""
+    started = threading.Event()
+
+    def heartbeat() -> None:
+        with suppress(OSError):
+            while True:
+                end.send(started.is_set())
+                time.sleep(HEARTBEAT_S)
+        os._exit(1)
+
+    threading.Thread(target=heartbeat, name="heartbeat", daemon=True).start()
+    with suppress(OSError):  # Linux: the name of the process in ps and top
+        Path("/proc/self/comm").write_text(name)
+    set_up(options["log_level"], options["log_format"])
+    import_from_string(path)(options, started, *sockets)
+
+
+class Supervisor:
     """Keeps the builder and the web workers running until SIGTERM or SIGINT.
 
-    SIGHUP restarts the web workers one after the other.
-
-    Parameters
-    ----------
-    builder, web : Config
-        Of the two kinds of process.
-    bound : socket
-    ready : str
-        The line that is printed once all processes have started.
-
-    Attributes
-    ----------
-    failed : str
-        Why the server ends without a signal; empty while it does not.
+    SIGHUP replaces the web workers, each once its successor has started. `ready` is printed once
+    all processes have started; `failed` says why the server ends without a signal.
     """
 
-    def __init__(self, builder: Config, web: Config, bound: socket.socket, ready: str) -> None:
-        super().__init__(web, [bound])
-        self._builder_config, self._ready = builder, ready
-        self._builder = Worker(builder, [])
-        self._retired: list[multiprocess.Process] = []  # replaced, and finishing their requests
+    def __init__(self, options: Mapping[str, Any], bound: socket.socket, ready: str) -> None:
+        self._options, self._bound, self._ready = options, bound, ready
+        self._signals: list[int] = []
+        self._builder = self._start(BUILDER)
+        self._web = [self._start(WEB_WORKER) for _ in range(options["processes"])]
+        self._to_replace = 0  # web workers, of a restart that has begun
+        self._successor: Child | None = None
+        self._retired: list[Child] = []  # replaced, and finishing their requests
         self.failed = ""
 
-    def init_processes(self) -> None:
-        """Start all processes, and print the address once all have started."""
-        self._builder.start()
-        super().init_processes()
-        waiting = [self._builder, *self.processes]
-        while waiting and not self.signal_queue:
-            if any(not one.process.is_alive() for one in waiting):
-                self._fail("a process of the server did not start; its log says why")
-                return
-            waiting = [one for one in waiting if not one.is_ready(LOOK_S)]
-            time.sleep(LOOK_S)
-        if not waiting:
+    def run(self) -> None:
+        """Run until a signal or a failure ends the server; waits for no single process."""
+        for number in (*_ENDS, signal.SIGHUP):
+            signal.signal(number, lambda number, _: self._signals.append(number))
+        while not self.failed and _ENDS.isdisjoint(self._signals):
+            if self._ready:
+                self._announce()
+            else:
+                self._keep_alive()
+                self._replace()
+            wait([child.process.sentinel for child in (self._builder, *self._web)], LOOK_S)
+        self._end()
+
+    def _start(self, kind: tuple[str, str]) -> Child:
+        sockets = () if kind == BUILDER else (self._bound,)
+        return Child(kind, self._options, *sockets)
+
+    def _announce(self) -> None:
+        """Print the address once all processes have started."""
+        children = self._builder, *self._web
+        if not all(child.is_healthy() for child in children):
+            self.failed = "a process of the server did not start; its log says why"
+        elif all(child.started for child in children):
             print(self._ready, flush=True)
+            self._ready = ""
 
-    def keep_subprocess_alive(self) -> None:
-        """Replace processes that have ended or do not answer a ping."""
-        if self.should_exit.is_set():
+    def _keep_alive(self) -> None:
+        """Replace processes that have ended or send no heartbeat."""
+        self._retired = [child for child in self._retired if child.process.is_alive()]
+        self._builder = self._living(self._builder, BUILDER)
+        self._web = [self._living(child, WEB_WORKER) for child in self._web]
+
+    def _living(self, child: Child, kind: tuple[str, str]) -> Child:
+        if child.is_healthy() or self.failed:
+            return child
+        child.kill()
+        if child.process.exitcode == STARTUP_FAILURE:  # it would fail again
+            self.failed = f"{child.name} could not be started again; its log says why"
+            return child
+        log.error("%s, pid %s, has ended; it is started again", child.name, child.process.pid)
+        return self._start(kind)
+
+    def _replace(self) -> None:
+        """Go on with a restart, or begin the one that signals ask for, however many they are."""
+        if not self._to_replace and signal.SIGHUP in self._signals:
+            while signal.SIGHUP in self._signals:
+                self._signals.remove(signal.SIGHUP)
+            self._to_replace = len(self._web)
+        if not self._to_replace:
             return
-        self._retired = [worker for worker in self._retired if worker.process.is_alive()]
-        super().keep_subprocess_alive()
-        if self.should_exit.is_set():
-            self._fail("a web worker could not be started again; its log says why")
-        elif not self._builder.is_alive(HEALTH_S):
-            self._builder.kill()
-            self._builder.join()
-            if self._builder.exitcode == STARTUP_FAILURE:
-                self._fail("the builder could not be started again; its log says why")
-                return
-            log.error("the builder, pid %s, has ended; it is started again", self._builder.pid)
-            self._builder = Worker(self._builder_config, [])
-            self._builder.start()
+        new = self._successor = self._successor or self._start(WEB_WORKER)
+        if new.is_healthy() and new.started:
+            index = len(self._web) - self._to_replace
+            self._web[index].send(RETIRE)
+            self._retired.append(self._web[index])
+            self._web[index], self._successor = new, None
+            self._to_replace -= 1
+        elif not new.is_healthy() or time.monotonic() - new.begun > HEALTH_S:
+            new.kill()
+            log.error("a new web worker did not start in %d s; the others stay", HEALTH_S)
+            self._successor, self._to_replace = None, 0
 
-    def handle_signals(self) -> None:
-        """Handle each kind of signal once, however often it came, and an end before restarts."""
-        count = len(self.signal_queue)
-        signals = set(self.signal_queue[:count])
-        del self.signal_queue[:count]  # handlers may append meanwhile
-        if ends := signals & _ENDS:
-            signals = ends
-        self.signal_queue[:0] = signals
-        super().handle_signals()
-
-    def restart_all(self) -> None:
-        """Replace the web workers; those before them finish their requests meanwhile."""
-        ends: Any = SimpleNamespace(is_set=lambda: not _ENDS.isdisjoint(self.signal_queue))
-        for index, worker in enumerate(self.processes):
-            successor = Worker(self.config, self.sockets)
-            successor.start()
-            if not successor.wait_until_ready(HEALTH_S, ends):
-                successor.kill()
-                successor.join()
-                if not ends.is_set():
-                    log.error("a new web worker did not start in %d s; the rest stays", HEALTH_S)
-                return
-            self.processes[index] = successor
-            assert worker.pid is not None
-            with suppress(ProcessLookupError):  # it has ended meanwhile
-                os.kill(worker.pid, RETIRE)
-            self._retired.append(worker)
-
-    def terminate_all(self) -> None:
-        """End the web workers; a further signal ends all processes at once."""
-        for number in (signal.SIGINT, signal.SIGTERM):
+    def _end(self) -> None:
+        """End the web workers, then the builder; a further signal ends all processes at once."""
+        for number in _ENDS:
             signal.signal(number, lambda number, _: os._exit(128 + number))
-        super().terminate_all()
-        for worker in self._retired:
-            worker.terminate()
+        web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
+        for child in web:
+            child.send(signal.SIGTERM)
         time.sleep(REFUSE_AFTER_S)
         with suppress(OSError):  # a connection is refused, rather than left to wait for the end
-            self.sockets[0].shutdown(socket.SHUT_RDWR)
-
-    def join_all(self) -> None:
-        """Return once the web workers, then the builder have ended."""
-        for process in (*self.processes, *self._retired):
-            _wait_for_end(process)
-        self._builder.terminate()
-        _wait_for_end(self._builder)
-
-    def _fail(self, why: str) -> None:
-        self.failed = why
-        self.should_exit.set()
+            self._bound.shutdown(socket.SHUT_RDWR)
+        for child in web:
+            child.join()
+        self._builder.send(signal.SIGTERM)
+        self._builder.join()
 
 
-# uvicorn's supervisor has no parameter for the class of its processes.
-multiprocess.Process = Worker
+def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
+    """Return a socket bound to an address, not listening yet, and its URL; port 0 takes a free one.
+
+    A server binds before it opens anything: a taken port changes nothing. Raises AddressError if
+    the address is taken or not this machine's.
+    """
+    shown = f"[{host}]" if ":" in host else host
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    bound = socket.socket(family, socket.SOCK_STREAM)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        bound.bind((host, port))
+    except OSError as error:
+        bound.close()
+        what = f"{error.strerror}: {shown}:{port}; name another address with --host and --port"
+        raise AddressError(what) from error
+    return bound, f"http://{shown}:{bound.getsockname()[1]}"
 
 
 def supervise(options: Mapping[str, Any]) -> None:
-    """Serve until SIGINT or SIGTERM; the address is printed once the server answers.
+    """Serve by the options of `serve`; the address is printed once the server answers.
 
-    At the first signal requests are finished and solves wait for the next start. A second one ends
-    the processes at once, and leaves solvers running for the next start to find.
-
-    Parameters
-    ----------
-    options : mapping
-        Of `serve`.
-
-    Raises
-    ------
-    WorkerFailedError
-        If a process cannot be started, or another server uses the data directory.
-    AddressError
-        If the address is taken or not this machine's.
+    At the first SIGINT or SIGTERM requests are finished and solves wait for the next start. A
+    second one ends the processes at once, and leaves solvers running for the next start to find.
+    Raises AddressError, and WorkerFailedError if a process cannot be started, or another server
+    uses the data directory.
     """
     bound, address = bind_to(options["host"], options["port"])
-    forks.set_forkserver_preload([name.split(":")[0] for name in (BUILDER, WEB_WORKER)])
+    forks.set_forkserver_preload([path.split(":")[0] for _, path in (BUILDER, WEB_WORKER)])
     forkserver.ensure_running()
-    level = options["log_level"]
-    set_up(level, options["log_format"])
-    builder, web = (
-        Config(
-            partial(_made, name, dict(options)),
-            workers=options["processes"],
-            timeout_worker_healthcheck=HEALTH_S,
-            log_config=None,
-            log_level=level,
-        )
-        for name in (BUILDER, WEB_WORKER)
-    )
+    set_up(options["log_level"], options["log_format"])
     ready = f"wrenchbook serves {address}"
     if options.get("as_json"):
-        about = {"address": address, "data": str(options["data"]), "pid": os.getpid()}
-        ready = json.dumps(about)
-    supervisor = Supervisor(builder, web, bound, ready)
+        ready = json.dumps({"address": address, "data": str(options["data"]), "pid": os.getpid()})
+    supervisor = Supervisor(options, bound, ready)
     supervisor.run()
     if supervisor.failed:
         raise WorkerFailedError(supervisor.failed)
-
-
-def _made(name: str, options: Mapping[str, Any]) -> Any:
-    """Return the server of a child process."""
-    with suppress(OSError):  # Linux: the name of the process in ps and top
-        Path("/proc/self/comm").write_text(f"wb-{name.rpartition(':')[2].lower()}")
-    set_up(options["log_level"], options["log_format"])
-    return import_from_string(name)(options)
-
-
-def _end_with_parent() -> None:
-    """End this process at once when its parent has ended; solvers go on until the next start."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)

@@ -9,11 +9,12 @@ from __future__ import annotations
 import asyncio
 import shutil
 import socket
+import threading
 from collections.abc import Mapping
 from typing import Any, Final
 
 from wrenchbook.service.files.scratch import take_scratch
-from wrenchbook.service.http.access.security import security_of_options
+from wrenchbook.service.http.access import security_of_options
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.http.server import Server, raise_open_files, server_config
@@ -32,19 +33,14 @@ PARSERS = (
 
 
 class WebWorker(Server):
-    """A server on a socket that the other web workers listen on too.
+    """A server by the options of `serve`, on a socket that the other web workers listen on too."""
 
-    Parameters
-    ----------
-    options : mapping
-        Of `serve`.
-    """
-
-    def __init__(self, options: Mapping[str, Any]) -> None:
+    def __init__(self, options: Mapping[str, Any], ready: threading.Event) -> None:
+        self._ready = ready
         raise_open_files()
         self._scratch = take_scratch()
         security = security_of_options(options)
-        app = create_app(settings_of_options(options, "web"), security)
+        app = create_app(settings_of_options(options), security)
         super().__init__(server_config(app, options["log_level"], log_config=None))
         # The private server of a command ends before that pays; a process each takes 90 MB.
         self._warms_up = security.own_key is None and options["processes"] == 1
@@ -61,6 +57,7 @@ class WebWorker(Server):
             self._listening.listen(self.config.backlog)
             self._loop.add_signal_handler(RETIRE, self.retire)
             self._loop.add_reader(self._listening, self._look)
+            self._ready.set()
             if self._warms_up:
                 warm_up(*PARSERS)
 
@@ -104,10 +101,13 @@ class WebWorker(Server):
             task.add_done_callback(self._begun.discard)
 
     async def _begin(self, taken: socket.socket) -> None:
+        about = self.config, self.server_state, self.lifespan.state, self._loop
         try:
-            await self._loop.connect_accepted_socket(self._speak, taken)
+            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*about), taken)
         except OSError:
             taken.close()
 
-    def _speak(self) -> asyncio.Protocol:
-        return FastPathProtocol(self.config, self.server_state, self.lifespan.state, self._loop)
+
+def run(options: Mapping[str, Any], started: threading.Event, bound: socket.socket) -> None:
+    """Answer requests until SIGTERM; `started` is set once connections are taken."""
+    WebWorker(options, started).run([bound])

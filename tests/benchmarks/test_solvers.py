@@ -12,12 +12,13 @@ import time
 
 import pytest
 
+from tests.building import BuildingWorkspace
 from tests.service.ledger_rows import stored
 from wrenchbook.service.files.program import usable_cores
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 from wrenchbook.service.ledger import Ledger
-from wrenchbook.service.workspace import Settings, Workspace
+from wrenchbook.service.workspace import Settings
 from wrenchbook.surrogate.table.rows import Tolerance
 
 COMPONENT, BUDGET = "plate_thin", 60
@@ -27,7 +28,7 @@ TIGHT = Tolerance(1e-9, 1e-9)  # m, rad: no round is the last one before all 60 
 @pytest.fixture(scope="module")
 def asked(tmp_path_factory):
     """The bundle's folder, its fingerprint and the wrenches of a fill of 60, round by round."""
-    workspace = Workspace(Settings(tmp_path_factory.mktemp("workspace")))
+    workspace = BuildingWorkspace(Settings(tmp_path_factory.mktemp("workspace")))
     workspace.start()
     try:
         component = workspace.library[COMPONENT]

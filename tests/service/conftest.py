@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
+import tests.building  # noqa: F401
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings
 

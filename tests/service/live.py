@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import uvicorn
 
+import tests.building  # noqa: F401
 from tests.until import until
 from wrenchbook.service.client import Client
 from wrenchbook.service.http.app import Application, create_app

@@ -15,6 +15,7 @@ import pytest
 from tests.service.ledger_rows import stored
 from tests.service.live import served
 from tests.service.test_durable_tables import Site
+from tests.until import until
 from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.ledger import Ledger, LedgerFileError
 from wrenchbook.service.library.catalogue import Catalogue
@@ -81,7 +82,7 @@ def test_a_ledger_that_is_older_than_a_file_of_0_1_is_still_doubted(site):
     site.open()
     assert site.tables.catch_up("rig", 20)
     site.tables.surrogate("rig")
-    assert "withdrawn" in site.tables.faults()["rig"]
+    assert "withdrawn" in until(lambda: site.tables.faults().get("rig"))
     site.close()
 
 

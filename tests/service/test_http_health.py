@@ -9,8 +9,8 @@ from starlette.testclient import TestClient
 
 from tests.until import until
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.tables import builders, live
-from wrenchbook.service.tables.files import TableFiles
+from wrenchbook.service.tables import build, store
+from wrenchbook.service.tables.store import TableStore
 from wrenchbook.service.workspace import Settings
 
 RANGE = {"force": [100.0] * 3, "moment": [10.0] * 3}
@@ -26,15 +26,14 @@ def building(tmp_path, monkeypatch):
             rows = [{"wrench": [n, 0, 0, 0, 0, 0], "displacement": [0.0] * 6} for n in range(count)]
             http.post(f"/v1/components/{name}/table?format=json", json={"rows": rows})
     shutil.rmtree(tmp_path / "tables")
-    may_build, make = threading.Event(), live.make
+    may_build, make = threading.Event(), build.build_table
 
     def delayed(component, *rest):
         assert component.name != "big" or may_build.wait(30)
         return make(component, *rest)
 
-    monkeypatch.setattr(live, "make", delayed)
-    monkeypatch.setattr(live, "LARGE", 10)
-    monkeypatch.setattr(builders, "LARGE", 10)
+    monkeypatch.setattr(build, "build_table", delayed)
+    monkeypatch.setattr(store, "LARGE", 10)
     try:
         with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
             yield http
@@ -69,11 +68,11 @@ def add(http, name, count=3):
 def test_a_table_whose_file_a_full_disk_does_not_take_is_not_ready_and_broken_at_once(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(live, "SAVE_AFTER_QUIET_S", 0.1)
+    monkeypatch.setattr(build, "SAVE_AFTER_QUIET_S", 0.1)
     with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
         add(http, "fine")
-        until(lambda: not http.app.state.workspace.tables._unsaved)
-        monkeypatch.setattr(TableFiles, "save", full)
+        until((tmp_path / "tables" / "fine.h5").exists)
+        monkeypatch.setattr(TableStore, "save", full)
         add(http, "rig")
         body = until(lambda: (found := http.get(READY).json())["broken"] and found)
         assert (body["status"], body["ready"]) == ("degraded", False)

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.settings import settings_of_options
-from wrenchbook.service.tables.live import Tables
+from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.workspace import Settings
 
 CALL = "/v1/components/plate_thin/displacement"
@@ -185,7 +185,7 @@ def test_many_who_look_at_a_table_that_is_being_built_do_not_hold_up_the_loop(
     http, scale, monkeypatch
 ):
     built = threading.Event()
-    monkeypatch.setattr(Tables, "catch_up", lambda *_: built.wait(60.0))
+    monkeypatch.setattr(MappedTables, "catch_up", lambda *_: built.wait(60.0))
     with ThreadPoolExecutor(45) as pool:
         for call in ("", "/coverage", "/compliance"):
             looks = [pool.submit(http.get, f"/v1/components/plate_thin{call}") for _ in range(45)]
@@ -201,7 +201,7 @@ def test_a_wrench_solved_a_moment_ago_is_answered_and_not_solved_again(http, sta
     """Until the table held the row, the same query was `outside` and queued a second solve."""
     stand_in("quick")
     tables = http.app.state.workspace.tables
-    monkeypatch.setattr(tables, "_build", lambda *_: None)  # no row comes into use
+    monkeypatch.setattr(tables, "_map", lambda *_: False)  # no row comes into use
     wrench = [10.123456789, 0.0, -20.0, 0.0, 3.0, 0.0]
     solved = ask(http, wrench, on_thin="wait", wait_s=20).json()
     again = ask(http, wrench)

@@ -131,7 +131,7 @@ def test_fill_never_pays_for_a_wrench_it_has_asked_for(http):
 def test_fill_says_so_when_the_table_is_behind_rather_than_design_on_it(http, monkeypatch):
     workspace = http.app.state.workspace
     monkeypatch.setattr("wrenchbook.service.workspace.CATCH_UP_S", 0.1)
-    monkeypatch.setattr(workspace.tables, "_bring_up", lambda name: None)
+    monkeypatch.setattr(workspace.builder, "_build_newest", lambda name: None)
     body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
     assert http.post("/v1/components/plate_thin/solve", json=body).status_code == 200
     reply = http.post("/v1/components/plate_thin/fill", json={"budget": 3})
@@ -181,7 +181,7 @@ def test_a_linear_component_whose_solves_bring_no_compliance_asks_for_all_six(ht
 
 def test_a_server_starts_and_answers_though_a_component_and_a_table_are_damaged(http, folder, rig):
     http.post("/v1/components", json={**TABLE_ONLY, "name": "other"})
-    http.app.state.workspace.tables.stop()
+    http.app.state.workspace.stop_building()
     (folder / "components" / "other" / "component.toml").write_text("")
     raw = bytearray((folder / "tables" / "rig.h5").read_bytes())
     raw[3000] ^= 64

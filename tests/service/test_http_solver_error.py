@@ -14,10 +14,11 @@ from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome
 from wrenchbook.service.ledger import Ledger, LedgerFullError
 from wrenchbook.service.query import Query, answer
 from wrenchbook.service.settings import Settings
-from wrenchbook.service.tables.served import in_memory
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.hdf5 import read_table
@@ -287,7 +288,7 @@ def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_toler
     query = Query(tuple(WRENCH), "estimate", 0.0, Tolerance(1.0, 1.0))
     for lost in (None, SolverError(TOLD | {"mesh": None})):
         table = build(rows, meta.load_range, linear=True, solver_error=lost)
-        served = in_memory(table, b"".join(pack(table)))
+        served = ServedTable(PackedTable.from_bytes(b"".join(pack(table))), built=table)
         found = answer(served, query)
         assert found.error is not None
         assert found.within_tolerance is None

@@ -12,7 +12,7 @@ from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.routes import components, table
 from wrenchbook.service.sandbox import SandboxBusyError
-from wrenchbook.service.tables import live
+from wrenchbook.service.tables import build as builds
 from wrenchbook.service.workspace import Settings
 
 RIG = {"name": "rig", "title": "rig", "range": {"force": [900] * 3, "moment": [90] * 3}}
@@ -356,13 +356,13 @@ def test_an_import_says_which_version_holds_its_rows_and_whether_it_answers_alre
 @pytest.fixture
 def slow_build(monkeypatch):
     """Hold builds of tables up until the event is set."""
-    may_build, build = threading.Event(), live.make
+    may_build, build = threading.Event(), builds.build_table
 
     def slow(*given):
         assert may_build.wait(20)
         return build(*given)
 
-    monkeypatch.setattr(live, "make", slow)
+    monkeypatch.setattr(builds, "build_table", slow)
     yield may_build
     may_build.set()
 
@@ -509,7 +509,7 @@ def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypat
 
 
 def test_a_table_that_is_too_large_is_413_without_a_declared_length(rig, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.http.body.MOST_TABLE_BYTES", 1 << 20)
+    monkeypatch.setattr("wrenchbook.service.http.body.MAX_TABLE_BYTES", 1 << 20)
     pieces = (b"#" * 65536 for _ in range(17))
     reply = rig.post(CALL, content=pieces, headers={"content-type": "text/csv"})
     assert reply.status_code == 413

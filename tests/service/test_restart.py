@@ -11,9 +11,11 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
+from typing import ClassVar
 
 import psutil
 import pytest
@@ -24,7 +26,7 @@ from wrenchbook.service.files.program import child_command
 from wrenchbook.service.http import server as servers
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workers import supervisor as supervisors
-from wrenchbook.service.workers.supervisor import Supervisor, Worker
+from wrenchbook.service.workers.supervisor import RETIRE, Child, Supervisor
 from wrenchbook.service.workspace import Settings
 
 LIMIT_S = 60.0
@@ -209,56 +211,109 @@ def test_a_request_that_a_stopping_server_cannot_finish_is_503_with_retry_after(
     assert not any(record.exc_info for record in caplog.records if record.levelno > logging.INFO)
 
 
-def test_a_web_worker_that_is_killed_while_it_answers_a_ping_is_seen_to_have_ended():
-    worker = Worker.__new__(Worker)
-    worker.parent_conn, worker.child_conn = multiprocessing.Pipe()  # held open by others as well
-    sentinel, alive = os.pipe()
-    worker.process = SimpleNamespace(sentinel=sentinel)
-    os.close(alive)
-    assert worker._healthcheck(LIMIT_S) is None
-    assert not worker.parent_conn.poll()
-    os.close(sentinel)
+class StandIn:
+    """A child process that lives, dies and starts as a test says; `all` has them in order."""
+
+    all: ClassVar[list] = []
+    sentinel: ClassVar = None
+
+    def __init__(self, kind, options, *sockets):
+        about = {"is_alive": lambda: True, "exitcode": None, "pid": 0, "sentinel": self.sentinel}
+        self.name, self.process = kind[0], SimpleNamespace(**about)
+        self.healthy, self.started, self.got = True, len(self.all) < 3, []
+        self.begun = time.monotonic()
+        self.all.append(self)
+
+    def is_healthy(self):
+        return self.healthy
+
+    def send(self, number):
+        self.got.append(number)
+
+    def kill(self):
+        self.got.append("killed")
+
+    def join(self):
+        self.got.append("joined")
 
 
-def test_a_process_that_is_busy_with_a_build_keeps_the_supervisor_from_nothing(monkeypatch):
+@pytest.fixture
+def supervisor(monkeypatch):
+    """A supervisor of stand-ins, which looks once a call: a builder and two web workers."""
+    monkeypatch.setattr(StandIn, "all", [])
+    monkeypatch.setattr(supervisors, "Child", StandIn)
+    monkeypatch.setattr(supervisors, "REFUSE_AFTER_S", 0.0)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with socket.socket() as bound, socket.socket() as StandIn.sentinel:
+        yield from _looking(Supervisor({"processes": 2}, bound, "ready"))
+
+
+def _looking(made):
+    made._announce()
+
+    def look(*signals):
+        made._signals.extend(signals)
+        made._keep_alive()
+        made._replace()
+        return made
+
+    yield look
+
+
+def test_twenty_restarts_that_wait_are_one(supervisor):
+    supervisor(*[signal.SIGHUP] * 20)
+    for number in (3, 4):
+        assert len(StandIn.all) == number + 1
+        StandIn.all[number].started = True
+        supervisor()
+        supervisor()
+    assert [child.got for child in StandIn.all] == [[], [RETIRE], [RETIRE], [], []]
+
+
+def test_an_end_waits_neither_for_restarts_nor_for_a_web_worker_that_starts(supervisor):
+    made = supervisor(signal.SIGHUP)
+    made._signals += [signal.SIGHUP, signal.SIGTERM, signal.SIGHUP]
+    made.run()
+    assert [child.got for child in StandIn.all] == [[signal.SIGTERM, "joined"]] * 4
+
+
+def test_a_web_worker_that_does_not_start_leaves_the_others(supervisor, monkeypatch):
+    supervisor(signal.SIGHUP)
+    supervisor()
+    assert StandIn.all[3].got == []
+    StandIn.all[3].healthy = False
+    supervisor()
+    supervisor()
+    assert [child.got for child in StandIn.all] == [[], [], [], ["killed"]]
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_process_without_heartbeat_is_killed_and_started_again(supervisor, place):
+    StandIn.all[place].healthy = False
+    made = supervisor()
+    assert StandIn.all[place].got == ["killed"]
+    assert StandIn.all[3].name == StandIn.all[place].name
+    assert not made.failed
+
+
+def test_heartbeats_are_read_without_waiting_for_one(monkeypatch):
     """It waited up to 30 s for each answer to a ping; signals and other processes had to wait."""
-    worker, now = Worker.__new__(Worker), [0.0]
-    worker.parent_conn, worker.child_conn = multiprocessing.Pipe()
-    worker.process, worker._pinged_at = SimpleNamespace(is_alive=lambda: True), None
+    child, now = Child.__new__(Child), [0.0]
+    child._heartbeats, end = multiprocessing.Pipe(duplex=False)
+    child.process, child.started = SimpleNamespace(is_alive=lambda: True), False
+    child._heard = 0.0
     monkeypatch.setattr(supervisors, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    monkeypatch.setattr(supervisors, "wait", None)  # what it waits with
-    assert worker.is_alive(30.0)
     now[0] = 29.0
-    assert worker.is_alive(30.0)
-    assert worker.child_conn.recv() == b"ping"
-    assert not worker.child_conn.poll()
-    now[0] = 31.0
-    assert not worker.is_alive(30.0)
-    worker.child_conn.send(True)
-    assert worker.is_alive(30.0)
+    assert child.is_healthy()
+    end.send(True)
+    assert child.is_healthy()
+    assert child.started
+    now[0] = 58.0
+    assert child.is_healthy()
     now[0] = 60.0
-    assert worker.is_alive(30.0)
-
-
-def supervisor(*signals):
-    """A supervisor that has got signals, and how often it restarts the web workers."""
-    made, restarts = Supervisor.__new__(Supervisor), []
-    made.signal_queue, made.should_exit = list(signals), threading.Event()
-    made.restart_all = lambda: restarts.append(1)
-    return made, restarts
-
-
-def test_twenty_restarts_that_wait_are_one():
-    made, restarts = supervisor(*[signal.SIGHUP] * 20)
-    made.handle_signals()
-    assert (len(restarts), made.signal_queue) == (1, [])
-
-
-def test_an_end_does_not_wait_for_restarts_before_it():
-    made, restarts = supervisor(signal.SIGHUP, signal.SIGHUP, signal.SIGTERM, signal.SIGHUP)
-    made.handle_signals()
-    assert made.should_exit.is_set()
-    assert (restarts, made.signal_queue) == ([], [])
+    assert not child.is_healthy()
+    end.close()  # as a killed process does
+    assert not child.is_healthy()
 
 
 TAKES = """

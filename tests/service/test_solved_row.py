@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wrenchbook.service.tables.served import ServedTable, in_memory, make, packed_bytes, row_table
+from wrenchbook.service.tables.build import build_table, packed_bytes
+from wrenchbook.service.tables.mapped import ServedTable, row_table
+from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, joined
 
@@ -42,8 +44,8 @@ def row(wrench: np.ndarray, *, tangent: bool, bar: float = 1e-9) -> Rows:
 
 
 def served(rows: Rows, component: Any = COMPONENT) -> ServedTable:
-    table = make(component, rows, 1)
-    return in_memory(table, packed_bytes(table, "plate", "f0"))
+    table = build_table(component, rows, 1)
+    return ServedTable(PackedTable.from_bytes(packed_bytes(table, component)), built=table)
 
 
 @pytest.mark.parametrize("tangent", [True, False])

@@ -9,6 +9,7 @@ from wrenchbook.service.client import Scene
 from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.scene import SceneError
 from wrenchbook.service.fmu.export import describe, make_fmu
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.answer import UnknownMethodError
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.table.space import Input, space_of
@@ -37,7 +38,7 @@ def test_a_method_of_axes_is_422_for_several_interfaces(two_ends, method):
 
 def test_a_servers_method_of_axes_leaves_such_a_table_its_own(two_ends):
     table = two_ends.app.state.workspace.tables.surrogate("two_ends")
-    table.prefer("griddata")
+    assert ServedTable(table.packed, method="griddata").default == "kriging"
     assert two_ends.post(f"{URL}/displacement", json=BODY).json()["method"] == "kriging"
 
 

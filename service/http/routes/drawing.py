@@ -19,7 +19,7 @@ from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.bundles import surface_of
 from wrenchbook.service.library.component import require_one_wrench
-from wrenchbook.service.tables.served import ServedTable
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
 
@@ -114,8 +114,8 @@ def surface(name: str, workspace: Opened) -> Response:
     if not component.has_fea:
         why = f"{name!r} has measured rows and no mesh, so there is nothing to draw."
         raise HttpProblemError(404, "no-mesh", "The component has no mesh", why)
-    found = surface_of(component.folder, component.fingerprint)
-    return json_reply({"component": name, **found})
+    drawn = surface_of(component.folder, component.fingerprint)
+    return json_reply({"component": name, **drawn})
 
 
 @router.get("/drawing", summary="Rows to draw, at most `most`, and the coverage of a grid")

@@ -18,7 +18,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from wrenchbook.service.formats import SheetFullError, UnitError
-from wrenchbook.service.http.access.permission import permission_of
+from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.body import received
 from wrenchbook.service.http.import_query import ImportQuery
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
@@ -37,7 +37,7 @@ from wrenchbook.service.tables.exporting import (
     export_table,
 )
 from wrenchbook.service.tables.importing import import_files, solved_compliance
-from wrenchbook.service.tables.packed_files import setup_of
+from wrenchbook.service.tables.store import setup_of
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.packed.format import SUFFIX
 

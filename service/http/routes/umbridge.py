@@ -29,7 +29,7 @@ from wrenchbook.service.http.parsing import known_method, parsed_json, tolerance
 from wrenchbook.service.http.problems import problem_of
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.query import Floats, Outcome, Query, answer_or_submit
-from wrenchbook.service.tables.served import TableBehindError
+from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import Space
 

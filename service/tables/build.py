@@ -1,0 +1,301 @@
+"""The builder's tables: each is built again, packed and recorded as the ledger's rows change."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.files.program import give_back, usable_cores
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables import store
+from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
+from wrenchbook.service.tables.rows import followed
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.service.tables.store import TABLE_MEMORY, TableStore, drop_least_used
+from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import Rows
+
+log = logging.getLogger(__name__)
+
+POLL_S = 0.02
+SMALL_AT_ONCE = 2  # small builds next to a large one: all share one interpreter
+SAVE_AFTER_QUIET_S = 1.0
+RETRY_S = 1.0
+START_S = 30.0  # for small tables at a start; larger ones answer 503 until they are built
+_UNCONFIRMED = -1  # version of rows of a file that the ledger could not confirm
+
+
+def build_table(
+    component: Component,
+    rows: Rows,
+    version: int,
+    error: SolverError | None = None,
+    before: AnyTable | None = None,
+) -> AnyTable:
+    """Build a version of a component's table, named by the ledger's newest change in it.
+
+    A function of the rows and the solver's error alone: whoever builds it has the same digits.
+    Parts that are the same in the version `before` are taken from it.
+    """
+    return build(
+        rows,
+        component.load_range,
+        tolerance=component.tolerance,
+        linear=component.linear,
+        version=version,
+        before=before,
+        solver_error=error if component.has_fea else None,
+        locked=component.idle,
+    )
+
+
+def packed_bytes(
+    table: AnyTable, component: Component, origin: dict[str, str] | None = None
+) -> bytes:
+    """Return the packed file of a component's table; `origin` is of `TableStore.origin`."""
+    name, fingerprint = component.name, component.fingerprint
+    pieces = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT, origin=origin)
+    return b"".join(pieces)
+
+
+@dataclass
+class _Version:
+    """The newest version of a component's table."""
+
+    component: Component
+    number: int
+    table: AnyTable | None = None  # None if it was not built here, or is dropped
+    save_at: float = math.inf  # when its files are due; inf once they are written
+    packed: bytes = b""  # the packed file while the disk does not take it
+    used: float = 0.0
+
+    def rows_in_memory(self) -> int:
+        return 0 if self.table is None or self.save_at < math.inf else len(self.table.rows)
+
+    def drop(self) -> None:
+        self.table = None
+
+
+class TableBuilder:
+    """Tables by component name, built as the ledger says.
+
+    A start takes up the packed files of the last one that are what it would build. One thread
+    watches the ledger for rows committed, withdrawn or restored by any process of the machine and
+    publishes `Status`; one large table at a time is built, and small ones next to it; another
+    thread writes a table's HDF5 file once it has been quiet for a second. A fault of one
+    component stops no other: `faults` names it, and the ledger's next change tries again.
+
+    `state` is the data directory's, taken by this process; `memory` is in MB, and `trouble`
+    returns why no job runs.
+    """
+
+    def __init__(
+        self,
+        ledger: Ledger,
+        library: Library,
+        folder: Path,
+        state: CoordinatorState,
+        errors: SolverErrors | None = None,
+        memory: float = TABLE_MEMORY,
+        trouble: Callable[[], str | None] = lambda: None,
+    ) -> None:
+        self._ledger, self._library, self._state = ledger, library, state
+        self._store, self._memory = TableStore(folder, ledger, errors), memory
+        self._trouble = trouble
+        self._versions: dict[str, _Version] = {}
+        self._faults: dict[str, str] = {}
+        self._failed_at: dict[str, int] = {}
+        self._unwritten: dict[str, str] = {}
+        self._behind: set[str] = set()
+        self._running: set[str] = set()
+        self._ended = threading.Condition()
+        self._stopping = threading.Event()
+        self._large = ThreadPoolExecutor(1, "build-large")
+        self._small = ThreadPoolExecutor(SMALL_AT_ONCE, "build-small")
+        self._threads = [
+            threading.Thread(target=self._follow, name="tables-follow", daemon=True),
+            threading.Thread(target=self._keep_files, name="tables-files", daemon=True),
+        ]
+
+    def start(self) -> None:
+        """Start to build; return once the small tables are there."""
+        names = self._library.names()
+        self._store.remove_stray({*names, *self._library.broken()})
+        with ThreadPoolExecutor(usable_cores()) as threads:  # checksums let the others run
+            list(threads.map(lambda name: self._guarded(name, self._take_up, self._faults), names))
+        self._behind = {name for name in names if name not in self._versions}
+        small = self._store.small(names)
+        for thread in self._threads:
+            thread.start()
+        with self._ended:
+            self._ended.wait_for(lambda: small <= {*self._versions, *self._faults}, START_S)
+
+    def stop(self) -> None:
+        """Finish the builds that run, and write what is not written yet."""
+        self._stopping.set()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
+        for lane in (self._large, self._small):
+            lane.shutdown(cancel_futures=True)
+        self._save(math.inf)
+
+    def faults(self) -> dict[str, str]:
+        """Why a component's table differs from the ledger, by its name."""
+        return {**self._store.caveats, **self._unwritten, **self._faults}
+
+    def _follow(self) -> None:
+        seen = None
+        while not self._stopping.wait(POLL_S):
+            # A table that changes while it is built is built once more, after that.
+            for name in self._behind - self._running:
+                self._behind.discard(name)
+                self._running.add(name)
+                lane = self._small if self._store.small([name]) else self._large
+                lane.submit(self._bring_up, name)
+            pause = 0.0
+            try:
+                now = self._ledger.version(), self._library.version()
+                if now != seen:
+                    self._behind |= {name for name in self._library.names() if self._lags(name)}
+                    seen = now
+            except LedgerUnavailableError:
+                seen, pause = None, RETRY_S  # the ledger reports it
+            except Exception:
+                log.exception("following the ledger failed; trying again")
+                pause = RETRY_S
+            try:
+                failed = dict(self._failed_at)
+                self._state.write(Status(self._trouble(), self.faults(), os.getpid(), failed))
+            except OSError as error:
+                log.warning("the builder's status cannot be written for web workers: %s", error)
+            self._stopping.wait(pause)
+
+    def _lags(self, name: str) -> bool:
+        """Whether a table is not of the component as it is now, or not of the ledger's rows."""
+        known = self._versions.get(name)
+        if known is None or known.component is not self._library[name]:
+            return True
+        return known.number != self._ledger.last_seq(name)
+
+    def _keep_files(self) -> None:
+        while not self._stopping.wait(SAVE_AFTER_QUIET_S / 4):
+            self._save(time.monotonic())
+            drop_least_used(list(self._versions.values()), self._memory)
+
+    def _save(self, until: float) -> None:
+        for name, version in list(self._versions.items()):
+            if version.save_at <= until and version.save_at < math.inf:
+                self._guarded(name, self._write, self._unwritten)
+
+    def _guarded(self, name: str, step: Callable[[str], None], faults: dict[str, str]) -> bool:
+        """Do a step for one component, whose failure stops no other; return whether it is done."""
+        try:
+            step(name)
+            faults.pop(name, None)
+            return True
+        except Exception as error:
+            why = str(error) or repr(error)
+            if faults.get(name) != why:
+                log.exception("the table of %s is not as it should be", name)
+            faults[name] = why
+            return False
+
+    def _bring_up(self, name: str) -> None:
+        """Build a component's table from the rows that the ledger has now."""
+        try:
+            goal = self._ledger.last_seq(name)
+        except LedgerUnavailableError:
+            goal = 0
+        if not self._guarded(name, self._build_newest, self._faults):
+            self._failed_at[name] = goal
+        with self._ended:
+            self._running.discard(name)
+            self._ended.notify_all()
+
+    def _build_newest(self, name: str) -> None:
+        if not self._lags(name):
+            return
+        component, known = self._library[name], self._versions.get(name)
+        if known is not None and known.component is not component:
+            known = None  # its files were edited: its rows may be others
+        try:
+            if known is None or known.number == _UNCONFIRMED:
+                rows, after = self._store.load(component)
+            else:
+                table, after = known.table, known.number
+                rows = self._store.rows(component, after) if table is None else table.rows
+            rows, version = followed(self._ledger, component, rows, after)
+        except LedgerUnavailableError:
+            if known is None:  # its file answers for as long as the ledger cannot be read
+                content = self._store.read(component)
+                if content is None or content[1].fingerprint != component.fingerprint:
+                    rows, version = Rows.empty(component.space), 0
+                else:
+                    rows, version = content[0], content[1].last_seq
+                self._build(component, rows, version)
+                self._versions[name].number = _UNCONFIRMED
+                self._versions[name].save_at = math.inf
+            raise
+        if len(rows) > store.LARGE:
+            give_back()  # the import's, before the build takes as much again
+        self._build(component, rows, version)
+        if version == after and not self._versions[name].packed:
+            self._versions[name].save_at = math.inf  # its HDF5 file has these rows
+
+    def _build(self, component: Component, rows: Rows, number: int) -> None:
+        started, name = time.monotonic(), component.name
+        before = self._versions.get(name)
+        origin, error = self._store.origin(component, number), self._store.solver_error(component)
+        table = build_table(component, rows, number, error, before and before.table)
+        content, save_at = packed_bytes(table, component, origin), SAVE_AFTER_QUIET_S
+        try:
+            self._store.write_packed(name, number, content)
+            content = b""
+        except OSError as error:  # the version before answers; `_write` tries again
+            log.warning("the packed table of %s cannot be written: %s", name, error)
+            save_at, self._unwritten[name], self._failed_at[name] = 0.0, str(error), number
+        now = time.monotonic()
+        self._versions[name] = _Version(component, number, table, now + save_at, content, now)
+        log.debug("%s: version %d, %.3f s", name, number, now - started)
+
+    def _take_up(self, name: str) -> None:
+        """Take up the packed file of an earlier start if it is what would be built now."""
+        component = self._library[name]
+        with suppress(LedgerUnavailableError):
+            number = self._ledger.last_seq(name)
+            origin, saved = self._store.origin(component, number), None
+            if self._store.is_current(component, number, origin):
+                saved = self._store.saved(component, number, origin["ledger"])
+            if saved is None:
+                self._store.remove_packed(name)  # no other process may answer from it
+                return
+            self._store.remove_packed(name, but=number)
+            due = math.inf if saved == number else time.monotonic() + SAVE_AFTER_QUIET_S
+            self._versions[name] = _Version(component, number, save_at=due)
+
+    def _write(self, name: str) -> None:
+        """Write a table's HDF5 file, and its packed file if that is missing."""
+        version = self._versions[name]
+        version.save_at = time.monotonic() + RETRY_S  # if it fails
+        rows = version.table.rows if version.table else None
+        if rows is None:
+            rows = self._store.rows(version.component, version.number)
+        self._store.save(version.component, rows, version.number)
+        if version.packed:
+            self._store.write_packed(name, version.number, version.packed)
+            version.packed = b""
+        version.save_at = math.inf

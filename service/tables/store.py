@@ -1,0 +1,340 @@
+"""The table files of a data directory: mapped packed tables, and the HDF5 record of their rows.
+
+``NAME-VERSION.wbt`` is derived: a file that is missing, damaged or of another origin is written
+again. ``NAME.h5`` is a second copy of the ledger's rows, from which a lost ledger is restored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Callable, Container, Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+import scipy
+
+from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.program import code_digest
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, RowEdit
+from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.packed.format import SUFFIX, PackedTableError
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.hdf5 import TableFileError, read_meta, read_table, write_table
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import Rows, joined
+
+T = TypeVar("T")
+
+log = logging.getLogger(__name__)
+
+# MB of rows and numpy tables that a process keeps. The packed tables answer; numpy tables serve
+# fills, plans and the build of the next version.
+TABLE_MEMORY = 700
+ROW_MB = 0.013  # of a numpy table, a row: measured with 20,000 single-axis and multi-axis rows
+LARGE = 3000  # rows: a table of more takes over a second to build
+ROW_BYTES = 450  # of a row in an HDF5 file, about
+_UNKNOWN_WITHDRAWALS = (
+    "the ledger is not the one that its table file was written from, and the file does not list "
+    "withdrawn rows: those may be in the table again. Look through its rows, or restore the newer "
+    "ledger"
+)
+
+
+class PackedFile(NamedTuple):
+    """A packed table's file; another file of the same name has another inode."""
+
+    version: int
+    changed_ns: int
+    inode: int
+    path: Path
+
+
+class TableStore:
+    """The table files in a folder, which the first write makes.
+
+    `caveats` has what is not known of a component's table, by its name, and what to do about it.
+    """
+
+    def __init__(self, folder: Path, ledger: Ledger, errors: SolverErrors | None = None) -> None:
+        self._folder, self._ledger, self._errors = folder, ledger, errors
+        self.caveats: dict[str, str] = {}
+
+    def solver_error(self, component: Component) -> SolverError | None:
+        """Return the estimate of a component's solver error; None if it is not known."""
+        if self._errors is None:
+            return None
+        return self._errors.read(component.name, component.fingerprint)
+
+    def origin(self, component: Component, version: int) -> dict[str, str]:
+        """Digests of all that a version of a table is built from; a packed file has them.
+
+        Without ``ledger`` if the ledger cannot be read: then no file is known to be of these rows.
+        """
+        error = self.solver_error(component)
+        program = [np.__version__, scipy.__version__, code_digest("surrogate")]
+        origin = {
+            "setup": setup_of(component),
+            "solver_error": _short(json.dumps(error and error.values, sort_keys=True)),
+            "program": _short("".join(program)),
+        }
+        with suppress(LedgerUnavailableError):
+            origin["ledger"] = self._ledger.digest(component.name, version)
+        return origin
+
+    def is_current(self, component: Component, version: int, origin: dict[str, str]) -> bool:
+        """Whether the packed file of a version is sound and what would be built now."""
+        try:
+            packed = PackedTable.open(self._packed_path(component.name, version))
+        except (PackedTableError, OSError):
+            return False
+        return is_of(packed, component.name, origin) and "ledger" in origin
+
+    def write_packed(self, name: str, version: int, content: bytes) -> None:
+        """Write a version and remove the component's others; after an OSError these stay.
+
+        It need not outlive a power failure: it can be built again.
+        """
+        self._folder.mkdir(parents=True, exist_ok=True)
+        write_whole_bytes(self._packed_path(name, version), content, durable=False)
+        self.remove_packed(name, but=version)
+
+    def remove_packed(self, name: str, but: int | None = None) -> None:
+        """Remove a component's packed files but one; processes that have mapped a file keep it."""
+        for file in self.packed_files().get(name, []):
+            if file.version != but:
+                with suppress(OSError):  # in use
+                    file.path.unlink()
+
+    def remove_stray(self, names: Container[str]) -> None:
+        """Remove drafts that killed writers left, and packed files of no component in `names`."""
+        for path in self._folder.glob(f".*{SUFFIX}.*"):
+            path.unlink(missing_ok=True)
+        for name in self.packed_files():
+            if name not in names:
+                self.remove_packed(name)
+
+    def packed_files(self) -> dict[str, list[PackedFile]]:
+        """Return the packed files of each component, the highest version first."""
+        files: dict[str, list[PackedFile]] = {}
+        for path in self._folder.glob(f"*{SUFFIX}"):
+            name, _, version = path.stem.rpartition("-")
+            if version.isdecimal() and name and not name.startswith("."):
+                with suppress(OSError):  # a newer version has taken its place
+                    stat = path.stat()
+                    file = PackedFile(int(version), stat.st_mtime_ns, stat.st_ino, path)
+                    files.setdefault(name, []).append(file)
+        return {name: sorted(versions, reverse=True) for name, versions in files.items()}
+
+    def stamp(self) -> int:
+        """Return a number that changes when a file comes or goes; takes microseconds."""
+        try:
+            return os.stat(self._folder).st_mtime_ns  # noqa: PTH116 (fifty times a second)
+        except OSError:
+            return 0
+
+    def size(self, name: str) -> int:
+        """About how many rows a component has: the ledger's number, or that of its HDF5 file."""
+        with suppress(LedgerUnavailableError):
+            if count := self._ledger.count_rows(name):
+                return count
+        try:
+            return 1 + self._path(name).stat().st_size // ROW_BYTES
+        except OSError:
+            return 0
+
+    def small(self, names: Iterable[str]) -> set[str]:
+        """Return the components whose tables are built within a second or so."""
+        return {name for name in names if self.size(name) <= LARGE}
+
+    def written(self, name: str) -> float | None:
+        """When a component's HDF5 file was written, seconds since the epoch; None without it."""
+        try:
+            return self._path(name).stat().st_mtime
+        except OSError:
+            return None
+
+    def read(self, component: Component) -> tuple[Rows, TableMeta] | None:
+        """Return the content of a component's HDF5 file; None if missing, damaged or another's."""
+        return self._sound(component, read_table)
+
+    def saved(self, component: Component, version: int, digest: str) -> int | None:
+        """Up to which seq a component's HDF5 file has its rows; 0 without a usable file.
+
+        None if it has rows that the ledger lacks: `load` puts these back. `version` and `digest`
+        are of the ledger's newest change. Raises LedgerUnavailableError.
+        """
+        content = self._sound(component, lambda path: (None, read_meta(path)))
+        if content is None:
+            return 0
+        meta = content[1]
+        if (meta.last_seq, meta.ledger) != (version, digest) and not self._is_of_ledger(meta):
+            return None
+        return meta.last_seq if meta.fingerprint == component.fingerprint else 0
+
+    def rows(self, component: Component, version: int) -> Rows:
+        """Return the rows of a version, from its HDF5 file or the ledger: 0.05 s for 20,000.
+
+        Raises LedgerUnavailableError if only the ledger has them and cannot be read.
+        """
+        content = self.read(component)
+        if content is not None:
+            rows, meta = content
+            if (meta.last_seq, meta.fingerprint) == (version, component.fingerprint):
+                return rows
+        setup = {"space": component.space, "fingerprint": component.fingerprint}
+        with self._ledger.table_at(component.name, version, **setup) as table:
+            return joined([Rows.empty(component.space), *(lot.rows for lot in table.lots)])
+
+    def load(self, component: Component) -> tuple[Rows, int]:
+        """Return the rows of a component's HDF5 file and the seq they go up to.
+
+        No rows, and 0, if they are not exactly what the ledger has up to there. Rows that the
+        ledger has lost, being a new one or an older copy, are restored in it first, and so are
+        withdrawals; `caveats` names the tables whose file does not have those. Raises
+        LedgerUnavailableError if the ledger cannot be read, or cannot take the rows.
+        """
+        content = self.read(component)
+        if content is not None:
+            rows, meta = content
+            if not self._is_of_ledger(meta):
+                self._put_back(component.name, rows, meta)
+            elif meta.fingerprint == component.fingerprint:
+                return rows, meta.last_seq
+            else:
+                log.info("table %s is of another setup; reading the ledger", component.name)
+        return Rows.empty(component.space), 0
+
+    def save(self, component: Component, rows: Rows, last_seq: int) -> None:
+        """Write a component's rows, the ledger's up to `last_seq`; after an OSError the file stays.
+
+        If the ledger cannot be read, the file may be the last copy of the rows: it is written
+        without the ledger's digest, and they are restored from it.
+        """
+        name, of_ledger = component.name, dict[str, Any]()
+        with suppress(LedgerUnavailableError):
+            edits = self._ledger.edits(name, last_seq)
+            of_ledger = {
+                "ledger": self._ledger.digest(name, last_seq),
+                "edits": tuple((key.hex(), gone, when) for key, gone, when in edits),
+            }
+        meta = TableMeta(
+            component=name,
+            last_seq=last_seq,
+            load_range=component.load_range,
+            fingerprint=component.fingerprint,
+            locked=component.idle,
+            contract=" ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items()),
+            **of_ledger,
+        )
+        self._folder.mkdir(parents=True, exist_ok=True)
+        write_table(self._path(name), rows, meta)
+
+    def _sound(
+        self, component: Component, read: Callable[[Path], tuple[T, TableMeta]]
+    ) -> tuple[T, TableMeta] | None:
+        """Return the result of `read` of a component's file; None, logged, if it is unusable."""
+        try:
+            content = read(self._path(component.name))
+            named = content[1].component
+            if named == component.name:
+                return content
+            # Tables without a setup have the same fingerprint: the name tells them apart.
+            why: object = f"the file is the table of {named!r}"
+        except FileNotFoundError:
+            return None
+        except (TableFileError, OSError) as error:
+            why = error
+        log.warning("table %s is built from the ledger instead: %s", component.name, why)
+        return None
+
+    def _is_of_ledger(self, meta: TableMeta) -> bool:
+        """Whether a file's rows are those of the ledger up to the file's newest."""
+        return bool(meta.ledger) and meta.ledger == self._ledger.digest(
+            meta.component, meta.last_seq
+        )
+
+    def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
+        """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
+        newest = self._ledger.last_seq(name)
+        inserted, _ = self._ledger.insert_rows(name, rows, "table file", above=meta.last_seq)
+        if inserted:
+            log.warning(
+                "%s: %d rows of the table file were missing in the ledger and are there again",
+                name,
+                inserted,
+            )
+        if meta.edits is None:
+            # Files of 0.1 have neither edits nor a digest of their ledger: numbers tell.
+            stored = self._ledger.rows_of(rows.seq.tolist())
+            wrenches = zip(rows.seq.tolist(), map(tuple, rows.wrench.tolist()), strict=True)
+            same = all(seq in stored and stored[seq].wrench == wrench for seq, wrench in wrenches)
+            if inserted or newest < meta.last_seq or not same:
+                self.caveats[name] = _UNKNOWN_WITHDRAWALS
+                log.warning("%s: %s", name, _UNKNOWN_WITHDRAWALS)
+            return
+        edits = [RowEdit(bytes.fromhex(key), gone, when) for key, gone, when in meta.edits]
+        if changed := self._ledger.replay(name, edits):
+            log.warning("%s: %d rows were withdrawn or restored as in its file", name, changed)
+
+    def _path(self, name: str) -> Path:
+        return self._folder / f"{name}.h5"
+
+    def _packed_path(self, name: str, version: int) -> Path:
+        return self._folder / f"{name}-{version}{SUFFIX}"
+
+
+def is_of(packed: PackedTable, name: str, origin: dict[str, str]) -> bool:
+    """Whether a packed table is of a component and of this origin."""
+    provenance = packed.words.get("provenance", {})
+    built = provenance.get("origin") or {"setup": None}
+    return provenance.get("component") == name and built.items() <= origin.items()
+
+
+def setup_of(component: Component) -> str:
+    """Return a digest of all but rows that a component's table is built from."""
+    bounds, tolerance = component.load_range, component.tolerance
+    values = (
+        component.fingerprint,
+        component.linear,
+        bounds.low.tobytes(),
+        bounds.high.tobytes(),
+        tolerance and (tolerance.translation, tolerance.rotation),
+    )
+    return _short(repr(values))
+
+
+def _short(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class InMemory(Protocol):
+    """Rows and a numpy table that may be dropped: they can be read or built again."""
+
+    used: float
+
+    def rows_in_memory(self) -> int:
+        """Return the number of rows in memory that `drop` gives back."""
+        ...
+
+    def drop(self) -> None:
+        """Drop rows and numpy table."""
+        ...
+
+
+def drop_least_used(tables: Iterable[InMemory], limit_mb: float) -> None:
+    """Drop tables used longest ago beyond a limit; the one used last stays whatever its size."""
+    total = 0.0
+    for table in sorted(tables, key=lambda table: -table.used):
+        size = ROW_MB * table.rows_in_memory()
+        if total and total + size > limit_mb:
+            table.drop()
+        else:
+            total += size
