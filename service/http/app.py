@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from importlib.metadata import version
 
 from fastapi import FastAPI
@@ -15,8 +16,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events import Events
 from wrenchbook.service.http import instrumentation, openapi, problems
-from wrenchbook.service.http.access import AccessControl, SecuritySettings
-from wrenchbook.service.http.access.permission import Rates
+from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings
 from wrenchbook.service.http.protocol import FastPath
 from wrenchbook.service.http.routes import (
     components,
@@ -114,11 +114,14 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         loop = asyncio.get_running_loop()
         access: AccessControl = app.state.access
         try:
-            events.start(loop)
-            workspace.watcher.on_change(
-                lambda: loop.call_soon_threadsafe(access.refresh), access.keyring.look
-            )
-            await run_in_threadpool(workspace.start, loop)
+            for wake, stamp in (
+                (workspace.polls.notify, None),
+                (events.wake, None),
+                (access.refresh, access.keyring.look),
+            ):
+                listener = partial(loop.call_soon_threadsafe, wake)
+                workspace.watcher.on_change(listener, stamp)
+            await run_in_threadpool(workspace.start)
             yield
         finally:
             await events.stop()
@@ -132,6 +135,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         description=f"The wrench contract:\n\n{CONTRACT_TEXT}",
         lifespan=lifespan,
         redirect_slashes=False,
+        strict_content_type=False,  # programs may leave it out, see `access`
         **openapi.OPTIONS,
     )
     app.state.counts = counts

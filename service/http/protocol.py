@@ -25,8 +25,7 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from wrenchbook.service.http.access.headers import PLAIN
-from wrenchbook.service.http.access.permission import PERMISSION, Permission
+from wrenchbook.service.http.access import PERMISSION, PLAIN, Permission
 from wrenchbook.service.http.instrumentation import HEADER, id_of
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.query import answered_at_once, fields_of, plain_query

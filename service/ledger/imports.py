@@ -10,8 +10,8 @@ import json
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import astuple, dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +35,8 @@ HOLD_SECONDS = 0.03
 
 _MIN, _MAX = 100, 4000  # rows of one transaction
 _FIRST = 500
+_LOT = 250_000  # rows in memory at once, 200 MB
+_IN_ORDER = 50_000  # rows of a file that keep its order
 _PATIENCE_SECONDS = 120.0  # that an import waits for another one
 _COLUMNS = "component, created, who, filename, format, digest, note, rig, rows"
 _QUALIFIED = f"imports.id, {', '.join(f'imports.{name}' for name in _COLUMNS.split(', '))}"
@@ -86,9 +88,16 @@ def import_rows(
     number of the import, None if nothing was new. Raises ImportRunningError if another import has
     been running for too long; nothing is loaded then.
     """
-    with _importing(ledger):
-        number: int | None = None
-        new = count = 0
+    deadline = time.monotonic() + _PATIENCE_SECONDS
+    while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
+        if time.monotonic() > deadline:
+            raise ImportRunningError(
+                "another large table is being imported; nothing was loaded, send it again"
+            )
+    number: int | None = None
+    new = count = 0
+    try:
+        _drop_hidden(ledger)  # of a killed process
         try:
             for block in _sized(ledger, component, blocks):
                 with ledger.writing(durable=False) as db:
@@ -106,6 +115,8 @@ def import_rows(
         except BaseException:
             _drop_hidden(ledger)
             raise
+    finally:
+        os.close(lock)
     return new, count - new, number if new else None
 
 
@@ -210,22 +221,6 @@ def edit_import(
     return len(seqs)
 
 
-@contextmanager
-def _importing(ledger: Ledger) -> Iterator[None]:
-    """Be the only import of this ledger, of all processes."""
-    deadline = time.monotonic() + _PATIENCE_SECONDS
-    while (descriptor := _take_lock(ledger)) is None:
-        if time.monotonic() > deadline:
-            raise ImportRunningError(
-                "another large table is being imported; nothing was loaded, send it again"
-            )
-    try:
-        _drop_hidden(ledger)  # of a killed process
-        yield
-    finally:
-        os.close(descriptor)
-
-
 def _take_lock(ledger: Ledger) -> int | None:
     with ledger.named_errors(OSError):
         return take(Path(f"{ledger.path}-importing"))
@@ -234,10 +229,22 @@ def _take_lock(ledger: Ledger) -> int | None:
 def _sized(
     ledger: Ledger, component: str, blocks: Iterable[NotedRows]
 ) -> Iterator[list[tuple[Any, ...]]]:
-    """Pack blocks, and cut them such that a transaction takes `HOLD_SECONDS`."""
+    """Pack blocks, and cut them such that a transaction takes `HOLD_SECONDS`.
+
+    The rows of a large file come in lots by key: each transaction then changes a few neighbouring
+    pages of the index of keys instead of most of them.
+    """
     size, now = _FIRST, time.time()
-    for block in blocks:
-        records, start = row_records(component, block, now), 0
+    records: list[tuple[Any, ...]] = []
+    ahead = iter(blocks)
+    while True:
+        block = next(ahead, None)
+        records += () if block is None else row_records(component, block, now)
+        if block is not None and len(records) < _LOT:
+            continue
+        if len(records) > _IN_ORDER:
+            records.sort(key=itemgetter(-2))
+        start = 0
         while start < len(records):
             some = records[start : start + size]
             start += size
@@ -246,6 +253,9 @@ def _sized(
             took = max(time.monotonic() - began, 1e-6)
             ledger.sync()  # else the next durable commit waits until all is synced
             size = round(min(max(size * min(HOLD_SECONDS / took, 2.0), _MIN), _MAX))
+        if block is None:
+            return
+        records = []
 
 
 def _begin(db: Connection, component: str, about: About) -> int:

@@ -23,18 +23,10 @@ LOCK, _STATUS = "lock", "status.json"
 
 @dataclass(frozen=True)
 class Status:
-    """What is wrong, as far as the building process knows.
+    """The state of the building process: why no job runs, and faults of tables by component.
 
-    Attributes
-    ----------
-    trouble : str or None
-        Why no job runs.
-    faults : dict of str to str
-        Why a component's table is not what the ledger says, by its name.
-    pid : int
-        Of the building process; 0 if it has written none.
-    failed : dict of str to int
-        The ledger's newest change of a component when its table could not be built.
+    `pid` is 0 if it has written none; `failed` has the ledger's newest change of a component when
+    its table could not be built.
     """
 
     trouble: str | None = None
@@ -44,16 +36,11 @@ class Status:
 
 
 class CoordinatorState:
-    """The folder of one data directory.
-
-    Parameters
-    ----------
-    folder : path
-        Made if there is none.
-    """
+    """The folder of one data directory."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self._mapped = folder / f"{os.getpid()}-{id(self)}.mapped"
         self._written: Status | None = None
         self._lock: int | None = None
         with suppress(OSError):  # a web worker answers on a read-only disk
@@ -80,13 +67,7 @@ class CoordinatorState:
             self._lock = None
 
     def write(self, status: Status) -> None:
-        """Write the status for the other processes if it has changed.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+        """Write the status for the other processes if it has changed; raises OSError."""
         path = self._folder / _STATUS
         if status != self._written or not path.exists():
             write_whole_bytes(path, json.dumps(asdict(status)).encode(), durable=False)
@@ -101,19 +82,16 @@ class CoordinatorState:
 
     def publish(self, mapped: Mapped) -> None:
         """Write which tables this process answers from; see `unpublish`."""
-        write_whole_bytes(self._own(), json.dumps(mapped).encode(), durable=False)
+        write_whole_bytes(self._mapped, json.dumps(mapped).encode(), durable=False)
 
     def unpublish(self) -> None:
         """Remove what this process has published."""
-        self._own().unlink(missing_ok=True)
+        self._mapped.unlink(missing_ok=True)
 
     def others(self) -> Iterator[Mapped]:
         """Yield which tables each other running process answers from."""
         for path in self._folder.glob("*.mapped"):
             with suppress(OSError):  # that process has just ended
                 os.kill(int(path.name.partition("-")[0]), 0)
-                if path != self._own():
+                if path != self._mapped:
                     yield json.loads(path.read_bytes())
-
-    def _own(self) -> Path:
-        return self._folder / f"{os.getpid()}-{id(self)}.mapped"
