@@ -23,18 +23,11 @@ LOCK, _STATUS = "lock", "status.json"
 
 @dataclass(frozen=True)
 class Status:
-    """What is wrong, as far as the building process knows.
+    """What is wrong, as far as the builder knows.
 
-    Attributes
-    ----------
-    trouble : str or None
-        Why no job runs.
-    faults : dict of str to str
-        Why a component's table is not what the ledger says, by its name.
-    pid : int
-        Of the building process; 0 if it has written none.
-    failed : dict of str to int
-        The ledger's newest change of a component when its table could not be built.
+    `trouble` says why no job runs, `faults` why a component's table is not what the ledger says;
+    `failed` has the ledger's newest change of a component when its table could not be built. `pid`
+    is the builder's, 0 if it has written no status.
     """
 
     trouble: str | None = None
@@ -44,13 +37,7 @@ class Status:
 
 
 class CoordinatorState:
-    """The folder of one data directory.
-
-    Parameters
-    ----------
-    folder : path
-        Made if there is none.
-    """
+    """The folder of a data directory's builder, made if there is none."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -80,13 +67,7 @@ class CoordinatorState:
             self._lock = None
 
     def write(self, status: Status) -> None:
-        """Write the status for the other processes if it has changed.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+        """Write the status for the other processes if it has changed; raises OSError."""
         path = self._folder / _STATUS
         if status != self._written or not path.exists():
             write_whole_bytes(path, json.dumps(asdict(status)).encode(), durable=False)
