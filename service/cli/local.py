@@ -111,7 +111,7 @@ def serve(
 
 def _serve(**options: Any) -> None:
     """Serve by the settings found."""
-    from wrenchbook.service.jobs.solver_pool import EngineSettingsError, check_engine
+    from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
     from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 

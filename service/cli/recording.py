@@ -103,7 +103,7 @@ def _follow(client: Client, started: Started, as_json: bool) -> None:
     if jobs:
         jobs = render.follow(out, client, jobs, WAIT_S)
     if as_json:
-        print_json({**vars(started), "jobs": [job.raw for job in jobs]})
+        print_json({**started.raw, "jobs": [job.raw for job in jobs]})
         return
     done = started.solved + started.covered
     out.print(f"{len(started.jobs)} solves; {done} wrenches were solved or covered before.")

@@ -8,7 +8,8 @@
 ...     R, p = answer.apply(R0, p0)
 """
 
-from .deformed import DeformedShape, Stress, SurfaceCalls
+from ..messages import DeformedShape, Stress
+from .deformed import SurfaceCalls
 from .displacement import DisplacementCalls
 from .errors import (
     InvalidArgument,

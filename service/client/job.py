@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol, Self
+from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..messages import JobLink, Queued
 from .errors import InvalidArgument, ServerTimeout
 from .request import (
     Call,
@@ -29,11 +30,10 @@ LONGEST_POLL_S = 20.0
 ROUND = 24
 
 
-@dataclass(frozen=True, eq=False)
-class Job:
+class Job(JobLink):
     """A queued solve.
 
-    Parameters
+    Attributes
     ----------
     id : int
         Number of the job.
@@ -43,26 +43,14 @@ class Job:
         Path of the job on the server.
     component : str
         Empty in the short form that a displacement carries.
+    seconds : float or None
+        Time its last attempt took, s; None while it has not ended.
     raw : dict
         The reply as it came: ``progress``, ``attempt``, ``created`` and more.
     """
 
-    id: int
-    status: str
-    url: str = ""
     component: str = ""
-    raw: dict[str, Any] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def read(cls, body: Mapping[str, Any]) -> Self:
-        """Make one from a job of a reply."""
-        return cls(
-            body["id"],
-            body["status"],
-            body.get("url") or f"/v1/jobs/{body['id']}",
-            body.get("component") or "",
-            dict(body),
-        )
+    seconds: float | None = None
 
     @property
     def ended(self) -> bool:
@@ -84,11 +72,6 @@ class Job:
         return ". ".join(str(word).rstrip(".") for word in words if word)
 
     @property
-    def seconds(self) -> float | None:
-        """Time its last attempt took, s; None while it has not ended."""
-        return self.raw.get("seconds")
-
-    @property
     def vector(self) -> Vector | None:
         """The displacement a done job found, shape (6,), or six an interface, m and rad."""
         parts = list(self.raw.get("displacements", {}).values()) or [self.raw]
@@ -105,29 +88,10 @@ class Answer(Protocol):
         """The job of its solve, if there is one."""
 
 
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One round of filling a table.
-
-    Parameters
-    ----------
-    jobs : tuple of Job
-        The solves queued; none when the interpolation error meets the tolerance.
-    stage : str
-        ``first``, ``refine`` or ``met``.
-    reason : str
-        Why these, or why none.
-    """
+class Round(Queued):
+    """One round of filling a table: its ``jobs``, ``stage`` and ``reason``, see `Queued`."""
 
     jobs: tuple[Job, ...]
-    stage: str = ""
-    reason: str = ""
-
-    @classmethod
-    def read(cls, body: Mapping[str, Any]) -> Self:
-        """Make one from the reply of ``fill``."""
-        jobs = tuple(Job.read(job) for job in body["jobs"])
-        return cls(jobs, body.get("stage") or "", body.get("reason") or "")
 
 
 def joined(first: Any, second: Any) -> Vector | None:
@@ -311,7 +275,7 @@ class JobCalls:
             deadline, ended = time.monotonic() + timeout, ()
             for job in queued.jobs:
                 ended += ((yield from _ended(job, deadline - time.monotonic())),)
-            yield Item(Round(ended, queued.stage, queued.reason))
+            yield Item(replace(queued, jobs=ended))
             budget -= len(ended)
             if not any(job.status == "done" for job in ended):
                 return

@@ -136,7 +136,18 @@ class LibraryCalls:
             request = json_request("POST", path, dict(component), repeatable=False)
             return (yield request).json()
         bundle = Path(component)
-        archive = _zipped(bundle) if bundle.is_dir() else bundle.read_bytes()
+        if not bundle.is_dir():
+            archive = bundle.read_bytes()
+        elif not (bundle / "component.toml").is_file():
+            raise FileNotFoundError(f"{bundle} has no component.toml: it is no component bundle")
+        else:
+            buffer = io.BytesIO()
+            with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as packed:
+                for source in sorted(bundle.rglob("*")):
+                    inside = source.relative_to(bundle)
+                    if source.is_file() and not any(part.startswith(".") for part in inside.parts):
+                        packed.write(source, inside.as_posix())  # hidden files stay behind
+            archive = buffer.getvalue()
         kind, content = _form({"bundle": (f"{bundle.stem}.zip", archive)})
         return (yield Request("POST", path, content, kind, repeatable=False)).json()
 
@@ -368,21 +379,16 @@ def _table_body(
     table: str | bytes | Path, displacements: str | Path | None
 ) -> tuple[str, bytes, str]:
     """Return the media type, the content and the file name of an import."""
-    content, filename = _table_file(table)
+    if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
+        table = Path(table)
+    if isinstance(table, Path):
+        filename, content = _named_file(table)
+    else:
+        filename, content = "", table.encode() if isinstance(table, str) else table
     if displacements is None:
         return BINARY, content, filename
     logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
     return *_form(logs), filename
-
-
-def _table_file(table: str | bytes | Path) -> tuple[bytes, str]:
-    """Return the content and the name of a table given as a file, a path or its content."""
-    if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
-        table = Path(table)
-    if isinstance(table, Path):
-        name, content = _named_file(table)
-        return content, name
-    return table.encode() if isinstance(table, str) else table, ""
 
 
 def _named_file(file: str | Path) -> tuple[str, bytes]:
@@ -395,19 +401,6 @@ def _known(format_: str) -> str:
     if format_ not in _FORMATS:
         raise InvalidArgument(f"{format_!r} is no form of a table; there are {', '.join(_FORMATS)}")
     return format_
-
-
-def _zipped(folder: Path) -> bytes:
-    """Return a zip of a bundle's folder; hidden files stay behind."""
-    if not (folder / "component.toml").is_file():
-        raise FileNotFoundError(f"{folder} has no component.toml: it is no component bundle")
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in sorted(folder.rglob("*")):
-            inside = path.relative_to(folder)
-            if path.is_file() and not any(part.startswith(".") for part in inside.parts):
-                archive.write(path, inside.as_posix())
-    return buffer.getvalue()
 
 
 def _form(files: Mapping[str, tuple[str, bytes]]) -> tuple[str, bytes]:

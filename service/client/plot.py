@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..contract import COVERAGE, LOADS, OUTPUTS
-from .deformed import DeformedShape
+from ..messages import DeformedShape
 from .errors import InvalidArgument, required
 from .notebook import DISPLACEMENT_COLUMNS, WRENCH_COLUMNS
 from .replies import Displacements, Vector

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import messages
 from ..contract import LOADS, MAX_BLOCK
+from ..messages import Envelope, Recording
 from .errors import InvalidArgument
 from .job import Job
 from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
@@ -22,125 +22,10 @@ KINDS: tuple[Kind, ...] = ("recording", "envelope")
 Vector = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """What the server has recorded of a component.
-
-    Parameters
-    ----------
-    wrenches : numpy.ndarray
-        Shape (n, inputs), N and N·m: those kept, in the order they came.
-    total, merged, thinned, outside : int
-        Wrenches taken in since it was cleared; of them those within 1e-6 of the load range of one
-        kept, those thinned out beyond 10,000, and those outside the load range.
-    within : float
-        Every wrench taken in differs from one kept by at most this share of the load range.
-    """
-
-    wrenches: Vector
-    total: int
-    merged: int
-    thinned: int
-    outside: int
-    within: float
-    raw: dict[str, Any] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def read(cls, body: Mapping[str, Any]) -> Self:
-        """Make one from the server's reply."""
-        return cls(
-            _block(body["wrenches"]),
-            body["total"],
-            body["merged"],
-            body["thinned"],
-            body["outside"],
-            body["within"],
-            dict(body),
-        )
-
-    def __len__(self) -> int:
-        return len(self.wrenches)
-
-
-@dataclass(frozen=True, eq=False)
-class Envelope:
-    """The extremes of each load, and how far they can move the component.
-
-    Parameters
-    ----------
-    min, max : numpy.ndarray
-        Shape (inputs,), N and N·m; NaN before the first wrench.
-    count : int
-        Wrenches taken in since it was cleared.
-    at_min, at_max : numpy.ndarray
-        Shape (inputs, inputs): line i is the whole wrench at the least, the largest input i.
-    displacement_bound : numpy.ndarray
-        Shape (outputs,), m and rad; NaN where nothing is known.
-    negligible : bool or None
-        Whether that is within the tolerance; None if it is not known, see `reason`.
-    bound : str
-        ``bound``, ``estimate`` or ``unknown``: what `displacement_bound` is.
-    reason : str
-        Why it is not known, or what it rests on.
-    """
-
-    min: Vector
-    max: Vector
-    count: int
-    at_min: Vector
-    at_max: Vector
-    displacement_bound: Vector
-    negligible: bool | None
-    bound: str
-    reason: str
-    raw: dict[str, Any] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def read(cls, body: Mapping[str, Any]) -> Self:
-        """Make one from the server's reply."""
-        return cls(
-            np.array(body["min"], dtype=float),
-            np.array(body["max"], dtype=float),
-            body["count"],
-            _block(body["at_min"]),
-            _block(body["at_max"]),
-            np.array(body["displacement_bound"], dtype=float),
-            body["negligible"],
-            body["bound"]["kind"],
-            body["reason"],
-            dict(body),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Started:
-    """What a start has queued, and what of the rest.
-
-    Parameters
-    ----------
-    jobs : tuple of Job
-        Those that wait or run for these wrenches.
-    solved, covered, failed, beyond_range, left : int
-        Wrenches that a row of the table has, that the table covers, whose solve has failed before,
-        that lie outside the load range, and that the budget leaves.
-    reason : str
-        Why not all, or why none; empty if all are queued.
-    """
+class Started(messages.Started):
+    """What a start has queued: its ``jobs``; counts of the other wrenches, and the ``reason``."""
 
     jobs: tuple[Job, ...]
-    solved: int
-    covered: int
-    failed: int
-    beyond_range: int
-    left: int
-    reason: str
-
-    @classmethod
-    def read(cls, body: Mapping[str, Any]) -> Self:
-        """Make one from the server's reply."""
-        jobs = tuple(Job.read(job) for job in body["jobs"])
-        names = ("solved", "covered", "failed", "beyond_range", "left", "reason")
-        return cls(jobs, *(body[name] for name in names))
 
 
 class RecordingCalls:
@@ -286,7 +171,3 @@ def checked_rows(wrenches: ArrayLike) -> Vector:
     if not np.isfinite(rows).all():
         raise InvalidArgument("a wrench has a number that is not finite")
     return rows
-
-
-def _block(rows: Any) -> Vector:
-    return np.array(rows, dtype=float).reshape(len(rows), -1 if rows else len(LOADS))

@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self, overload
 
 import numpy as np
 
 from ..contract import OUTPUTS
+from ..messages import Plan
 from .errors import InvalidArgument
-from .replies import Vector
 from .request import AsyncRunner, BlockingRunner, Call, json_request
 from .wrenches import tolerance_body
 
@@ -24,63 +23,10 @@ class SceneError(InvalidArgument):
     """A scene is not valid; the text names the place and what is valid there."""
 
 
-@dataclass(frozen=True, eq=False)
-class ComponentPlan:
-    """What a scene needs of one component.
-
-    Attributes
-    ----------
-    component : str
-    decision : {"rigid", "linear", "table"}
-        Leave it out; one compliance answers; its table does.
-    reason : str
-    loads, outputs : tuple of str
-        Those that can occur, and those that are read.
-    axes : mapping
-        Per axis that is composed its ``inputs`` and its ``dimensions``.
-    displacement_bound : ndarray, shape (6,), m and rad
-        NaN where it is not known.
-    compliance : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None
-        With ``linear``, where it is known.
-    solves : mapping
-        Of the first design: ``whole`` and ``scene``.
-    saves, saves_from : mapping
-        What the scene's table needs less than the whole, and where each number comes from.
-    raw : mapping
-        The server's reply.
-    """
+class ComponentPlan(Plan):
+    """What a scene needs of one `component`, see `Plan`."""
 
     component: str
-    decision: str
-    reason: str
-    loads: tuple[str, ...]
-    outputs: tuple[str, ...]
-    axes: Mapping[str, Any]
-    displacement_bound: Vector
-    compliance: Vector | None
-    solves: Mapping[str, int]
-    saves: Mapping[str, Any]
-    saves_from: Mapping[str, str]
-    raw: Mapping[str, Any] = field(repr=False)
-
-    @classmethod
-    def read(cls, component: str, body: Mapping[str, Any]) -> Self:
-        """Make one from a component's part of the reply of ``/v1/scenes/plan``."""
-        matrix = body.get("compliance")
-        return cls(
-            component=component,
-            decision=body["decision"],
-            reason=body["reason"],
-            loads=tuple(body["loads"]),
-            outputs=tuple(body["outputs"]),
-            axes=body["axes"],
-            displacement_bound=np.array(body["displacement_bound"], dtype=float),
-            compliance=None if matrix is None else np.array(matrix, dtype=float),
-            solves=body["solves"],
-            saves=body["saves"],
-            saves_from=body["saves_from"],
-            raw=body,
-        )
 
 
 class Scene:
@@ -188,7 +134,9 @@ class Scene:
     def _plan(self) -> Call[dict[str, ComponentPlan]]:
         reply = yield json_request("POST", "/v1/scenes/plan", {"components": self.components})
         plans = reply.json()["components"]
-        return {name: ComponentPlan.read(name, one) for name, one in plans.items()}
+        return {
+            name: ComponentPlan.read({**plan, "component": name}) for name, plan in plans.items()
+        }
 
     def query(self, name: str) -> str:
         """Return one component's need as a query parameter."""

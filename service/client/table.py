@@ -140,7 +140,9 @@ class Table:
     def plan(self) -> ComponentPlan | None:
         """The scene plan that a scene's table follows; None of a whole table."""
         scene = self.packed.words.get("scene")
-        return None if scene is None else ComponentPlan.read(self.name, scene["plan"])
+        return (
+            None if scene is None else ComponentPlan.read({**scene["plan"], "component": self.name})
+        )
 
     def answer(
         self,

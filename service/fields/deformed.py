@@ -6,16 +6,14 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.fea.element.equivalent_stress import von_mises
-from wrenchbook.service.fields.blend import Blend
-from wrenchbook.service.fields.codec import DamagedFieldsError
-from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
+from wrenchbook.service.fields.record import DamagedFieldsError, RowFields, SurfaceGeometry
 from wrenchbook.service.fields.shape import (
     Deformed,
     error_parts,
@@ -26,23 +24,23 @@ from wrenchbook.service.fields.shape import (
 )
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.library.component import Component
-from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
+from wrenchbook.surrogate.field_weights import LEAST_LEFT_OUT, FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Rows, why_beyond
 
 Floats = NDArray[np.float64]
 
-MOST_ROWS = 60
+MAX_ROWS = 60
 """Rows that a field is interpolated of: with slopes as good as all, and a factor of 0.02 s."""
 
 BLEND_BYTES = 128 << 20
 """Of the fields that one component's interpolation holds; larger surfaces take fewer rows."""
 
-LEAST_ROWS = 8
+MIN_ROWS = 8
 """Rows taken however large their fields are: fewer give neither an answer nor an error."""
 
-MOST_BLENDS = 2
+MAX_BLENDS = 2
 """Components whose interpolation is kept at once."""
 
 THREADS = 2
@@ -57,12 +55,31 @@ SAME = 1e-6
 WITHOUT_TOLERANCE = 0.01
 """Of the largest displacement of any row: a vertex's error bar allowed without a tolerance."""
 
+LEVEL = 0.95
+"""Share of a row's vertices, and of rows, that an error bar covers."""
+
+WIDENING = 5.0
+"""Error bars widen by this over the number of rows left out: few show a tail badly (as tables')."""
+
 
 class NoFieldsError(Exception):
     """No row of the component has a deformed surface; the message has the remedy."""
 
     def __init__(self, component: Component, why: str) -> None:
-        super().__init__(_how_to(component, why))
+        name = component.name
+        how = (
+            f"{name!r} has no deformed surface yet: {why}. Each solve by the embedded solver "
+            "leaves one (a deck's own solver leaves none): POST this wrench to "
+            f"/v1/components/{name}/solve, or ask for several by /v1/components/{name}/fill. A row "
+            "without a surface gets one by being solved again: DELETE it from the table, then POST "
+            "its wrench to /solve."
+        )
+        if not component.has_fea:
+            how = (
+                f"{name!r} is a table without a finite-element setup: there is no surface to "
+                "deform. Add the component as a bundle with a mesh."
+            )
+        super().__init__(how)
 
 
 class TooFarError(ValueError):
@@ -72,15 +89,7 @@ class TooFarError(ValueError):
 class DeformedSurfaces:
     """Answers deformed surfaces, and keeps what the last ones were made of.
 
-    Parameters
-    ----------
-    store : FieldStore
-        Where the fields of rows are.
-
-    Attributes
-    ----------
-    threads : ThreadPoolExecutor
-        For callers that must not block: `answer` may take a second.
+    `threads` is for callers that must not block: `answer` may take a second.
     """
 
     def __init__(self, store: FieldStore) -> None:
@@ -102,42 +111,29 @@ class DeformedSurfaces:
         solver: SolverError | None = None,
         shares: Mapping[str, Sequence[float] | None] | None = None,
     ) -> Deformed:
-        """Return the deformed surface under a wrench (6,), N and N·m.
+        """Return the deformed surface under a wrench (6,), N and N·m, from all rows of the table.
 
-        It reads files and may take a second: nothing for an event loop.
-
-        Parameters
-        ----------
-        rows : Rows
-            All rows of the component's table.
-        hyperparameters : Hyperparameters, optional
-            Of the table's kriging.
-        solver : SolverError, optional
-            The solver's own error; without it error bars are the interpolation error alone,
-            see `Deformed.parts`.
-        shares : mapping, optional
-            Its shares at the interface under that wrench (`SolverError.parts`).
-
-        Raises
-        ------
-        NoFieldsError
-            If no row has fields.
-        TooFarError
-            If a load is over `FARTHEST` of the range beyond it.
+        It reads files and may take a second: nothing for an event loop. Without the solver's error,
+        and its shares at the interface under that wrench (`SolverError.parts`), error bars are the
+        interpolation error alone, see `Deformed.parts`. Raises `NoFieldsError` if no row has
+        fields, `TooFarError` if a load is over `FARTHEST` of the range beyond it.
         """
         acting = component.acting(np.asarray(wrench, dtype=float))
-        _require_near(component, acting)
+        loads = component.load_range
+        room, beyond = FARTHEST * loads.scale, why_beyond(loads, acting)
+        low, high = np.minimum(loads.low, 0.0) - room, np.maximum(loads.high, 0.0) + room
+        if ((acting < low) | (acting > high)).any():
+            raise TooFarError(f"{beyond}: too far beyond it for a surface; ask nearer to the range")
         if component.linear:
-            found = self._linear(component, rows, acting)
+            shape = self._linear(component, rows, acting)
         else:
-            found = self._own(component, rows, acting) or self._between(
+            shape = self._own(component, rows, acting) or self._between(
                 component, rows, acting, hyperparameters
             )
-        found = _whole(component, found, solver, shares)
-        beyond = why_beyond(component.load_range, acting)
-        if beyond and found.source != "row":
-            return replace(found, coverage="outside", reason=beyond)
-        return found
+        shape = _with_solver_error(component, shape, solver, shares)
+        if beyond and shape.source != "row":
+            return replace(shape, coverage="outside", reason=beyond)
+        return shape
 
     def _linear(self, component: Component, rows: Rows, wrench: Floats) -> Deformed:
         try:
@@ -154,6 +150,10 @@ class DeformedSurfaces:
             if len(stresses):
                 stresses += row.stress - row.stress_slopes @ solved
         stress = largest_stress(component, geometry, stresses, 0.0)
+        # It is the same of each row; NaN without any.
+        compliances = rows.compliance[rows.fingerprint == component.fingerprint]
+        known = compliances[np.isfinite(compliances).all(axis=(1, 2))]
+        compliance = known[0] if len(known) else np.full((6, 6), np.nan)
         return Deformed(
             component=component.name,
             wrench=tuple(wrench.tolist()),
@@ -162,7 +162,7 @@ class DeformedSurfaces:
             error=rounding(moved),
             stress=stress,
             source="linear",
-            follows=vertex_modes(row.displacement_slopes, _any_compliance(component, rows)),
+            follows=vertex_modes(row.displacement_slopes, compliance),
         )
 
     def _own(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
@@ -171,32 +171,31 @@ class DeformedSurfaces:
         near = apart.max(axis=1, initial=0.0) <= SAME
         for place in np.flatnonzero(near & (rows.fingerprint == component.fingerprint)).tolist():
             for row in self._readable(component, rows.wrench[place : place + 1]):
-                found = self._stepped(component, row, wrench, int(rows.seq[place]))
-                follows = vertex_modes(row.displacement_slopes, rows.compliance[place])
-                return found and replace(found, follows=follows)
+                try:
+                    geometry = self._geometry(component, row)
+                except DamagedFieldsError:
+                    return None
+                # The row's fields, led by their slopes over the step from its wrench.
+                step = wrench - np.array(row.meta["wrench"])
+                moved = row.displacement_slopes @ step
+                stress = stress_of_row(component, row)
+                if step.any() and len(row.stress):
+                    change = row.stress_slopes @ step
+                    error = float(von_mises(change).max())
+                    stress = largest_stress(component, geometry, row.stress + change, error)
+                displacement = row.displacement + moved
+                return Deformed(
+                    component=component.name,
+                    wrench=tuple(wrench.tolist()),
+                    geometry=geometry,
+                    displacement=displacement,
+                    error=rounding(displacement) + np.linalg.norm(moved, axis=1),
+                    stress=stress,
+                    source="row",
+                    rows=(int(rows.seq[place]),),
+                    follows=vertex_modes(row.displacement_slopes, rows.compliance[place]),
+                )
         return None
-
-    def _stepped(
-        self, component: Component, row: RowFields, wrench: Floats, number: int
-    ) -> Deformed | None:
-        """Return a row's fields, led by their slopes over the step from its wrench."""
-        try:
-            geometry = self._geometry(component, row)
-        except DamagedFieldsError:
-            return None
-        step = wrench - np.array(row.meta["wrench"])
-        moved = row.displacement_slopes @ step
-        stress = stress_of_row(component, row)
-        if step.any() and len(row.stress):
-            change = row.stress_slopes @ step
-            error = float(von_mises(change).max())
-            stress = largest_stress(component, geometry, row.stress + change, error)
-        whole = row.displacement + moved
-        vertex_error = rounding(whole) + np.linalg.norm(moved, axis=1)
-        loads = tuple(wrench.tolist())
-        return Deformed(
-            component.name, loads, geometry, whole, vertex_error, stress, "row", (number,)
-        )
 
     def _between(
         self,
@@ -255,13 +254,13 @@ class DeformedSurfaces:
         hyperparameters: Hyperparameters | None,
     ) -> Blend:
         """Return the interpolation of the rows nearest to a wrench; the last one if it is that."""
-        chosen = nearest_rows(
-            rows.wrench, wrench, component.load_range, self._most_rows(component, rows)
-        )
-        near, lengths = (
-            rows.take(chosen),
-            None if hyperparameters is None else hyperparameters.logarithms.tobytes(),
-        )
+        first = next(self._readable(component, rows.wrench), None)
+        if first is None:
+            raise NoFieldsError(component, "the files of all rows are damaged")
+        size = 7 * 8 * (first.displacement.size + first.stress.size)
+        limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(size, 1)))
+        near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
+        lengths = None if hyperparameters is None else hyperparameters.logarithms.tobytes()
         key = component.fingerprint, near.seq.tobytes(), lengths
         kept = self._kept.get(component.name)
         if kept is not None and kept[0] == key:
@@ -270,16 +269,9 @@ class DeformedSurfaces:
         self._kept.pop(component.name, None)  # before its like takes as much memory again
         blend = self._made(component, near, hyperparameters)
         self._kept[component.name] = key, blend
-        while len(self._kept) > MOST_BLENDS:
+        while len(self._kept) > MAX_BLENDS:
             self._kept.popitem(last=False)
         return blend
-
-    def _most_rows(self, component: Component, rows: Rows) -> int:
-        """Return how many rows' fields may be in memory at once."""
-        for row in self._readable(component, rows.wrench):
-            size = 7 * 8 * (row.displacement.size + row.stress.size)
-            return min(MOST_ROWS, max(LEAST_ROWS, BLEND_BYTES // max(size, 1)))
-        raise NoFieldsError(component, "the files of all rows are damaged")
 
     def _made(
         self, component: Component, rows: Rows, hyperparameters: Hyperparameters | None
@@ -311,23 +303,7 @@ class DeformedSurfaces:
         return self._store.geometry(component.name, component.fingerprint, row.meta["geometry"])
 
 
-def _require_near(component: Component, wrench: Floats) -> None:
-    loads = component.load_range
-    room = FARTHEST * loads.scale
-    low, high = np.minimum(loads.low, 0.0) - room, np.maximum(loads.high, 0.0) + room
-    if ((wrench < low) | (wrench > high)).any():
-        beyond = why_beyond(loads, wrench)
-        raise TooFarError(f"{beyond}: too far beyond it for a surface; ask nearer to the range")
-
-
-def _any_compliance(component: Component, rows: Rows) -> Floats:
-    """Return a linear component's compliance, the same of each row, (6, 6), SI; NaN without."""
-    own = rows.compliance[rows.fingerprint == component.fingerprint]
-    known = np.flatnonzero(np.isfinite(own).all(axis=(1, 2)))
-    return own[known[0]] if len(known) else np.full((6, 6), np.nan)
-
-
-def _whole(
+def _with_solver_error(
     component: Component,
     shape: Deformed,
     solver: SolverError | None,
@@ -356,17 +332,109 @@ def _judged(component: Component, blend: Blend, error: Floats | None) -> tuple[s
     return "covered", ""
 
 
-def _how_to(component: Component, why: str) -> str:
-    """Return why there is no surface, and how to get one."""
-    name = component.name
-    if not component.has_fea:
-        return (
-            f"{name!r} is a table without a finite-element setup: there is no surface to deform. "
-            "Add the component as a bundle with a mesh."
-        )
-    return (
-        f"{name!r} has no deformed surface yet: {why}. Each solve by the embedded solver leaves "
-        f"one (a deck's own solver leaves none): POST this wrench to /v1/components/{name}/solve, "
-        f"or ask for several by /v1/components/{name}/fill. A row without a surface gets one by "
-        "being solved again: DELETE it from the table, then POST its wrench to /solve."
-    )
+class BlendedFields(NamedTuple):
+    """Fields at one wrench."""
+
+    displacement: Floats  # (v, 3), m
+    error: Floats | None  # (v,), m; None where too few rows give it
+    stress: Floats | None  # (p, 6), Pa
+    stress_error: float | None  # Pa, of its largest von Mises stress
+
+
+@dataclass(frozen=True, eq=False)
+class Blend:
+    """An interpolation of complete fields.
+
+    `values`, shape (k, 7, d), are of each row its fields, then their slopes by each load;
+    displacements first, then stresses.
+    """
+
+    geometry: SurfaceGeometry
+    weights: FieldWeights
+    values: Floats
+    rows: tuple[int, ...]  # their numbers
+    largest: float  # m, displacement in any row
+    spread: Floats | None  # (v,), m: of a vertex's error over sigma; None with too few rows
+    factor: float  # of sigma times spread
+    stress_factor: float | None  # Pa: error bar of the largest von Mises stress over sigma
+
+    @classmethod
+    def of(
+        cls,
+        geometry: SurfaceGeometry,
+        weights: FieldWeights,
+        rows: Sequence[RowFields],
+        numbers: tuple[int, ...],
+    ) -> Blend:
+        """Return the interpolation of rows that share a geometry."""
+        values = np.stack([_columns(row) for row in rows])
+        moved = 3 * len(geometry.vertices)
+        largest = float(np.abs(values[:, 0, :moved]).max(initial=0.0))
+        blank = cls(geometry, weights, values, numbers, largest, None, 0.0, None)
+        if len(rows) < LEAST_LEFT_OUT:
+            return blank
+        errors, sigmas = weights.left_out(values.__getitem__, values.shape[2])
+        lengths = np.linalg.norm(errors[:, :moved].reshape(len(rows), -1, 3), axis=2)
+        ratios = lengths / sigmas[:, None]
+        spread = np.sqrt((ratios**2).mean(axis=0))
+        relative = ratios / np.where(spread > 0, spread, 1.0)
+        factor = _conformal(np.quantile(relative, LEVEL, axis=1))
+        stresses = _stress_factor(values[:, 0, moved:], errors[:, moved:], rows, sigmas)
+        return cls(geometry, weights, values, numbers, largest, spread, factor, stresses)
+
+    def at(self, wrench: Floats) -> BlendedFields:
+        """Return the fields at a wrench (6,), N and N·m."""
+        found = self.weights.at(wrench)
+        lambdas = np.concatenate((found.values[:, None], found.slopes), axis=1)
+        fields = np.tensordot(lambdas, self.values, axes=2)
+        moved = 3 * len(self.geometry.vertices)
+        displacement = fields[:moved].reshape(-1, 3)
+        error = None if self.spread is None else self.factor * found.sigma * self.spread
+        stress = fields[moved:].reshape(-1, 6) if len(fields) > moved else None
+        factor = self.stress_factor
+        stress_error = None if factor is None else factor * found.sigma
+        return BlendedFields(displacement, error, stress, stress_error)
+
+    def nearest(self, wrench: Floats) -> tuple[int, Floats]:
+        """Return the row nearest to a wrench (6,), N and N·m, and its slopes.
+
+        Its number, and the change of its vertices with the wrench: shape (v, 3, 6), m/N and
+        m/(N·m).
+        """
+        apart = (self.weights.wrenches - wrench) / self.weights.load_range.scale
+        place = int(np.linalg.norm(apart, axis=1).argmin())
+        moved = self.values[place, 1:, : 3 * len(self.geometry.vertices)]
+        return self.rows[place], np.moveaxis(moved.reshape(6, -1, 3), 0, -1)
+
+
+def _columns(row: RowFields) -> Floats:
+    """Return a row's fields and slopes, shape (7, d)."""
+    parts: list[Any] = []
+    for field, slopes in (
+        (row.displacement, row.displacement_slopes),
+        (row.stress, row.stress_slopes),
+    ):
+        whole = np.concatenate((field[..., None], slopes), axis=-1)
+        parts.append(np.moveaxis(whole, -1, 0).reshape(7, -1))
+    return np.concatenate(parts, axis=1)
+
+
+def _stress_factor(
+    stress: Floats, errors: Floats, rows: Sequence[RowFields], sigmas: Floats
+) -> float | None:
+    """Return the error bar of the largest von Mises stress over sigma, Pa; None without stresses.
+
+    Of each row left out the predicted largest is compared with its own largest.
+    """
+    if not stress.shape[1]:
+        return None
+    largest = von_mises((stress - errors).reshape(len(rows), -1, 6)).max(axis=1)
+    true = np.array([row.meta["largest"] for row in rows])
+    return _conformal(np.abs(largest - true) / sigmas)
+
+
+def _conformal(ratios: Floats) -> float:
+    """Return the ratio that 95 % of one more row are below, widened for few rows."""
+    rank = int(np.ceil(LEVEL * (len(ratios) + 1)))
+    found = float(np.sort(ratios)[min(rank, len(ratios)) - 1])
+    return found * (1 + WIDENING / len(ratios))

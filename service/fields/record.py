@@ -1,116 +1,197 @@
-"""What is kept of one solve's fields, as its solver leaves it in the attempt's folder.
+"""What is kept of one solve's fields: files of arrays, exact or rounded, with a digest.
 
-Two files: the geometry, which all rows of a component share, and the row's own fields. The
-displacement is kept to 2^-44 of its largest number, stresses to 2^-24 and slopes to 2^-20, as they
-serve interpolation only; a linear component's slopes are its whole answer and kept to 2^-44.
+A solver leaves two files in the attempt's folder: the geometry, which all rows of a component
+share, and the row's fields. The displacement is kept to 2^-44 of its largest number, stresses to
+2^-24 and slopes to 2^-20, as they serve interpolation only; a linear component's slopes are its
+complete answer and kept to 2^-44.
+
+A file is `MAGIC`, the length of a JSON header (four bytes, little-endian), the header and the
+compressed columns one after the other. The header has each column's shape and steps and a digest
+of all, so that a file that was cut off or damaged is not taken for numbers.
+
+A column is rounded to multiples of a step, 2^-bits of its largest number or finer, by the last
+index of the array; the multiples are stored as differences from one entry to the next, byte by
+byte: neighbouring nodes of a mesh move alike, so the high bytes are zero and compress well. h5py's
+filters (float32, shuffle, gzip) make files 1.26 times as large in twice the time, npz 1.45 times in
+three times the time.
 """
 
 from __future__ import annotations
 
+import json
+import zlib
+from collections.abc import Mapping
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.fields.codec import Column, pack, unpack
 from wrenchbook.service.files.durable import write_whole_bytes
 
 GEOMETRY, ROW = "geometry.fields", "row.fields"  # as the solver names them
 FINE, STRESS, SLOPES = 44, 24, 20  # bits
+MAGIC = b"wrenchbook fields 1\n"
+EXACT = 0  # bits of a column that is stored as it is
+MAX_BYTES = 1 << 28  # of one column unpacked: no header may ask for all memory
+_MAX_BITS = 50  # differences of multiples must fit 64 bits, and multiples a float64
+_MIN_EXPONENT = -1074  # of a float64
 
 Array = NDArray[Any]
 
 
-class SurfaceGeometry(NamedTuple):
-    """The undeformed surface, and the points of stresses; in the interface frame.
+class DamagedFieldsError(Exception):
+    """A file that is not, byte for byte, what was written."""
 
-    Attributes
-    ----------
-    vertices, triangles
-        Shapes (v, 3), m, and (t, 3).
-    whole_vertices
-        Of the surface before it was simplified.
-    places, materials
-        Shapes (p, 3), m, and (p,).
-    regions
-        Of the materials.
-    digest
-        Of all this: a row's fields belong to the geometry of the same digest.
+
+class Column(NamedTuple):
+    """An array, shape (n, ...), SI or indices, and to how many bits of its largest it is kept."""
+
+    values: Array
+    bits: int = EXACT
+
+
+def pack(meta: Mapping[str, Any], columns: Mapping[str, Column]) -> bytes:
+    """Return the file of arrays and of JSON values; raises ValueError unless all are finite."""
+    entries, payloads = zip(*(_packed(*item) for item in columns.items()), strict=True)
+    body = b"".join(payloads)
+    header: dict[str, Any] = {"meta": dict(meta), "columns": entries}
+    header["digest"] = _digest(header, body)
+    text = json.dumps(header, allow_nan=False).encode()
+    return MAGIC + len(text).to_bytes(4, "little") + text + body
+
+
+def read_meta(content: bytes) -> dict[str, Any]:
+    """Return the JSON values of a file's header, without its columns."""
+    return _header(content)[0]["meta"]
+
+
+def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return the header's JSON values, and each array, shape (n, ...), by its name.
+
+    Raises `DamagedFieldsError` if the file is not as it was written.
     """
+    header, start = _header(content)
+    body, digest = content[start:], header.pop("digest", None)
+    try:
+        intact = digest == _digest(header, body)
+    except ValueError:  # a number of the header is infinite or NaN
+        intact = False
+    if not intact:
+        raise DamagedFieldsError("its checksum is wrong: the file is damaged")
+    columns, start = {}, 0
+    for entry in header["columns"]:
+        columns[entry["name"]] = _unpacked(entry, body[start : start + entry["bytes"]])
+        start += entry["bytes"]
+    return header["meta"], columns
 
-    vertices: Array
-    triangles: Array
-    whole_vertices: int
-    places: Array
-    materials: Array
-    regions: tuple[str, ...]
-    digest: str
+
+def _header(content: bytes) -> tuple[dict[str, Any], int]:
+    start = len(MAGIC) + 4
+    if content[: len(MAGIC)] != MAGIC:
+        raise DamagedFieldsError("it does not begin as a file of fields does")
+    length = int.from_bytes(content[len(MAGIC) : start], "little")
+    try:
+        header = json.loads(content[start : start + length])
+        if not isinstance(header["meta"], dict) or not isinstance(header["columns"], list):
+            raise ValueError("its header is of another form")
+    except (ValueError, KeyError, TypeError) as error:
+        raise DamagedFieldsError(f"its header cannot be read: {error}") from error
+    return header, start + length
+
+
+def _digest(header: Mapping[str, Any], body: bytes) -> str:
+    text = json.dumps(header, sort_keys=True, allow_nan=False).encode()
+    return blake2b(body, key=blake2b(text, digest_size=32).digest(), digest_size=16).hexdigest()
+
+
+def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
+    values, bits = column
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} has numbers that are not finite")
+    entry: dict[str, Any] = {"name": name, "shape": list(values.shape)}
+    if bits == EXACT:
+        kind = "i4" if values.dtype.kind in "iu" else "f8"
+        numbers = np.ascontiguousarray(values, dtype=f"<{kind}")
+        entry |= {"kind": kind}
+    else:
+        # A step for each last index: a power of two, so that nothing is lost.
+        size = np.abs(values).max(axis=tuple(range(values.ndim - 1)), initial=0.0)
+        exponent = np.frexp(size)[1] - min(bits, _MAX_BITS)  # size < 2^exponent before
+        steps = np.where(size > 0, np.ldexp(1.0, np.maximum(exponent, _MIN_EXPONENT)), 1.0)
+        multiples = np.rint(values / steps).astype("<i8")
+        numbers = np.diff(multiples, axis=0, prepend=np.zeros_like(multiples[:1]))
+        if bits <= 30:  # a difference of two takes one bit more
+            numbers = numbers.astype("<i4")
+        entry |= {"kind": f"i{numbers.itemsize}", "steps": np.ravel(steps).tolist()}
+    # All first bytes, then all second ones, ...: like bytes stand together. Huffman's code alone:
+    # of such bytes no longer words come twice.
+    planes = np.ascontiguousarray(numbers).view(np.uint8).reshape(-1, numbers.itemsize).T
+    packer = zlib.compressobj(1, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_HUFFMAN_ONLY)
+    payload = packer.compress(np.ascontiguousarray(planes).tobytes()) + packer.flush()
+    return entry | {"bytes": len(payload)}, payload
+
+
+def _unpacked(entry: Mapping[str, Any], payload: bytes) -> Array:
+    shape, kind = tuple(entry["shape"]), np.dtype(f"<{entry['kind']}")
+    size = int(np.prod(shape, dtype=object)) * kind.itemsize
+    if not 0 <= size <= MAX_BYTES:
+        raise DamagedFieldsError(f"its column {entry['name']} claims {size} bytes")
+    try:
+        raw = zlib.decompressobj().decompress(payload, size) if size else b""
+    except zlib.error as error:
+        raise DamagedFieldsError(f"its column {entry['name']} cannot be unpacked") from error
+    if len(raw) != size:
+        raise DamagedFieldsError(f"its column {entry['name']} is cut off")
+    planes = np.frombuffer(raw, np.uint8).reshape(kind.itemsize, -1).T
+    numbers = np.ascontiguousarray(planes).view(kind).reshape(shape)
+    if "steps" not in entry:
+        return numbers
+    return np.cumsum(numbers, axis=0, dtype=np.int64) * np.array(entry["steps"])
+
+
+class SurfaceGeometry(NamedTuple):
+    """The undeformed surface, and the points of stresses; in the interface frame."""
+
+    vertices: Array  # (v, 3), m
+    triangles: Array  # (t, 3)
+    whole_vertices: int  # of the surface before it was simplified
+    places: Array  # (p, 3), m
+    materials: Array  # (p,)
+    regions: tuple[str, ...]  # of the materials
+    digest: str  # of all this: a row's fields belong to the geometry of the same digest
 
 
 class RowFields(NamedTuple):
     """The fields of one row; shapes as in `fea.recovery.fields.SolveFields`.
 
-    Attributes
-    ----------
-    displacement, displacement_slopes
-        Shapes (v, 3), m, and (v, 3, 6), m/N and m/(N·m).
-    stress, stress_slopes
-        Shapes (p, 6), Pa, and (p, 6, 6), Pa/N and Pa/(N·m).
-    meta
-        ``wrench``, ``linear``, ``geometry`` (its digest), ``largest``, ``at``, ``region``;
-        ``weight`` (true) where the fields at zero load are those of the component's own weight.
+    `meta` has ``wrench``, ``linear``, ``geometry`` (its digest), ``largest``, ``at``, ``region``,
+    and ``weight`` (true) where the fields at zero load are those of the component's weight.
     """
 
-    displacement: Array
-    displacement_slopes: Array
-    stress: Array
-    stress_slopes: Array
+    displacement: Array  # (v, 3), m
+    displacement_slopes: Array  # (v, 3, 6), m/N and m/(N·m)
+    stress: Array  # (p, 6), Pa
+    stress_slopes: Array  # (p, 6, 6), Pa/N and Pa/(N·m)
     meta: dict[str, Any]
 
 
 def leave(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
     """Write the two files into an attempt's folder, each whole or not at all, on disk for good.
 
-    Parameters
-    ----------
-    folder
-        The attempt's.
-    wrench
-        Six numbers, N and N·m.
-    fields : fea.recovery.fields.SolveFields
-        Not imported: readers of the files import no finite elements.
-
-    Raises
-    ------
-    OSError
-        If they cannot be written.
-    ValueError
-        If a number is not finite.
+    `fields` is a `fea.recovery.fields.SolveFields`, not imported: readers of the files import no
+    finite elements. Raises OSError if they cannot be written, ValueError unless all are finite.
     """
-    geometry = _geometry_file(fields)
-    row = _row_file(wrench, fields, digest_of(geometry))
-    write_whole_bytes(folder / GEOMETRY, geometry)
-    write_whole_bytes(folder / ROW, row)
-
-
-def _geometry_file(fields: Any) -> bytes:
-    return pack(
+    names = "vertices", "triangles", "places", "materials"
+    geometry = pack(
         {"whole_vertices": fields.whole_vertices, "regions": list(fields.regions)},
-        {
-            "vertices": Column(fields.vertices),
-            "triangles": Column(fields.triangles),
-            "places": Column(fields.places),
-            "materials": Column(fields.materials),
-        },
+        {name: Column(getattr(fields, name)) for name in names},
     )
-
-
-def _row_file(wrench: tuple[float, ...], fields: Any, geometry: str) -> bytes:
     meta = {
         "wrench": list(wrench),
         "linear": fields.linear,
-        "geometry": geometry,
+        "geometry": digest_of(geometry),
         "largest": fields.largest,
         "at": list(fields.largest_at),
         "region": fields.largest_region,
@@ -118,15 +199,15 @@ def _row_file(wrench: tuple[float, ...], fields: Any, geometry: str) -> bytes:
     if fields.weight:
         meta["weight"] = True
     slopes = FINE if fields.linear else SLOPES
-    return pack(
-        meta,
-        {
-            "displacement": Column(fields.displacement, FINE),
-            "displacement_slopes": Column(fields.displacement_slopes, slopes),
-            "stress": Column(fields.stress, STRESS),
-            "stress_slopes": Column(fields.stress_slopes, slopes),
-        },
-    )
+    columns = {
+        "displacement": Column(fields.displacement, FINE),
+        "displacement_slopes": Column(fields.displacement_slopes, slopes),
+        "stress": Column(fields.stress, STRESS),
+        "stress_slopes": Column(fields.stress_slopes, slopes),
+    }
+    row = pack(meta, columns)
+    write_whole_bytes(folder / GEOMETRY, geometry)
+    write_whole_bytes(folder / ROW, row)
 
 
 def digest_of(geometry: bytes) -> str:
@@ -135,38 +216,15 @@ def digest_of(geometry: bytes) -> str:
 
 
 def read_geometry(content: bytes) -> SurfaceGeometry:
-    """Return the geometry of a file.
-
-    Raises
-    ------
-    DamagedFieldsError
-        If it is not as it was written.
-    """
+    """Return the geometry of a file; raises `DamagedFieldsError` if it is not as written."""
     meta, columns = unpack(content)
+    vertices, regions = int(meta["whole_vertices"]), tuple(meta["regions"])
     return SurfaceGeometry(
-        columns["vertices"],
-        columns["triangles"],
-        int(meta["whole_vertices"]),
-        columns["places"],
-        columns["materials"],
-        tuple(meta["regions"]),
-        digest_of(content),
+        **columns, whole_vertices=vertices, regions=regions, digest=digest_of(content)
     )
 
 
 def read_row(content: bytes) -> RowFields:
-    """Return the fields of a row's file.
-
-    Raises
-    ------
-    DamagedFieldsError
-        If it is not as it was written.
-    """
+    """Return the fields of a row's file; raises `DamagedFieldsError` if it is not as written."""
     meta, columns = unpack(content)
-    return RowFields(
-        columns["displacement"],
-        columns["displacement_slopes"],
-        columns["stress"],
-        columns["stress_slopes"],
-        meta,
-    )
+    return RowFields(**columns, meta=meta)

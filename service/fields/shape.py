@@ -41,13 +41,9 @@ NOT_FOLLOWED = (
 class ErrorParts(NamedTuple):
     """The parts of the error bars of a surface.
 
-    Attributes
-    ----------
-    shares
-        By cause, ``table``, ``mesh`` and of a linear component ``linearity``: shape (v,), m; None
-        where it is not known.
-    words
-        ``mesh_basis`` and the like: where an estimate is from, or why there is none.
+    `shares` are by cause, ``table``, ``mesh`` and of a linear component ``linearity``: shape (v,),
+    m; None where it is not known. `words` are ``mesh_basis`` and the like: where an estimate is
+    from, or why there is none.
     """
 
     shares: dict[str, Floats | None]
@@ -75,12 +71,8 @@ class ErrorParts(NamedTuple):
 def vertex_modes(slopes: Floats, compliance: Floats) -> Floats | None:
     """Return how the vertices follow the interface, shape (v, 3, 6), m/m and m/rad.
 
-    Parameters
-    ----------
-    slopes
-        Shape (v, 3, 6), m/N and m/(N·m): change of the vertices with the wrench.
-    compliance
-        Shape (6, 6), SI: the same of the interface; None is returned where it is not known.
+    `slopes`, shape (v, 3, 6), m/N and m/(N·m), are the change of the vertices with the wrench,
+    `compliance`, shape (6, 6), SI, that of the interface. None where the latter is not known.
     """
     if not np.isfinite(compliance).all():
         return None
@@ -97,20 +89,11 @@ def error_parts(
     wrench: Floats,
     shares: Mapping[str, Sequence[float] | None] | None = None,
 ) -> ErrorParts:
-    """Return the parts of a surface's error bars.
+    """Return the parts of a surface's error bars under a wrench, shape (6,), N and N·m.
 
-    Parameters
-    ----------
-    table
-        Shape (v,), m: the interpolation error.
-    follows
-        As `vertex_modes` has it, shape (v, 3, 6), m/m and m/rad.
-    solver
-        The solver's own error; None where it was never estimated.
-    wrench
-        Shape (6,), N and N·m.
-    shares
-        The interface's, six an entry, m and rad; those at small loads without.
+    `table`, shape (v,), m, is the interpolation error, `follows` as `vertex_modes` has it. `solver`
+    is the solver's error, None where it was never estimated, `shares` are the interface's, six an
+    entry, m and rad; those at small loads without.
     """
     found: dict[str, Floats | None] = {"table": table, "mesh": None}
     if solver is None:
@@ -119,17 +102,13 @@ def error_parts(
     if follows is None:
         return ErrorParts(found, words | {"mesh_basis": NOT_FOLLOWED})
     for cause, bars in (shares or solver.parts(wrench.tolist())).items():
-        found[cause] = None if bars is None else _carried(follows, np.array(bars))
+        carried = None if bars is None else np.abs(follows) @ np.array(bars)
+        found[cause] = None if carried is None else np.linalg.norm(carried, axis=1)
     mesh = found["mesh"]
     if mesh is not None:
         free = follows.any(axis=(1, 2))
         found["mesh"] = mesh + LOCAL * mesh.max(initial=0.0) * free
     return ErrorParts(found, words)
-
-
-def _carried(follows: Floats, bars: Floats) -> Floats:
-    """Return the vertices' error bars (v,), m, of the interface's (6,), m and rad, any sign."""
-    return np.linalg.norm(np.abs(follows) @ bars, axis=1)
 
 
 Floats = NDArray[np.float64]
@@ -141,24 +120,15 @@ ROUNDING = 1e-12
 class LargestStress(NamedTuple):
     """The largest von Mises stress at the solver's integration points.
 
-    Attributes
-    ----------
-    largest, error
-        Pa, and its 95 % error bar, of the interpolation alone; None where not known.
-    at
-        Shape (3,), m: the integration point, undeformed, in the interface frame.
-    region, yield_strength
-        The material there, and its yield strength, Pa; None where its bundle does not have it.
-    yields
-        Whether any part yields, and by it which is named: True, False, or None where it is not
-        known, for lack of a yield strength or because the error bar reaches across it.
+    `yields` is whether any part yields, and by it which is named: None where it is not known, for
+    lack of a yield strength or because the error bar reaches across it.
     """
 
-    largest: float
-    error: float | None
-    at: tuple[float, ...]
-    region: str
-    yield_strength: float | None
+    largest: float  # Pa
+    error: float | None  # Pa, 95 % error bar of the interpolation alone
+    at: tuple[float, ...]  # (3,), m: the integration point, undeformed, in the interface frame
+    region: str  # the material there
+    yield_strength: float | None  # Pa; None where its bundle does not have it
     yields: bool | None
 
 
@@ -166,46 +136,25 @@ class LargestStress(NamedTuple):
 class Deformed:
     """A deformed surface, in the undeformed interface frame from its point.
 
-    Attributes
-    ----------
-    component, wrench
-        Of which it is, under what: six numbers, N and N·m.
-    geometry
-        The undeformed surface.
-    displacement
-        Shape (v, 3), m.
-    error
-        Shape (v,), m: 95 % error bar of the length of each vertex's error; None where not known.
-        The solver's own share is in it, as far as it is known: see `parts`.
-    stress
-        None between rows of a body with too many integration points.
-    source
-        ``row``: a solve of this wrench; ``rows``: interpolated; ``linear``: six unit fields.
-    rows
-        Numbers of the rows it is made of.
-    coverage, reason
-        ``covered``, ``thin`` or ``outside``, and why: of the interpolation error alone.
-    follows
-        Shape (v, 3, 6), m/m and m/rad: how vertices follow the interface; None where not known.
-    parts
-        The parts of `error`; None until the solver's error is added, or without error bars.
-    within_tolerance
-        Whether all error bars are; None without a tolerance or a discretisation error.
+    `error` is the 95 % error bar of the length of each vertex's error, with the solver's own share
+    as far as it is known (`parts`, None until that is added). `source` is ``row``: a solve of this
+    wrench, ``rows``: interpolated, or ``linear``: six unit fields. `coverage` and `reason` are of
+    the interpolation error alone.
     """
 
     component: str
-    wrench: tuple[float, ...]
-    geometry: SurfaceGeometry
-    displacement: Floats
-    error: Floats | None
-    stress: LargestStress | None
+    wrench: tuple[float, ...]  # (6,), N and N·m
+    geometry: SurfaceGeometry  # undeformed
+    displacement: Floats  # (v, 3), m
+    error: Floats | None  # (v,), m; None where not known
+    stress: LargestStress | None  # None between rows with too many integration points
     source: str
-    rows: tuple[int, ...] = ()
-    coverage: str = "covered"
+    rows: tuple[int, ...] = ()  # numbers of those it is made of
+    coverage: str = "covered"  # or thin, outside
     reason: str = ""
-    follows: Floats | None = None
+    follows: Floats | None = None  # (v, 3, 6), m/m and m/rad: how vertices follow the interface
     parts: ErrorParts | None = None
-    within_tolerance: bool | None = None
+    within_tolerance: bool | None = None  # None without a tolerance or a discretisation error
 
 
 def rounding(displacement: Floats) -> Floats:
@@ -219,11 +168,7 @@ def largest_stress(
     """Return the largest of stresses (p, 6), Pa, or that of the part that yields first.
 
     With yield strengths the point named is the one nearest to yielding, or furthest past it.
-
-    Parameters
-    ----------
-    error
-        The error bar of the von Mises stress, Pa.
+    `error` is the error bar of the von Mises stress, Pa.
     """
     if not len(stress):
         return None

@@ -11,20 +11,21 @@ from __future__ import annotations
 import contextlib
 import logging
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.service.fields.codec import DamagedFieldsError, read_meta
 from wrenchbook.service.fields.record import (
     GEOMETRY,
     ROW,
+    DamagedFieldsError,
     RowFields,
     SurfaceGeometry,
     digest_of,
     read_geometry,
+    read_meta,
     read_row,
 )
 from wrenchbook.service.files.durable import sync_folder
@@ -39,16 +40,9 @@ _log = logging.getLogger(__name__)
 
 
 class FieldStore:
-    """The kept fields of all components of a data directory.
+    """The kept fields of all components of a data directory, at most `most_bytes` of one component.
 
     Several processes may use it: files appear whole and are never changed.
-
-    Parameters
-    ----------
-    folder : path
-        Made when the first fields are kept.
-    most_bytes : int
-        Of one component.
     """
 
     def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:
@@ -67,7 +61,8 @@ class FieldStore:
         try:
             if not (row.exists() and geometry.exists()):
                 return False
-            linear = bool(_meta_of(row).get("linear"))
+            with row.open("rb") as file:
+                linear = bool(read_meta(file.read(_HEADER_BYTES)).get("linear"))
             place = self._place(component, fingerprint)
             place.mkdir(parents=True, exist_ok=True)
             size = row.stat().st_size + geometry.stat().st_size
@@ -86,18 +81,16 @@ class FieldStore:
         self, component: str, fingerprint: str, wrenches: Sequence[Sequence[float]]
     ) -> list[int]:
         """Return which of the wrenches, each six numbers, N and N·m, have fields here."""
-        names = self._names(component, fingerprint)
-        if not names:
+        try:
+            names = {path.name for path in self._place(component, fingerprint).iterdir()}
+        except FileNotFoundError:
             return []
         return [i for i, wrench in enumerate(wrenches) if f"{key_of(wrench)}.fields" in names]
 
     def row(self, component: str, fingerprint: str, wrench: Sequence[float]) -> RowFields:
         """Return the fields of one row.
 
-        Raises
-        ------
-        DamagedFieldsError
-            If the file is not as it was written, or gone, or of another wrench.
+        Raises `DamagedFieldsError` if the file is damaged, or gone, or of another wrench.
         """
         key = key_of(wrench)
         found = self._read(self._place(component, fingerprint) / f"{key}.fields")
@@ -108,22 +101,13 @@ class FieldStore:
     def linear(self, component: str, fingerprint: str) -> RowFields | None:
         """Return the six unit fields of a linear component; None before its first solve.
 
-        Raises
-        ------
-        DamagedFieldsError
-            If the file is not as it was written.
+        Raises `DamagedFieldsError` if the file is not as it was written.
         """
         path = self._place(component, fingerprint) / f"{_LINEAR}.fields"
         return self._read(path) if path.exists() else None
 
     def geometry(self, component: str, fingerprint: str, digest: str) -> SurfaceGeometry:
-        """Return the geometry that a row's fields belong to.
-
-        Raises
-        ------
-        DamagedFieldsError
-            If the file is not as it was written, or gone.
-        """
+        """Return the geometry of a row's fields; raises `DamagedFieldsError` without."""
         path = self._place(component, fingerprint) / f"{digest}.geometry"
         found = read_geometry(_content(path))
         if found.digest != digest:
@@ -139,12 +123,6 @@ class FieldStore:
     def _place(self, component: str, fingerprint: str) -> Path:
         return self._folder / component / fingerprint
 
-    def _names(self, component: str, fingerprint: str) -> set[str]:
-        try:
-            return {path.name for path in self._place(component, fingerprint).iterdir()}
-        except FileNotFoundError:
-            return set()
-
     def _has_room(self, component: str, fingerprint: str, size: int) -> bool:
         """Return whether so many bytes more may be kept, after older set-ups have made room."""
         if self._bytes_of(component) + size <= self._most_bytes:
@@ -155,7 +133,11 @@ class FieldStore:
         return self._bytes_of(component) + size <= self._most_bytes
 
     def _bytes_of(self, component: str) -> int:
-        return sum(_sizes(self._folder / component))
+        size = 0
+        for path in self._folder.joinpath(component).glob("*/*"):
+            with contextlib.suppress(OSError):
+                size += path.stat().st_size
+        return size
 
 
 def key_of(wrench: Sequence[float]) -> str:
@@ -164,19 +146,8 @@ def key_of(wrench: Sequence[float]) -> str:
     return blake2b(exact, digest_size=16).hexdigest()
 
 
-def _sizes(folder: Path) -> Iterator[int]:
-    for path in folder.glob("*/*"):
-        with contextlib.suppress(OSError):
-            yield path.stat().st_size
-
-
 def _content(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
         raise DamagedFieldsError(f"{path.name} cannot be read: {error}") from error
-
-
-def _meta_of(path: Path) -> dict[str, object]:
-    with path.open("rb") as file:
-        return read_meta(file.read(_HEADER_BYTES))

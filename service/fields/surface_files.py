@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ GLTF_MEDIA_TYPE = "model/gltf-binary"
 _FLOAT, _UNSIGNED = 5126, 5125  # componentType
 _VERTICES, _INDICES = 34962, 34963  # target of a bufferView
 _Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # quaternion: minus a quarter turn about x
-_JSON, _BINARY = b"JSON", b"BIN\x00"
 _MATERIAL = {
     "doubleSided": True,
     "pbrMetallicRoughness": {
@@ -28,39 +26,6 @@ _MATERIAL = {
 }
 
 
-class _Buffer:
-    """Arrays one after the other, with their views and accessors."""
-
-    def __init__(self) -> None:
-        self.content = bytearray()
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-
-    def add(self, values: NDArray[Any], target: int) -> int:
-        """Add an array, shape (n,) or (n, 3), and return the number of its accessor."""
-        floats = target == _VERTICES
-        whole = np.ascontiguousarray(values, dtype="<f4" if floats else "<u4")
-        view = {
-            "buffer": 0,
-            "byteOffset": len(self.content),
-            "byteLength": whole.nbytes,
-            "target": target,
-        }
-        accessor: dict[str, Any] = {
-            "bufferView": len(self.views),
-            "componentType": _FLOAT if floats else _UNSIGNED,
-            "count": len(whole),
-            "type": "VEC3" if whole.ndim == 2 else "SCALAR",
-        }
-        columns = whole.reshape(len(whole), -1)
-        accessor["min"] = columns.min(axis=0).tolist()
-        accessor["max"] = columns.max(axis=0).tolist()
-        self.content += whole.tobytes()  # all are whole multiples of four bytes
-        self.views.append(view)
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1
-
-
 def write_gltf(shape: Deformed) -> bytes:
     """Return the .glb file of a deformed surface: the undeformed mesh, and a morph target.
 
@@ -69,58 +34,62 @@ def write_gltf(shape: Deformed) -> bytes:
     the undeformed one, 100 a hundredfold exaggeration.
 
     The error of each vertex, m, is the attribute ``_ERROR``, if it is known; the wrench, the
-    coverage, the largest of each share of those errors, ``within_tolerance`` and the largest stress
+    coverage, the largest of each part of those errors, ``within_tolerance`` and the largest stress
     are in the mesh's ``extras``.
     """
-    buffer = _Buffer()
-    attributes = {"POSITION": buffer.add(shape.geometry.vertices, _VERTICES)}
-    indices = buffer.add(shape.geometry.triangles.ravel(), _INDICES)
-    moved = {"POSITION": buffer.add(shape.displacement, _VERTICES)}
+    content = bytearray()
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+
+    def add(values: NDArray[Any], target: int) -> int:
+        """Add an array, shape (n,) or (n, 3), and return the number of its accessor."""
+        floats = target == _VERTICES
+        numbers = np.ascontiguousarray(values, dtype="<f4" if floats else "<u4")
+        columns = numbers.reshape(len(numbers), -1)
+        view = {"buffer": 0, "byteOffset": len(content), "byteLength": numbers.nbytes}
+        accessor = {
+            "bufferView": len(views),
+            "componentType": _FLOAT if floats else _UNSIGNED,
+            "count": len(numbers),
+            "type": "VEC3" if numbers.ndim == 2 else "SCALAR",
+            "min": columns.min(axis=0).tolist(),
+            "max": columns.max(axis=0).tolist(),
+        }
+        content.extend(numbers.tobytes())  # all are multiples of four bytes
+        views.append(view | {"target": target})
+        accessors.append(accessor)
+        return len(accessors) - 1
+
+    attributes = {"POSITION": add(shape.geometry.vertices, _VERTICES)}
+    indices = add(shape.geometry.triangles.ravel(), _INDICES)
+    moved = {"POSITION": add(shape.displacement, _VERTICES)}
     if shape.error is not None:
-        attributes["_ERROR"] = buffer.add(shape.error, _VERTICES)
-    primitive = {
-        "attributes": attributes,
-        "indices": indices,
-        "targets": [moved],
-        "material": 0,
-        "mode": 4,
+        attributes["_ERROR"] = add(shape.error, _VERTICES)
+    extras = {
+        "targetNames": ["displacement"],
+        "wrench": list(shape.wrench),
+        "coverage": shape.coverage,
+        "within_tolerance": shape.within_tolerance,
+        **({} if shape.parts is None else {"error_parts": shape.parts.largest()}),
+        "stress": None if shape.stress is None else shape.stress._asdict(),
     }
-    mesh = {
-        "name": shape.component,
-        "primitives": [primitive],
-        "weights": [1.0],
-        "extras": {"targetNames": ["displacement"], **_extras(shape)},
-    }
+    primitive = {"attributes": attributes, "indices": indices, "targets": [moved], "mode": 4}
+    mesh = {"name": shape.component, "primitives": [primitive | {"material": 0}]}
     document = {
         "asset": {"version": "2.0", "generator": "wrenchbook"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": shape.component, "mesh": 0, "rotation": _Z_UP_TO_Y_UP}],
-        "meshes": [mesh],
+        "meshes": [mesh | {"weights": [1.0], "extras": extras}],
         "materials": [_MATERIAL],
-        "accessors": buffer.accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{"byteLength": len(buffer.content)}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(content)}],
     }
-    return _glb(document, bytes(buffer.content))
-
-
-def _extras(shape: Deformed) -> dict[str, Any]:
-    parts = {} if shape.parts is None else {"error_parts": shape.parts.largest()}
-    return {
-        "wrench": list(shape.wrench),
-        "coverage": shape.coverage,
-        "within_tolerance": shape.within_tolerance,
-        **parts,
-        "stress": None if shape.stress is None else shape.stress._asdict(),
-    }
-
-
-def _glb(document: dict[str, Any], content: bytes) -> bytes:
     text = json.dumps(document, allow_nan=False).encode()
-    chunks = _chunk(_JSON, text, b" ") + _chunk(_BINARY, content, b"\x00")
-    whole = 12 + len(chunks)
-    return b"glTF" + (2).to_bytes(4, "little") + whole.to_bytes(4, "little") + chunks
+    chunks = _chunk(b"JSON", text, b" ") + _chunk(b"BIN\x00", bytes(content), b"\x00")
+    length = 12 + len(chunks)
+    return b"glTF" + (2).to_bytes(4, "little") + length.to_bytes(4, "little") + chunks
 
 
 def _chunk(kind: bytes, content: bytes, filler: bytes) -> bytes:
@@ -140,40 +109,34 @@ def write_vtu(shape: Deformed) -> bytes:
     Numbers are float64, as they are. Next to ``error`` are the parts it is the sum of, as
     ``error_table``, ``error_mesh`` and ``error_linearity``; one that is not known is left out.
     """
-    return "\n".join(_lines(shape)).encode()
-
-
-def _lines(shape: Deformed) -> Iterator[str]:
-    geometry = shape.geometry
-    triangles = geometry.triangles.astype("<i8")
+    triangles = shape.geometry.triangles.astype("<i8")
+    fields = {"displacement": shape.displacement, "error": shape.error}
+    for cause, part in (shape.parts.shares if shape.parts else {}).items():
+        fields[f"error_{cause}"] = part
+    known = {name: values for name, values in fields.items() if values is not None}
     count = len(triangles)
-    yield '<?xml version="1.0"?>'
-    yield (
+    lines = (
+        '<?xml version="1.0"?>',
         '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" '
-        'header_type="UInt64">'
+        'header_type="UInt64">',
+        "<UnstructuredGrid>",
+        f'<Piece NumberOfPoints="{len(shape.geometry.vertices)}" NumberOfCells="{count}">',
+        '<PointData Vectors="displacement">',
+        *(_array(name, values.astype("<f8")) for name, values in known.items()),
+        "</PointData>",
+        "<Points>" + _array("Points", shape.geometry.vertices.astype("<f8")) + "</Points>",
+        "<Cells>",
+        _array("connectivity", triangles.ravel()),
+        _array("offsets", np.arange(3, 3 * count + 1, 3, dtype="<i8")),
+        _array("types", np.full(count, _TRIANGLE, dtype="|u1")),
+        "</Cells></Piece></UnstructuredGrid></VTKFile>",
     )
-    yield "<UnstructuredGrid>"
-    yield f'<Piece NumberOfPoints="{len(geometry.vertices)}" NumberOfCells="{count}">'
-    yield '<PointData Vectors="displacement">'
-    yield _array("displacement", shape.displacement.astype("<f8"))
-    if shape.error is not None:
-        yield _array("error", shape.error.astype("<f8"))
-    for cause, share in (shape.parts.shares if shape.parts else {}).items():
-        if share is not None:
-            yield _array(f"error_{cause}", share.astype("<f8"))
-    yield "</PointData>"
-    yield "<Points>" + _array("Points", geometry.vertices.astype("<f8")) + "</Points>"
-    yield "<Cells>"
-    yield _array("connectivity", triangles.ravel())
-    yield _array("offsets", np.arange(3, 3 * count + 1, 3, dtype="<i8"))
-    yield _array("types", np.full(count, _TRIANGLE, dtype="|u1"))
-    yield "</Cells></Piece></UnstructuredGrid></VTKFile>"
+    return "\n".join(lines).encode()
 
 
 def _array(name: str, values: NDArray[Any]) -> str:
-    whole = np.ascontiguousarray(values)
-    content = whole.nbytes.to_bytes(8, "little") + whole.tobytes()
-    columns = f' NumberOfComponents="{whole.shape[1]}"' if whole.ndim == 2 else ""
+    content = values.nbytes.to_bytes(8, "little") + np.ascontiguousarray(values).tobytes()
+    columns = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
     text = base64.b64encode(content).decode("ascii")
-    kind = _TYPES[whole.dtype.str]
+    kind = _TYPES[values.dtype.str]
     return f'<DataArray type="{kind}" Name="{name}"{columns} format="binary">{text}</DataArray>'

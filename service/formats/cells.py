@@ -123,10 +123,17 @@ def number_problem(cell: str, comma: bool) -> str:
 def time_seconds(cell: str, comma: bool, factor: float | None) -> float:
     """Return a time in seconds, NaN if the cell is none; without a factor it is a clock time."""
     text = cell.strip()
-    if factor is None:
-        return _clock_seconds(text.replace(",", ".") if comma else text)
-    number = number_text(text, comma)
-    return float(number) * factor if number is not None else math.nan
+    if factor is not None:
+        number = number_text(text, comma)
+        return math.nan if number is None else float(number) * factor
+    text = text.replace(",", ".") if comma else text
+    for form in (None, *_CLOCK_FORMATS):
+        try:
+            moment = datetime.fromisoformat(text) if form is None else datetime.strptime(text, form)
+        except ValueError:
+            continue
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    return math.nan
 
 
 def guard_formula(text: str) -> str:
@@ -152,20 +159,3 @@ def text_problem(text: str) -> str | None:
     except UnicodeEncodeError:
         return "holds half a character (a lone surrogate); remove it"
     return None
-
-
-def _clock_seconds(text: str) -> float:
-    try:
-        return _since_epoch(datetime.fromisoformat(text))
-    except ValueError:
-        pass
-    for form in _CLOCK_FORMATS:
-        try:
-            return _since_epoch(datetime.strptime(text, form).replace(tzinfo=UTC))
-        except ValueError:
-            continue
-    return math.nan
-
-
-def _since_epoch(moment: datetime) -> float:
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()

@@ -15,8 +15,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events import Events
 from wrenchbook.service.http import instrumentation, openapi, problems
-from wrenchbook.service.http.access import AccessControl, SecuritySettings
-from wrenchbook.service.http.access.permission import Rates
+from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings
 from wrenchbook.service.http.protocol import FastPath
 from wrenchbook.service.http.routes import (
     components,
@@ -132,6 +131,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         description=f"The wrench contract:\n\n{CONTRACT_TEXT}",
         lifespan=lifespan,
         redirect_slashes=False,
+        strict_content_type=False,  # programs may leave it out, see `access`
         **openapi.OPTIONS,
     )
     app.state.counts = counts

@@ -5,27 +5,29 @@ from __future__ import annotations
 import hashlib
 import shutil
 import tempfile
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 from fastapi import Request
+from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.formparsers import MultiPartException
-from starlette.requests import ClientDisconnect
+from starlette.responses import Response
 from starlette.types import Message, Receive
 
+from wrenchbook.service.http.parsing import parsed_json
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 
 # One wrench with all its options is some 400 bytes; no reason makes it a hundred times that.
-MOST_QUERY_BYTES: Final = 64 * 1024
+MAX_QUERY_BYTES: Final = 64 * 1024
 # A million wrenches, the most of a batch, at 17 digits a number and some blanks.
-MOST_BATCH_BYTES: Final = 256 * 1024 * 1024
-MOST_TABLE_BYTES: Final = 512 * 1024 * 1024
-MOST_KEPT: Final = 4 << 30  # bytes of bodies in files at once
+MAX_BATCH_BYTES: Final = 256 * 1024 * 1024
+MAX_TABLE_BYTES: Final = 512 * 1024 * 1024
+MAX_KEPT: Final = 4 << 30  # bytes of bodies in files at once
 PIECE: Final = 1 << 20  # bytes in memory: parsed in a hundredth of a second; more go to a file
 _FORM_BYTES: Final = 64 * 1024  # of a form, around its files
 _LOGS: Final = ("loads", "displacements")
@@ -56,7 +58,10 @@ def busy() -> HttpProblemError:
 
 
 def counted(receive: Receive, most: int, refusal: Refusal = too_large) -> Receive:
-    """Return a `receive` that raises 413 as soon as more than `most` bytes have arrived."""
+    """Return a `receive` that raises 413 as soon as more than `most` bytes have arrived.
+
+    Starlette's own limit refuses a call that reads no body only after it has acted.
+    """
     total = 0
 
     async def count() -> Message:
@@ -70,55 +75,49 @@ def counted(receive: Receive, most: int, refusal: Refusal = too_large) -> Receiv
     return count
 
 
-async def pieces(receive: Receive, most: int, refusal: Refusal = too_large) -> AsyncIterator[bytes]:
-    """Yield a request's body as it arrives.
-
-    Raises
-    ------
-    HttpProblemError
-        413, as soon as more than `most` bytes have arrived.
-    ClientDisconnect
-        If the caller has closed the connection.
-    """
-    receive, more = counted(receive, most, refusal), True
-    while more:
-        message = await receive()
-        if message["type"] == "http.disconnect":
-            raise ClientDisconnect
-        more = message.get("more_body", False)
-        yield message.get("body", b"")
+async def read_limited(receive: Receive, most: int = MAX_QUERY_BYTES) -> bytes:
+    """Return a request's body; 413 beyond `most` bytes, ClientDisconnect if the caller has left."""
+    return await Request({"type": "http"}, counted(receive, most)).body()
 
 
-async def read_limited(receive: Receive, most: int = MOST_QUERY_BYTES) -> bytes:
-    """Return a request's body, of at most `most` bytes; it raises as `pieces` does."""
-    return b"".join([piece async for piece in pieces(receive, most)])
+class JsonRequest(Request):
+    """A request whose JSON body FastAPI reads within limits; an empty body counts as ``{}``."""
+
+    async def body(self) -> bytes:
+        """Return the body, of at most `MAX_QUERY_BYTES`."""
+        self._body = await read_limited(self.receive) or b"{}"
+        return self._body
+
+    async def json(self) -> Any:
+        """Return the body's JSON."""
+        return parsed_json(self._body)
+
+
+class JsonRoute(APIRoute):
+    """A route with a JSON body as a parameter; its mistakes are problems with a place each."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return FastAPI's handler on a `JsonRequest`."""
+        handler = super().get_route_handler()
+
+        async def handle(request: Request) -> Response:
+            return await handler(JsonRequest(request.scope, request.receive))
+
+        return handle
 
 
 class Spooled:
-    """A body that has arrived: a small one in memory, a larger one in a file.
-
-    Attributes
-    ----------
-    content : bytes
-        Of a body without a file.
-    path : Path or None
-        Of the file.
-    """
+    """A body that has arrived: `content` in memory, or a larger one in the file `path`."""
 
     kept = 0  # bytes of all bodies that are in files now
 
     def __init__(self, path: Path | None = None) -> None:
-        self.path = path
         self.content = b""
-        self.size = 0  # bytes in the file
+        self.path = path
 
     def read(self) -> bytes:
         """Return all of it."""
         return self.content if self.path is None else self.path.read_bytes()
-
-    def to_file(self) -> Path:
-        """Return the path of a file that holds all of it."""
-        return self.append(self.content) if self.path is None else self.path
 
     def append(self, piece: bytes) -> Path:
         """Write a piece to the end of the file, and return its path."""
@@ -128,14 +127,6 @@ class Spooled:
             file.write(piece)
         return self.path
 
-    async def put(self, piece: bytes) -> None:
-        """Append a piece in a thread; 503 if the bodies in files are too large together."""
-        Spooled.kept += len(piece)
-        self.size += len(piece)
-        if Spooled.kept > MOST_KEPT:
-            raise busy()
-        await run_in_threadpool(self.append, piece)
-
 
 @asynccontextmanager
 async def spooled(
@@ -143,27 +134,24 @@ async def spooled(
 ) -> AsyncIterator[Spooled]:
     """Give a request's body, and delete its file at the end.
 
-    Raises
-    ------
-    HttpProblemError
-        413, as soon as more than `most` bytes have arrived; 503 while other bodies fill the limit.
-    ClientDisconnect
-        If the caller has closed the connection.
+    It raises 413 as soon as more than `most` bytes have arrived, 503 while bodies in files are too
+    large together, and ClientDisconnect if the caller has left.
     """
-    body, buffer = Spooled(), bytearray()
+    body, buffer, size = Spooled(), bytearray(), 0
     try:
-        async for piece in pieces(receive, most, refusal):
+        async for piece in Request({"type": "http"}, counted(receive, most, refusal)).stream():
             buffer += piece
-            if len(buffer) > PIECE:
-                await body.put(bytes(buffer))
+            if len(buffer) > PIECE or (body.path is not None and not piece):
+                Spooled.kept += len(buffer)
+                size += len(buffer)
+                if Spooled.kept > MAX_KEPT:
+                    raise busy()
+                await run_in_threadpool(body.append, bytes(buffer))
                 buffer.clear()
-        if body.path is None:
-            body.content = bytes(buffer)
-        else:
-            await body.put(bytes(buffer))
+        body.content = bytes(buffer)
         yield body
     finally:
-        Spooled.kept -= body.size
+        Spooled.kept -= size
         if body.path is not None:
             await run_in_threadpool(shutil.rmtree, body.path.parent, ignore_errors=True)
 
@@ -180,29 +168,28 @@ class Received(NamedTuple):
 async def received(request: Request) -> AsyncIterator[Received]:
     """Give a table's body as files, and delete them at the end.
 
-    A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``.
-
-    Raises
-    ------
-    HttpProblemError
-        413 as soon as the body is too large; 422 if a form lacks its files.
+    A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``. It
+    raises 413 as soon as the body is too large, and 422 if a form lacks its files.
     """
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "multipart/form-data":
-        async with spooled(request.receive, MOST_TABLE_BYTES, _table_too_large) as body:
-            files = (await run_in_threadpool(body.to_file),)
-            yield Received(files, "", await run_in_threadpool(_digest, files))
+        async with spooled(request.receive, MAX_TABLE_BYTES, _table_too_large) as body:
+            path = body.path or await run_in_threadpool(body.append, body.content)
+            yield Received((path,), "", await run_in_threadpool(_digest, (path,)))
         return
-    folder = Path(await run_in_threadpool(tempfile.mkdtemp, prefix="wrenchbook-"))
-    try:
-        most = MOST_TABLE_BYTES + _FORM_BYTES
-        async with form_of(request, most, 2, _table_too_large) as form:
-            uploads = _uploads(form)
-            names = ", ".join(upload.filename or "" for upload in uploads)
-            files = await run_in_threadpool(_copied, uploads, folder)
-        yield Received(files, names.strip(", "), await run_in_threadpool(_digest, files))
-    finally:
-        await run_in_threadpool(shutil.rmtree, folder, ignore_errors=True)
+    most = MAX_TABLE_BYTES + _FORM_BYTES
+    async with form_of(request, most, 2, _table_too_large) as form:
+        uploads = [form.get(name) for name in (_LOGS if _LOGS[0] in form else ("table",))]
+        if not all(isinstance(upload, UploadFile) for upload in uploads):
+            message = "send the file 'table', or both logs as 'loads' and 'displacements'"
+            raise bad_body([{"loc": "form", "msg": message}])
+        folder = Path(await run_in_threadpool(tempfile.mkdtemp, prefix="wrenchbook-"))
+        try:
+            files = await run_in_threadpool(_copied, cast(list[UploadFile], uploads), folder)
+            names = ", ".join(cast(UploadFile, upload).filename or "" for upload in uploads)
+            yield Received(files, names.strip(", "), await run_in_threadpool(_digest, files))
+        finally:
+            await run_in_threadpool(shutil.rmtree, folder, ignore_errors=True)
 
 
 @asynccontextmanager
@@ -212,20 +199,16 @@ async def form_of(
     """Read a form of at most `most` bytes, its files into files of their own; else 413 or 422."""
     request = Request(request.scope, counted(request.receive, most, refusal))
     try:
-        async with request.form(max_files=most_files, max_fields=8) as form:
-            yield form
+        form = await request.form(max_files=most_files, max_fields=8)
     except (HTTPException, MultiPartException) as error:
+        if isinstance(error, HttpProblemError):
+            raise
         why = str(getattr(error, "detail", error))
         raise bad_body([{"loc": "body", "msg": f"not a form that can be read: {why}"}]) from None
-
-
-def _uploads(form: FormData) -> list[UploadFile]:
-    found = [form.get(name) for name in (_LOGS if _LOGS[0] in form else ("table",))]
-    uploads = [one for one in found if isinstance(one, UploadFile)]
-    if len(uploads) != len(found):
-        message = "send the file 'table', or both logs as 'loads' and 'displacements'"
-        raise bad_body([{"loc": "form", "msg": message}])
-    return uploads
+    try:
+        yield form
+    finally:
+        await form.close()
 
 
 def _copied(uploads: Sequence[UploadFile], folder: Path) -> tuple[Path, ...]:

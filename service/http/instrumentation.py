@@ -12,7 +12,7 @@ from typing import Final
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from wrenchbook.service.http.access.headers import sending
+from wrenchbook.service.http.access import sending
 from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
 from wrenchbook.service.ops.counts import Counts
 from wrenchbook.service.ops.logs import REQUEST_ID
@@ -39,14 +39,7 @@ class RequestObserver:
 
     The id is the header X-Request-ID of the request (1 to 128 visible ASCII characters), else a
     random one. The reply has it, but for a displacement with status 200 to a request without the
-    header: the fast path sends the same reply.
-
-    Parameters
-    ----------
-    app : ASGI application
-    counts : Counts
-    logged : bool
-        Whether each request is a line of the access log.
+    header: the fast path sends the same reply. `logged`: each request is a line of the access log.
     """
 
     def __init__(self, app: ASGIApp, counts: Counts, *, logged: bool) -> None:
@@ -75,30 +68,23 @@ class RequestObserver:
                 answer = sending(send_with_id, scope["path"], None)
                 await _STOPPING.response()(scope, receive, answer)
         finally:
-            seconds = perf_counter() - started
-            self._counts.add_request(_route(scope), _method(scope), status, seconds)
+            seconds, method = perf_counter() - started, scope["method"]
+            # The template of the route, such as ``/v1/jobs/{job_id}``; no words of the caller.
+            route = getattr(scope.get("route"), "path", NO_ROUTE)
+            known = method if method in _METHODS else "other"
+            self._counts.add_request(route, known, status, seconds)
             if self._logged:
-                _log_access(scope, status, seconds)
+                host = (scope.get("client") or ("-",))[0]
+                query = scope["query_string"].decode("latin-1")
+                # The path as it was sent: a decoded one may hold a line end.
+                target = scope["raw_path"].decode("latin-1").partition("?")[0]
+                target += "?" + query if query else ""
+                access_log.info(
+                    '%s "%s %s" %d %.1f ms', host, method, target, status, 1e3 * seconds
+                )
 
 
 def id_of(headers: Iterable[tuple[bytes, bytes]]) -> bytes | None:
     """Return the id that a request has: empty without the header, None if it is not valid."""
     given = next((value for name, value in headers if name == HEADER), b"")
     return given if not given or _ID.fullmatch(given) else None
-
-
-def _route(scope: Scope) -> str:
-    """Return the template of a request's route, such as ``/v1/jobs/{job_id}``."""
-    return getattr(scope.get("route"), "path", NO_ROUTE)
-
-
-def _method(scope: Scope) -> str:
-    """Return a method of HTTP; "other" for any word of the caller."""
-    return scope["method"] if scope["method"] in _METHODS else "other"
-
-
-def _log_access(scope: Scope, status: int, seconds: float) -> None:
-    host, query = (scope.get("client") or ("-",))[0], scope["query_string"].decode("latin-1")
-    path = scope["raw_path"].decode("latin-1")  # as it was sent: a decoded one may hold a line end
-    target = path.partition("?")[0] + ("?" + query if query else "")
-    access_log.info('%s "%s %s" %d %.1f ms', host, scope["method"], target, status, 1e3 * seconds)

@@ -71,29 +71,21 @@ def answers(model: Any, description: str, status: int = 200, **more: Any) -> Res
 
 def refused(*statuses: int, **texts: str) -> Responses:
     """Return FastAPI's `responses` of problems; `s409="..."` replaces a status's description."""
-    found = {one: _REFUSALS[one] for one in statuses} | {int(k[1:]): v for k, v in texts.items()}
-    return {one: {"description": text, "content": _PROBLEM} for one, text in found.items()}
-
-
-def _named(kind: Any) -> Schema:
-    """Return a reference to the schema of a type, which the document then has by its name."""
-    _KINDS[kind.__name__] = kind
-    return {"$ref": _REFERENCE.format(model=kind.__name__)}
+    described = {status: _REFUSALS[status] for status in statuses}
+    described |= {int(name[1:]): text for name, text in texts.items()}
+    return {
+        status: {"description": text, "content": _PROBLEM} for status, text in described.items()
+    }
 
 
 def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -> Schema:
-    """Return FastAPI's `openapi_extra` of a call that reads its own body.
+    """Return FastAPI's `openapi_extra` of a call that reads its own body, and its own `query`.
 
-    Parameters
-    ----------
-    body : type
-        Of the JSON body.
-    more : mapping, optional
-        What OpenAPI says of further content types.
-    query : type, optional
-        Of the query parameters that the call reads itself.
+    `more` is what OpenAPI says of further content types.
     """
-    content = {JSON: {"schema": _named(body)}, **(more or {})}
+    _KINDS[body.__name__] = body  # the document has its schema by its name
+    schema = {"$ref": _REFERENCE.format(model=body.__name__)}
+    content = {JSON: {"schema": schema}, **(more or {})}
     extra: Schema = {"requestBody": {"required": True, "content": content}}
     if query is not None:
         fields = TypeAdapter(query).json_schema()["properties"].items()

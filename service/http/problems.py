@@ -51,8 +51,8 @@ from wrenchbook.surrogate.answer import UnknownMethodError
 
 MEDIA_TYPE = "application/problem+json"
 CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was whole
-MOST_ERRORS = 1000
-_MOST_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
+MAX_ERRORS = 1000
+MAX_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
     ComponentExistsError: (409, "component-exists", "The name is taken"),
@@ -85,21 +85,11 @@ _BUILT_S = "1"  # Retry-After, s: most tables are built in less
 _TYPE_ROOT = "urn:wrenchbook:problem:"
 
 
-class HttpProblemError(Exception):
-    """An error on its way to becoming a problem+json answer.
+class HttpProblemError(HTTPException):
+    """A problem+json answer: its HTTP status, and `kind`, which ends its ``type``.
 
-    Parameters
-    ----------
-    status:
-        HTTP status.
-    kind:
-        Short slug; becomes ``type`` as ``urn:wrenchbook:problem:<kind>``.
-    title, detail:
-        What is wrong in a few words; what it is exactly and what to do.
-    headers:
-        Header fields of the answer.
-    extra:
-        Further members of the answer, such as ``errors`` or ``job``.
+    `title` and `detail` say what is wrong in a few words, and exactly with what to do. `extra` are
+    further members, such as ``errors`` or ``job``.
     """
 
     def __init__(
@@ -112,15 +102,13 @@ class HttpProblemError(Exception):
         headers: Mapping[str, str] | None = None,
         **extra: Any,
     ) -> None:
-        super().__init__(detail)
-        self.status, self.headers = status, headers
-        self.body = {
-            "type": _TYPE_ROOT + kind,
-            "title": title,
-            "status": status,
-            "detail": detail,
-            **extra,
-        }
+        super().__init__(status, detail, headers)
+        self.status = status
+        members = {"type": _TYPE_ROOT + kind, "title": title, "status": status, "detail": detail}
+        self.body = members | extra
+
+    def __str__(self) -> str:
+        return self.detail
 
     def response(self) -> Response:
         """Return the answer; a 5xx names its request, as the server's log does."""
@@ -134,7 +122,7 @@ class HttpProblemError(Exception):
 def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> HttpProblemError:
     """Describe a body that is not of the call's form; ``errors`` are ``{loc, msg}``.
 
-    At most MOST_ERRORS of them are listed.
+    At most MAX_ERRORS of them are listed.
     """
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
     return HttpProblemError(
@@ -142,26 +130,25 @@ def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> Htt
         "bad-request-body",
         "The request is not of this call's form",
         detail or f"Nothing was changed. {len(errors)} mistake(s); the first is {first}.",
-        errors=list(errors[:MOST_ERRORS]),
+        errors=list(errors[:MAX_ERRORS]),
     )
 
 
 def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[str, str]]:
-    """Turn pydantic's errors into ``{loc, msg}`` with a dotted location."""
+    """Turn pydantic's errors into ``{loc, msg}`` with a dotted location, without what was sent."""
+    if isinstance(error, RequestValidationError):
+        errors = error.errors()
+    else:
+        errors = error.errors(include_url=False, include_context=False, include_input=False)
     return [
-        {
-            "loc": ".".join(map(str, one["loc"]))[:_MOST_TEXT] or "body",
-            "msg": one["msg"][:_MOST_TEXT],
-        }
-        for one in islice(_listed(error), MOST_ERRORS)
+        {"loc": _location(mistake["loc"])[:MAX_TEXT] or "body", "msg": mistake["msg"][:MAX_TEXT]}
+        for mistake in islice(errors, MAX_ERRORS)
     ]
 
 
-def _listed(error: ValidationError | RequestValidationError) -> Sequence[Any]:
-    """Return pydantic's errors, without what was sent: it may be large."""
-    if isinstance(error, RequestValidationError):
-        return error.errors()
-    return error.errors(include_url=False, include_context=False, include_input=False)
+def _location(places: Sequence[Any]) -> str:
+    """Return a dotted location; one in the body begins within it."""
+    return ".".join(map(str, places[1:] if places[:1] == ("body",) else places))
 
 
 def problem_of(error: Exception) -> HttpProblemError:
@@ -171,7 +158,7 @@ def problem_of(error: Exception) -> HttpProblemError:
     if isinstance(error, ValidationError | RequestValidationError):
         return bad_body(plain_errors(error))
     if isinstance(error, BundleError):
-        errors = [{"loc": p.where, "msg": p.message} for p in error.problems[:MOST_ERRORS]]
+        errors = [{"loc": p.where, "msg": p.message} for p in error.problems[:MAX_ERRORS]]
         detail = f"Nothing was added. {error}"
         return HttpProblemError(
             422, "bad-bundle", "The component bundle has mistakes", detail, errors=errors
@@ -198,7 +185,7 @@ def problem_of(error: Exception) -> HttpProblemError:
 
 
 def crash_of(method: str, path: str) -> HttpProblemError:
-    """Return what a call answers that came to a mistake of ours."""
+    """Return the answer of a call that an unexpected error ended."""
     detail = f"{method} {path} failed; the server's log has the traceback."
     return HttpProblemError(500, "internal", "Internal server error", detail)
 

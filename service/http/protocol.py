@@ -25,8 +25,7 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from wrenchbook.service.http.access.headers import PLAIN
-from wrenchbook.service.http.access.permission import PERMISSION, Permission
+from wrenchbook.service.http.access import PERMISSION, PLAIN, Permission
 from wrenchbook.service.http.instrumentation import HEADER, id_of
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.query import answered_at_once, fields_of, plain_query
@@ -239,7 +238,7 @@ class FastPathProtocol(HttpToolsProtocol):
         if self.root_path or config.access_log or self.limit_concurrency is not None:
             self._fast = None  # uvicorn alone logs and counts
         self._partial = b""  # a query of the fast path until all of its body is there
-        self._found: dict[str, Any] = {}  # for the scope of the query that has arrived
+        self._known: dict[str, Any] = {}  # for the scope of the query that has arrived
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
         """Begin a connection; close it if there are too many."""
@@ -275,7 +274,7 @@ class FastPathProtocol(HttpToolsProtocol):
             pass  # see `on_headers_complete`
         except HttpParserError:
             self._refuse()
-        self._found = {}
+        self._known = {}
 
     def on_message_begin(self) -> None:
         """Begin a request."""
@@ -310,7 +309,7 @@ class FastPathProtocol(HttpToolsProtocol):
         super().on_headers_complete()
         self.app, self._in_body = app, True
         scope: Any = self.scope
-        scope.update(self._found)
+        scope.update(self._known)
         if self._is_last:
             self.cycle.keep_alive = False
 
@@ -422,11 +421,11 @@ class FastPathProtocol(HttpToolsProtocol):
                 self._unset_keepalive_if_required()
             self._partial, self._body_bytes = data, len(data) - head.size
             return True
-        found = fast.answer(head, data[head.size :]) if missing == 0 else {}
-        if isinstance(found, bytes):
+        known = fast.answer(head, data[head.size :]) if missing == 0 else {}
+        if isinstance(known, bytes):
             self._in_request, self._used = False, True
             fields = self.server_state.default_headers
-            self.transport.write(reply_bytes(fields, head, found, close=self._is_last))
+            self.transport.write(reply_bytes(fields, head, known, close=self._is_last))
             self.server_state.total_requests += 1
             self._answered_at = self.loop.time()
             if self._is_last:
@@ -434,7 +433,7 @@ class FastPathProtocol(HttpToolsProtocol):
             elif self.timeout_keep_alive_task is None:
                 self._close_after(self.timeout_keep_alive)
             return True
-        self._found = found
+        self._known = known
         return False
 
     def _is_answered(self) -> bool:

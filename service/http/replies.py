@@ -12,6 +12,7 @@ from starlette.responses import Response, StreamingResponse
 
 from wrenchbook.service.contract import COVERAGE, OUTPUTS
 from wrenchbook.service.http.batch import BINARY_TYPE
+from wrenchbook.service.messages import Message
 from wrenchbook.service.query import BatchOutcome, Outcome, fields_of, job_link, known_slopes
 from wrenchbook.surrogate.answer import within_tolerance_many
 
@@ -19,7 +20,7 @@ PIECE = 20_000  # wrenches laid out at once, in hundredths of a second
 
 
 def json_reply(
-    fields: dict[str, Any], status: int = 200, headers: dict[str, str] | None = None
+    fields: dict[str, Any] | Message, status: int = 200, headers: dict[str, str] | None = None
 ) -> Response:
     """Write a body; what is not finite is null, never a number."""
     content = orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)

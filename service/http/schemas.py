@@ -16,6 +16,7 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from wrenchbook.service.contract import CONTRACT, Coverage
+from wrenchbook.service.messages import JobLink, JobStatus, Part
 
 
 def text(description: str) -> Any:
@@ -30,8 +31,6 @@ Slopes = Annotated[
     Matrix | None,
     text("du/dw, a line an output, m and rad over N and N·m; null where it is not known"),
 ]
-JobStatus = Literal["waiting", "running", "done", "failed", "cancelled"]
-Part = Literal["translation", "rotation"]
 _WITHIN = (
     "whether the whole bar is within the tolerance, the request's or else the component's own. "
     "coverage compares the interpolation error alone, which more rows lower: covered and false "
@@ -58,13 +57,6 @@ class Problem(TypedDict):
     detail: Annotated[str, text("what is wrong and what to do")]
     errors: NotRequired[list[Mistake]]
     request_id: NotRequired[Annotated[str, text("of a 5xx: as in the server's log")]]
-
-
-class JobLink(TypedDict, total=False):
-    id: int
-    status: JobStatus
-    url: str
-    new: Annotated[bool, text("whether this request queued it; false: it was queued before")]
 
 
 class WrenchJob(TypedDict, total=False):
@@ -154,56 +146,3 @@ class Compliance(TypedDict, total=False):
     rows_checked: int
     ok: bool | None
     checks: Annotated[dict[str, Any], text("by name: ok, and what was found")]
-
-
-class Queued(TypedDict, total=False):
-    component: str
-    jobs: list[JobLink]
-    stage: str
-    reason: str
-
-
-class Axis(TypedDict, total=False):
-    inputs: Annotated[list[str], text("its loads that can occur")]
-    dimensions: Annotated[int, text("how many of them vary")]
-
-
-class Plan(TypedDict, total=False):
-    decision: Annotated[
-        Literal["rigid", "linear", "table"],
-        text("leave the component out; one compliance answers; its table does"),
-    ]
-    reason: str
-    loads: Annotated[list[str], text("the loads that can occur")]
-    axes: Annotated[dict[str, Axis], text("the axes that are composed")]
-    outputs: Annotated[list[str], text("the outputs that are read")]
-    tolerance: Annotated[
-        dict[Part, Any] | None, text("of the decision, m and rad: the scene's or the component's")
-    ]
-    displacement_bound: Annotated[
-        Six,
-        text(
-            "what no displacement within the scene exceeds, m and rad: by the compliance and the "
-            "answers at the scene's corners, bars included; null if not known"
-        ),
-    ]
-    solves: Annotated[
-        dict[Literal["whole", "scene"], int], text("of the first design, from an empty table")
-    ]
-    saves: Annotated[
-        dict[Literal["build_s", "memory_bytes", "us_per_answer"], float | None],
-        text("what the scene's table needs less than the whole one"),
-    ]
-    saves_from: Annotated[dict[str, str], text("the source of each number of saves and solves")]
-    compliance: Annotated[
-        list[Six],
-        text(
-            "with linear, where it is known: the displacement over the wrench, m and rad over N "
-            "and N·m; zero by loads that cannot occur"
-        ),
-    ]
-    table_version: int
-
-
-class Plans(TypedDict, total=False):
-    components: dict[str, Plan]

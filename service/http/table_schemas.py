@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NotRequired
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from wrenchbook.service.http.schemas import JobLink, Six, text
+from wrenchbook.service.http.schemas import Six, text
 
 _Wrench = Annotated[list[float], Field(min_length=6, max_length=6, description="N and N·m")]
 _Moved = Annotated[Six, text("m and rad; null where not measured")]
@@ -186,84 +186,3 @@ class Demand(TypedDict, total=False):
     cell_size: Annotated[Six, text("N and N·m")]
     cells: list[DemandCell]
     latest: list[dict[Literal["wrench", "coverage", "when"], Six | str | float]]
-
-
-class _Gathered(TypedDict, total=False):
-    component: str
-    outside: Annotated[int, text("of all taken in: outside the load range")]
-    reason: Annotated[str, text("remarks; empty if there are none")]
-
-
-class _Block(_Gathered, total=False):
-    recorded: int
-    duplicate: Annotated[bool, text("the block was recorded before; nothing has changed")]
-
-
-class _Counts(TypedDict, total=False):
-    total: Annotated[int, text("wrenches taken in since it was cleared, each once")]
-    kept: Annotated[int, text("wrenches kept; start solves these")]
-    merged: Annotated[int, text("of total: within 1e-6 of the range of one kept")]
-    thinned: Annotated[
-        int,
-        text("of total: left out by thinning, beyond 10,000 kept, or 1,000 outside the load range"),
-    ]
-    within: Annotated[
-        float,
-        text(
-            "every wrench taken in within the load range is as near as this to one kept: the "
-            "largest difference of a load by its scale"
-        ),
-    ]
-    within_outside: Annotated[
-        float, text("the same of those outside the range; there the difference is by the load")
-    ]
-
-
-class _Box(TypedDict, total=False):
-    count: Annotated[int, text("wrenches taken in since it was cleared, each once")]
-    min: Annotated[Six, text("least value of each load, N and N·m; null before the first")]
-    max: Annotated[Six, text("largest value of each load, N and N·m; null before the first")]
-
-
-class Recorded(_Block, _Counts, total=False):
-    """What a block of wrenches changed in a recording."""
-
-
-class Recording(_Gathered, _Counts, total=False):
-    wrenches: Annotated[list[Six], text("N and N·m")]
-
-
-class Widened(_Block, _Box, total=False):
-    """What a block of wrenches changed in an envelope."""
-
-
-class Envelope(_Gathered, _Box, total=False):
-    at_min: Annotated[list[Six], text("the whole wrench at each least value, N and N·m")]
-    at_max: Annotated[list[Six], text("the whole wrench at each largest value, N and N·m")]
-    inputs: Annotated[list[str], text("the order of min and max")]
-    outputs: Annotated[list[str], text("the order of displacement_bound")]
-    displacement_bound: Annotated[Six, text("m and rad; null where nothing is known")]
-    bound: Annotated[
-        dict[Literal["kind", "formula", "coverage"], str | None],
-        text("what displacement_bound is; its kind is bound, estimate or unknown"),
-    ]
-    negligible: Annotated[
-        bool | None, text("whether displacement_bound is within the tolerance; null: see reason")
-    ]
-    tolerance: dict[Literal["translation", "rotation"], float] | None
-
-
-class Started(TypedDict, total=False):
-    component: str
-    jobs: Annotated[list[JobLink], text("waiting or running for these")]
-    solved: Annotated[int, text("wrenches that a row of the table has")]
-    covered: Annotated[int, text("wrenches that the table covers: not solved")]
-    failed: Annotated[int, text("wrenches whose solve has failed before")]
-    beyond_range: Annotated[int, text("wrenches outside the load range: not solved")]
-    left: Annotated[int, text("wrenches that the budget leaves")]
-    reason: Annotated[str, text("why not all; empty if all are queued")]
-
-
-class Cleared(TypedDict, total=False):
-    component: str
-    cleared: Annotated[int, text("wrenches deleted")]

@@ -1,4 +1,4 @@
-"""Attempts: one solve of a job, its folder, and the interface of the engines that run attempts.
+"""Attempts: one solve of a job, and the folder that it has.
 
 The folder is the only thing dispatcher, engine and solver share. ``spec.json`` is the attempt,
 ``lock`` is locked by the solver as long as it lives, ``log.txt`` is what it printed,
@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.redact import redact
@@ -40,56 +40,32 @@ class BadOutcomeError(Exception):
 
 @dataclass
 class Attempt:
-    """One attempt, from its claim to its solver: a wrench (N, N·m) on a component.
-
-    Attributes
-    ----------
-    job, attempt : int
-        Number of the job, and which of its attempts this is.
-    bundle : str
-        The component's folder on this machine.
-    estimate : bool
-        Whether the solver also estimates its own error, once a set-up.
-    folder : Path
-        The attempt's folder on this machine, absolute.
-    task : str
-        The task key: unique to an attempt of a job of a data directory, and in the ledger before
-        the engine gets it. Two submissions of one key are one attempt.
-    priority : int
-        Higher ones go first where an engine has a queue of its own.
-    deadline : float or None
-        Seconds from the solver's first instruction after which the attempt fails as ``deadline``.
-    memory : int or None
-        Bytes a solve of this component takes, as the check of its bundle estimates them (right to a
-        factor of two); None if no check has been stored.
-    cores : int
-        Cores of a solver; its libraries use as many threads.
-    taken, witnessed, adopted, leaving, began : bool
-        Of its dispatcher: whether an engine has taken it, its solver has lived in this dispatcher's
-        time, another dispatcher started it, its answer is not needed any more, a solver was seen.
-    died : float or None
-        When it was first seen dead, monotonic seconds.
-    """
+    """One attempt, from its claim to its solver: a wrench (N, N·m) on a component."""
 
     job: int
-    attempt: int
+    attempt: int  # which of the job's attempts
     component: str
-    bundle: str
+    bundle: str  # the component's folder on this machine
     fingerprint: str
     wrench: tuple[float, ...]
-    estimate: bool = False
-    folder: Path = Path()
+    estimate: bool = False  # whether the solver also estimates its own error, once a set-up
+    folder: Path = Path()  # of the attempt on this machine, absolute
+    # Unique to an attempt of a job of a data directory, and in the ledger before the engine gets
+    # it. Two submissions of one key are one attempt.
     task: str = ""
-    priority: int = 0
-    deadline: float | None = None
+    priority: int = 0  # higher ones go first where an engine has a queue of its own
+    deadline: float | None = None  # s from the solver's first instruction until it fails
+    # Bytes a solve of this component takes, as the check of its bundle estimates them (right to a
+    # factor of two); None if no check has been stored.
     memory: int | None = None
-    cores: int = 1
-    taken: bool = field(default=False, compare=False)
-    witnessed: bool = field(default=True, compare=False)
-    adopted: bool = field(default=False, compare=False)
-    leaving: bool = field(default=False, compare=False)
-    began: bool = field(default=False, compare=False)
-    died: float | None = field(default=None, compare=False)
+    cores: int = 1  # of a solver; its libraries use as many threads
+    # Of the dispatcher that looks after it
+    taken: bool = field(default=False, compare=False)  # by an engine
+    witnessed: bool = field(default=True, compare=False)  # its solver has lived in its time
+    adopted: bool = field(default=False, compare=False)  # another dispatcher started it
+    leaving: bool = field(default=False, compare=False)  # its answer is not needed any more
+    began: bool = field(default=False, compare=False)  # a solver was seen at it
+    died: float | None = field(default=None, compare=False)  # first seen dead, monotonic s
 
     @classmethod
     def of(cls, job: JobRecord, folder: Path) -> Attempt:
@@ -318,77 +294,8 @@ class EngineError(Exception):
     """The engine cannot take an attempt now; the job should wait and be tried again."""
 
 
-class Engine(Protocol):
-    """Runs attempts; the ledger decides. Several threads may call it, one at a time.
-
-    An engine that ends an attempt itself, at its deadline for example, writes the ``result.json``
-    in the solver's stead, once the solver is dead. The cause of a solver's death, as far as the
-    engine knows it, is the last line of the attempt's log.
-    """
-
-    @property
-    def name(self) -> str:
-        """Its name in the ledger: only dispatchers with this engine take its attempts over."""
-        ...
-
-    @property
-    def slots(self) -> int:
-        """How many attempts it takes at the same time; may change as workers come and go."""
-        ...
-
-    @property
-    def trouble(self) -> str | None:
-        """What keeps it from running attempts at present, in words; None if nothing does."""
-        ...
-
-    def submit(self, attempt: Attempt) -> None:
-        """Start or queue the attempt, without waiting for it.
-
-        Raises OSError or `EngineError` if it could not be taken; nothing runs then.
-        """
-        ...
-
-    def attach(self, attempt: Attempt) -> None:
-        """Take over an attempt of another dispatcher, which has died, on an engine of this name.
-
-        If nothing of the task is known any more, `poll` returns ``lost`` or the engine submits it
-        again under the same key.
-        """
-        ...
-
-    def poll(self, attempt: Attempt) -> State:
-        """Return the attempt's state, without waiting for any other machine.
-
-        ``submitted`` until a solver works on it, then ``running``. ``finished`` once its folder
-        holds a result.json and the other artifacts. ``lost`` is final: no solver lives that could
-        still write one there. A death of workers, scheduler or machines is no state: the engine
-        runs the attempt again.
-        """
-        ...
-
-    def cancel(self, attempt: Attempt) -> None:
-        """Have the attempt's solver end soon; `poll` shows when it counts as ended. Repeatable.
-
-        The attempt may be one that was neither submitted nor attached here: it was cancelled while
-        no dispatcher lived, and its task key is all there is.
-        """
-        ...
-
-    def forget(self, attempt: Attempt) -> None:
-        """Drop what is kept of an attempt that is settled, or that another dispatcher has."""
-        ...
-
-    def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call the listener when an attempt's state may have changed; returns what ends that."""
-        ...
-
-    def close(self) -> None:
-        """Release the engine's resources; running attempts go on."""
-        ...
-
-
 class Listeners:
-    """The listeners of an engine."""
+    """What an engine calls with the task key of an attempt whose state may have changed."""
 
     _listeners: tuple[Listener, ...] = ()
 

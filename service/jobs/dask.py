@@ -167,7 +167,7 @@ class DaskEngine(attempts.Listeners):
         return self._unreachable or next((why for why in waits if why), None)
 
     def submit(self, attempt: Attempt) -> None:
-        """Submit the attempt to the cluster; see `Engine.submit`."""
+        """Submit the attempt to the cluster."""
         if why := self._unreachable:
             raise attempts.EngineError(why)
         if attempt.task not in self._tasks:
@@ -183,7 +183,7 @@ class DaskEngine(attempts.Listeners):
                 self._soon(self._start, task)
 
     def poll(self, attempt: Attempt) -> attempts.State:
-        """Return the attempt's state by the latest event; see `Engine.poll`."""
+        """Return the attempt's state by the latest event; see `service.jobs.engines`."""
         if task := self._tasks.get(attempt.task):
             return task.state
         return "finished" if (attempt.folder / OUTCOME).exists() else "lost"

@@ -19,7 +19,6 @@ from wrenchbook.service.jobs.attempt import (
     LOG,
     Attempt,
     BadOutcomeError,
-    Engine,
     attempt_folder,
     last_words,
     prepare,
@@ -28,6 +27,7 @@ from wrenchbook.service.jobs.attempt import (
     solver_seconds,
     tidy,
 )
+from wrenchbook.service.jobs.engines import Engine
 from wrenchbook.service.ledger import Beat, JobRecord, Ledger, StaleAttemptError
 from wrenchbook.service.library.component import estimate_of
 from wrenchbook.service.tables.solver_errors import SolverErrors

@@ -14,7 +14,6 @@ import subprocess
 import threading
 import time
 from collections.abc import Mapping
-from importlib.util import find_spec
 from pathlib import Path
 
 from wrenchbook.service.files import lock as flock
@@ -24,7 +23,6 @@ from wrenchbook.service.jobs.attempt import (
     LOG,
     OUTCOME,
     Attempt,
-    Engine,
     EngineError,
     Listeners,
     State,
@@ -152,7 +150,7 @@ class LocalEngine(Listeners):
         """Do nothing: lock and files hold the whole state."""
 
     def poll(self, attempt: Attempt) -> State:
-        """Return the attempt's state; see `Engine.poll`."""
+        """Return the attempt's state; see `service.jobs.engines`."""
         folder = attempt.folder
         if (folder / OUTCOME).exists():
             return "finished"
@@ -336,47 +334,3 @@ def _add_cause(log: Path, number: int) -> None:
     memory = "; often the machine has no memory left" if number == signal.SIGKILL else ""
     with contextlib.suppress(OSError), log.open("a", encoding="utf-8") as file:
         file.write(f"the solver was ended by {name}{memory}\n")
-
-
-class EngineSettingsError(ValueError):
-    """An engine cannot be opened with these settings; the message has the remedy."""
-
-
-_SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # that Dask connects to other machines by
-
-
-def open_engine(
-    name: str = "local", slots: int | None = None, *, scheduler: str | None = None
-) -> Engine:
-    """Return the engine ``local``, with so many slots, or ``dask``, of the scheduler at an address.
-
-    Raises `EngineSettingsError` if there is none of that name, or it lacks its scheduler or its
-    packages.
-    """
-    check_engine(name, scheduler)
-    if name == "local":
-        return LocalEngine(slots)
-    # Only a server with a cluster has Dask, and waits for its import.
-    from wrenchbook.service.jobs.dask import DaskEngine
-
-    return DaskEngine(scheduler or "")
-
-
-def check_engine(name: str, scheduler: str | None) -> None:
-    """Refuse, before anything is opened, settings that `open_engine` would refuse."""
-    why = None
-    if name not in ("local", "dask"):
-        why = f"there is no engine {name!r}; there are: local, dask"
-    elif name == "local":
-        why = scheduler and "the engine local has no scheduler; add --engine dask"
-    elif not scheduler:
-        why = "the engine dask needs --scheduler tcp://HOST:8786 (or tls://)"
-    elif "://" not in scheduler:
-        why = f"{scheduler!r} is no address; write tcp://{scheduler}"
-    elif scheduler.split("://")[0] not in _SCHEMES:
-        begins = " or ".join(f"{scheme}://" for scheme in _SCHEMES)
-        why = f"{scheduler!r} is no address of a Dask scheduler: it begins with {begins}"
-    elif find_spec("distributed") is None:
-        why = "the engine dask is not installed: pip install wrenchbook[cluster]"
-    if why:
-        raise EngineSettingsError(why)

@@ -42,7 +42,6 @@ LOOK_AGAIN_SECONDS = 0.001  # between attempts: a tenth of a short transaction
 # The log is moved into the file each 1000 pages (4 MB) unless a reader prevents it; a longer one,
 # after a large import, is then truncated to this.
 LOG_BYTES = 16 * 1024 * 1024
-CHECKPOINT_SECONDS = 0.2  # how long a checkpoint waits for readers, and writers for it
 
 
 class Connection(sqlite3.Connection):
@@ -66,8 +65,7 @@ def can_be_read_frozen(path: Path) -> bool:
             return False
         connection = connect(path, frozen=True)
         try:
-            _check_file(connection, path)
-            return _schema_version(connection) == VERSION
+            return _check_schema(connection, path) == VERSION
         finally:
             connection.close()
     except (OSError, sqlite3.Error, UnicodeDecodeError, LedgerFileError):
@@ -77,10 +75,10 @@ def can_be_read_frozen(path: Path) -> bool:
 def inode(path: Path) -> tuple[int, int]:
     """Return device and inode of a file; zeros if there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return (0, 0)
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def connect(path: Path, *, frozen: bool = False) -> Connection:
@@ -126,38 +124,34 @@ def begin(connection: Connection) -> None:
         connection.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
 
 
-def sync_log(path: Path) -> None:
-    """Sync the log without a lock on the ledger."""
-    with suppress(OSError):  # no log, or a disk that fails: the next durable commit fails
-        descriptor = os.open(path.with_name(f"{path.name}-wal"), os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
 def open_file(path: Path) -> Connection:
     """Open a ledger that is whole, or a new one, and upgrade its schema.
 
-    Raises
-    ------
-    LedgerFileError
-        If it is foreign, damaged or of a newer schema, or cannot be written.
+    Raises LedgerFileError if it is foreign, damaged or of a newer schema, or cannot be written.
     """
+    log = path.with_name(f"{path.name}-wal")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _check_log(path)
+        lost = not path.exists() or path.stat().st_size == 0
+        if lost and log.exists() and log.stat().st_size:
+            # SQLite would delete the log, and with it what it holds.
+            raise LedgerFileError(
+                f"there is {log.name} without {path}: the ledger's file was moved or deleted and "
+                "its log was not. Nothing is written beside it; put the file back. If it is gone "
+                "for good, wrenchbook doctor --mend moves the log aside and makes a new file from "
+                "the tables"
+            )
         with suppress(FileExistsError):
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
         # Earlier versions let everybody read it. A group that was let in stays.
-        for file in (path.with_name(f"{path.name}{end}") for end in ("", "-wal", "-shm")):
+        for file in (path, log, path.with_name(f"{path.name}-shm")):
             with suppress(OSError):
                 if file.stat().st_mode & 0o007:
                     file.chmod(0o600)
         connection = connect(path)
         try:
-            _check_file(connection, path)
-            _check_whole(connection, path)
+            _check_schema(connection, path)
+            check_whole(connection, path)
             _use_wal(connection)
             _upgrade(connection)
             _take_over(connection, path.parent)
@@ -175,22 +169,13 @@ def open_file(path: Path) -> Connection:
     return connection
 
 
-def _check_log(path: Path) -> None:
-    """Refuse a log without its file: SQLite would delete it, and with it what it holds."""
-    log = path.with_name(f"{path.name}-wal")
-    lost = not path.exists() or path.stat().st_size == 0
-    if lost and log.exists() and log.stat().st_size:
-        raise LedgerFileError(
-            f"there is {log.name} without {path}: the ledger's file was moved or deleted and its "
-            "log was not. Nothing is written beside it; put the file back. If it is gone for good, "
-            "wrenchbook doctor --mend moves the log aside and makes a new file from the tables"
-        )
-
-
-def _check_file(connection: Connection, path: Path) -> None:
-    owner = connection.execute("PRAGMA application_id").fetchone()[0]
+def _check_schema(connection: Connection, path: Path) -> int:
+    """Return the schema's version; raises LedgerFileError if this program cannot read it."""
+    owner, version = (
+        connection.execute(f"PRAGMA {name}").fetchone()[0]
+        for name in ("application_id", "user_version")
+    )
     tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
-    version = _schema_version(connection)
     if tables and owner != APPLICATION_ID:
         raise LedgerFileError(
             f"{path} is a SQLite file of another program, not a ledger; "
@@ -206,17 +191,18 @@ def _check_file(connection: Connection, path: Path) -> None:
             f"{path} was written by a wrenchbook before 0.2 (schema {version}): start version 0.2 "
             "once on this data directory, which brings it up to date, then this one"
         )
+    return version
 
 
-def _check_whole(connection: Connection, path: Path) -> None:
+def check_whole(connection: Connection, path: Path) -> None:
     """Refuse a damaged file: what is written into one may be gone at the next start.
 
     Of 300 ledgers with one to six random bytes changed, ``quick_check`` let 11 pass that lost what
     they had accepted, this one none: it compares indices with their tables too. 5 µs a row.
     """
-    found = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
-    if found != "ok":
-        raise damaged_file(path, found)
+    answer = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
+    if answer != "ok":
+        raise damaged_file(path, answer)
 
 
 def damaged_file(path: Path, why: str) -> LedgerDamagedError:
@@ -272,14 +258,17 @@ def _use_wal(connection: Connection) -> None:
 
 
 def _upgrade(connection: Connection) -> None:
-    if _schema_version(connection) == VERSION:
+    def version() -> int:
+        return connection.execute("PRAGMA user_version").fetchone()[0]
+
+    if version() == VERSION:
         return  # without a write, so that a full disk can be read
     connection.execute("BEGIN IMMEDIATE")
-    while (version := _schema_version(connection)) != VERSION:  # another process may upgrade it
-        version, script = STEPS[version] if version else (VERSION, TABLES)
+    while (before := version()) != VERSION:  # another process may upgrade it
+        after, script = STEPS[before] if before else (VERSION, TABLES)
         for statement in filter(str.strip, script.split(";")):
             connection.execute(statement)
-        connection.execute(f"PRAGMA user_version = {version}")
+        connection.execute(f"PRAGMA user_version = {after}")
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute("COMMIT")
 
@@ -297,35 +286,6 @@ def _take_over(connection: Connection, folder: Path) -> None:
     earlier.remove_files(folder, read)
 
 
-def checkpoint(connection: Connection) -> bool:
-    """Move the log into the file and empty it; False if another connection uses it just now."""
-    connection.execute(f"PRAGMA busy_timeout = {round(1000 * CHECKPOINT_SECONDS)}")
-    try:
-        busy, _, _ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-    finally:
-        connection.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
-    return not busy
-
-
-def copy_file(source: Connection, target: Path) -> None:
-    """Write all that is committed into a new file, checked: one read of SQLite's online backup.
-
-    In one step: taken in parts it would begin anew with each commit of another process.
-
-    Raises
-    ------
-    LedgerFileError
-        If the copy is not whole.
-    """
-    copy = sqlite3.connect(target, isolation_level=None, factory=Connection)
-    try:
-        source.backup(copy)
-        _check_whole(copy, target)
-        copy.execute("PRAGMA journal_mode = DELETE")  # one file; it is WAL again once opened
-    finally:
-        copy.close()
-
-
 def sequences(connection: Connection) -> dict[str, int]:
     """Return the highest numbers used, by table."""
     return dict(connection.execute("SELECT name, seq FROM sqlite_sequence").fetchall())
@@ -333,14 +293,10 @@ def sequences(connection: Connection) -> dict[str, int]:
 
 def raise_sequences(connection: Connection, numbers: dict[str, int]) -> None:
     """Raise the sequences so that no number is used again."""
-    with_all = {**dict.fromkeys(numbers, 0), **sequences(connection)}
+    used = sequences(connection)
     connection.execute("BEGIN IMMEDIATE")
     for name, number in numbers.items():
         connection.execute("DELETE FROM sqlite_sequence WHERE name = ?", (name,))
-        highest = max(number, with_all[name])
+        highest = max(number, used.get(name, 0))
         connection.execute("INSERT INTO sqlite_sequence VALUES (?, ?)", (name, highest))
     connection.execute("COMMIT")
-
-
-def _schema_version(connection: Connection) -> int:
-    return connection.execute("PRAGMA user_version").fetchone()[0]

@@ -10,7 +10,6 @@ import json
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,9 +85,16 @@ def import_rows(
     number of the import, None if nothing was new. Raises ImportRunningError if another import has
     been running for too long; nothing is loaded then.
     """
-    with _importing(ledger):
-        number: int | None = None
-        new = count = 0
+    deadline = time.monotonic() + _PATIENCE_SECONDS
+    while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
+        if time.monotonic() > deadline:
+            raise ImportRunningError(
+                "another large table is being imported; nothing was loaded, send it again"
+            )
+    number: int | None = None
+    new = count = 0
+    try:
+        _drop_hidden(ledger)  # of a killed process
         try:
             for block in _sized(ledger, component, blocks):
                 with ledger.writing(durable=False) as db:
@@ -106,6 +112,8 @@ def import_rows(
         except BaseException:
             _drop_hidden(ledger)
             raise
+    finally:
+        os.close(lock)
     return new, count - new, number if new else None
 
 
@@ -208,22 +216,6 @@ def edit_import(
     seqs = _chosen(db, component, number, keys, withdrawn=not withdrawn)
     rows.edit(db, component, seqs, withdrawn=withdrawn, now=time.time())
     return len(seqs)
-
-
-@contextmanager
-def _importing(ledger: Ledger) -> Iterator[None]:
-    """Be the only import of this ledger, of all processes."""
-    deadline = time.monotonic() + _PATIENCE_SECONDS
-    while (descriptor := _take_lock(ledger)) is None:
-        if time.monotonic() > deadline:
-            raise ImportRunningError(
-                "another large table is being imported; nothing was loaded, send it again"
-            )
-    try:
-        _drop_hidden(ledger)  # of a killed process
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def _take_lock(ledger: Ledger) -> int | None:

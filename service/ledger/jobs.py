@@ -171,25 +171,13 @@ def claim(db: Connection, owner: str, engine: str, most: int) -> list[JobRecord]
     counts as a heartbeat of the owner.
     """
     claimed = []
+    new = {"owner": owner, "engine": engine, "started": time.time(), "began": None}
+    new |= {"finished": None, "not_before": None}
     for job in next_waiting(db, most):
         attempt = job.attempt + 1
         # Engines may serve many data directories, whose jobs have the same numbers.
         task = f"{job.id}-{attempt}-{secrets.token_hex(6)}"
-        claimed.append(
-            _moved(
-                db,
-                job,
-                "claim",
-                attempt=attempt,
-                owner=owner,
-                engine=engine,
-                task=task,
-                started=time.time(),
-                finished=None,
-                not_before=None,
-                began=None,
-            )
-        )
+        claimed.append(_moved(db, job, "claim", attempt=attempt, task=task, **new))
     if claimed:
         _beat(db, owner, engine)
     return claimed
@@ -226,34 +214,24 @@ def commit(
     attempt: int,
     displacement: Sequence[float],
     *,
-    compliance: Sequence[Sequence[float]] | None = None,
-    curvature: Sequence[float] | None = None,
-    uncertainty: Sequence[float] | None = None,
     source: str = "fea",
     origin: str = "",
     seconds: float | None = None,
+    **known: Any,
 ) -> LedgerRow:
     """Write the row of a job and the job's end, exactly once.
 
     A job that is done already keeps the row it has, and that row is returned. Its solver took
-    `seconds`, if known. Raises StaleAttemptError if the attempt is not the running one, ValueError
-    if a number is not finite or a length is wrong.
+    `seconds`, if known; other columns of `Rows` are `known` if not None. Raises StaleAttemptError
+    if the attempt is not the running one, ValueError if a number is not finite or a length is
+    wrong.
     """
     job = get(db, job_id)
     if job.row is not None:
         return rows.get(db, job.row)
     _check_attempt(job, attempt)
-    solved = rows.solved_row(
-        job.wrench,
-        displacement,
-        source,
-        job.fingerprint,
-        compliance=compliance,
-        curvature=curvature,
-        uncertainty=uncertainty,
-    )
     now = time.time()
-    row = rows.add_solved(db, job.component, solved, origin, job.id, now)
+    row = rows.add_solved(db, job, displacement, source, origin, now, **known)
     _moved(db, job, "commit", owner=None, row=row.seq, **_end(job, now, seconds))
     return row
 

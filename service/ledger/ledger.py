@@ -1,44 +1,50 @@
 """The ledger: one writing connection, short transactions, and notices of changes."""
 
 import logging
+import os
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from functools import wraps
 from pathlib import Path
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+import numpy as np
 
 from wrenchbook.service.ledger import imports as import_sql
 from wrenchbook.service.ledger import jobs as job_sql
 from wrenchbook.service.ledger import rows as row_sql
 from wrenchbook.service.ledger.connection import (
+    BUSY_SECONDS,
     USE_ERRORS,
     Connection,
     begin,
     can_be_read_frozen,
-    checkpoint,
+    check_whole,
     connect,
-    copy_file,
     damaged_file,
     inode,
     is_damage,
     open_file,
     raise_sequences,
     sequences,
-    sync_log,
     unavailable,
 )
+from wrenchbook.service.ledger.packing import row_records
 from wrenchbook.service.ledger.records import (
     JobRecord,
     LedgerError,
     LedgerFileError,
     LedgerUnavailableError,
+    NotedRows,
     TableAt,
 )
 from wrenchbook.service.ledger.repair import Acknowledged, Numbers
-from wrenchbook.surrogate.table.space import DEFAULT, Space
+from wrenchbook.surrogate.table.rows import Rows
 
 _log = logging.getLogger(__name__)
+CHECKPOINT_SECONDS = 0.2  # how long a checkpoint waits for readers, and writers for it
 _LEVELS = {"done": logging.INFO, "failed": logging.WARNING, "cancelled": logging.INFO}
 
 Listener = Callable[[], object]
@@ -78,19 +84,10 @@ class Ledger:
     writer (WAL); writers of this process wait for each other here and for other processes in
     SQLite.
 
-    Parameters
-    ----------
-    path : path
-        The file; it and its folder are made if there are none.
-    patient : bool
-        Whether to continue without a file that cannot be used now, on a full disk for example:
-        `trouble` then returns the reason, every use raises LedgerUnavailableError, and each
-        `writing` tries to open it again.
-
-    Raises
-    ------
-    LedgerFileError
-        If the file is foreign, damaged or of a newer schema, and `patient` is false.
+    The file and its folder are made if there are none. A `patient` ledger continues without a file
+    that cannot be used now, on a full disk for example: `trouble` then returns the reason, and each
+    `writing` tries to open it again. Another raises LedgerFileError for it, and if the file is
+    foreign, damaged or of a newer schema.
     """
 
     def __init__(self, path: str | Path, *, patient: bool = False) -> None:
@@ -145,7 +142,6 @@ class Ledger:
     ahead = _reads(job_sql.ahead)
     solve_seconds = _reads(job_sql.solve_seconds)
 
-    insert_rows = _writes(row_sql.insert)
     withdraw = _writes(row_sql.withdraw)
     restore = _writes(row_sql.restore)
     rewrite = _writes(row_sql.rewrite)
@@ -185,18 +181,30 @@ class Ledger:
         with self.writing() as db:
             return job_sql.claim(db, owner, engine, most)
 
+    def insert_rows(
+        self, component: str, rows: Rows, note: str | Sequence[str] = "", *, above: int = 0
+    ) -> tuple[int, int]:
+        """Insert rows, all or none, and return how many were new and how many known.
+
+        A row of the same component, fingerprint, source, wrench, displacement and uncertainty is
+        known. New rows get a seq above `above`. Raises ValueError if a solve lacks an output or a
+        tangent is infinite.
+        """
+        if np.isnan(rows.displacement[rows.source == "fea"]).any():
+            raise ValueError("displacement of a solve must be finite")
+        notes = [note] * len(rows) if isinstance(note, str) else note
+        # Packed before the lock is taken: other writers wait for the insertion alone.
+        records = row_records(component, NotedRows(rows, notes), time.time())
+        with self.writing() as db:
+            return row_sql.insert(db, component, records, above=above)
+
     @contextmanager
     def table_at(
-        self,
-        component: str,
-        version: int | None = None,
-        *,
-        space: Space = DEFAULT,
-        fingerprint: str | None = None,
+        self, component: str, version: int | None = None, **setup: Any
     ) -> Iterator[TableAt]:
         """Give `rows.table_at`, whose lots are read meanwhile, as one committed state."""
         with self.reading() as db:
-            yield row_sql.table_at(db, component, version, space=space, fingerprint=fingerprint)
+            yield row_sql.table_at(db, component, version, **setup)
 
     @contextmanager
     def writing(self, *, durable: bool = True) -> Iterator[Connection]:
@@ -234,11 +242,16 @@ class Ledger:
                 _log.exception("a listener of the ledger failed")
 
     def sync(self) -> None:
-        """Sync what transactions that are not durable have written.
+        """Sync what transactions that are not durable have written, without a lock on the ledger.
 
         Between two of them, so that a durable one of another writer does not wait for all of it.
         """
-        sync_log(self.path)
+        with suppress(OSError):  # no log, or a disk that fails: the next durable commit fails
+            descriptor = os.open(self.path.with_name(f"{self.path.name}-wal"), os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
@@ -259,7 +272,12 @@ class Ledger:
             finally:
                 if connection.in_transaction:
                     connection.execute("ROLLBACK")
-                self._keep(connection, frozen)
+                if frozen == self._frozen:
+                    self._idle.append(connection)
+                else:  # a frozen connection does not see later commits
+                    connection.close()
+                while self._closed and self._idle:
+                    self._idle.pop().close()
 
     def version(self) -> int:
         """Return a number that differs after any commit of this or another process.
@@ -308,20 +326,29 @@ class Ledger:
         return {name: file.stat().st_size if file.exists() else 0 for name, file in files.items()}
 
     def checkpoint(self) -> bool:
-        """Move the log into the file and empty it; False if another connection reads just now."""
+        """Move the log into the file and empty it; False if another connection uses it just now."""
         with self._write_lock, self.named_errors():
-            return checkpoint(self._present_writer())
+            writer = self._present_writer()
+            writer.execute(f"PRAGMA busy_timeout = {round(1000 * CHECKPOINT_SECONDS)}")
+            try:
+                busy, _, _ = writer.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+            finally:
+                writer.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
+            return not busy
 
     def copy(self, target: Path) -> None:
-        """Write all that is committed into a new file; raises as `checkpoint` and `copy_file`."""
+        """Write all that is committed into a new file, by one read of SQLite's online backup.
+
+        In one step: taken in parts it would begin anew with each commit of another process. Raises
+        LedgerFileError if the copy is damaged.
+        """
         with self.named_errors():
             self._check_open()
             self._check_usable()
-            connection = connect(self.path)
-            try:
-                copy_file(connection, target)
-            finally:
-                connection.close()
+            with closing(connect(self.path)) as source, closing(connect(target)) as copy:
+                source.backup(copy)
+                check_whole(copy, target)
+                copy.execute("PRAGMA journal_mode = DELETE")  # one file; WAL again once opened
 
     def close(self) -> None:
         """Close all connections, one in use when it comes back; idempotent."""
@@ -359,7 +386,10 @@ class Ledger:
         self._writer.damaged = self.damaged
         self._inode = inode(self.path)
         self._refused, self._frozen = None, False
-        self._check_loss(self._writer)
+        lost = self._acknowledged.compare(_numbers(self._writer))
+        if lost is not None:  # noted; these numbers are never used again
+            raise_sequences(self._writer, lost._asdict())
+            _log.error("the ledger has lost what it had: %s", self._acknowledged.losses()[-1:])
         while self._idle:
             self._idle.pop().close()
 
@@ -384,25 +414,9 @@ class Ledger:
                 "accepted. Put the file back if you moved it, then restart the server"
             )
 
-    def _keep(self, connection: Connection, frozen: bool) -> None:
-        if frozen != self._frozen:  # a frozen connection does not see later commits
-            connection.close()
-            return
-        self._idle.append(connection)
-        if self._closed:
-            while self._idle:
-                self._idle.pop().close()
-
     def _check_open(self) -> None:
         if self._closed:
             raise LedgerError("the ledger is closed")
-
-    def _check_loss(self, writer: Connection) -> None:
-        """Record acknowledged jobs and rows that are gone; their numbers are never used again."""
-        lost = self._acknowledged.compare(_numbers(writer))
-        if lost is not None:
-            raise_sequences(writer, lost._asdict())
-            _log.error("the ledger has lost what it had: %s", self._acknowledged.losses()[-1:])
 
 
 def _numbers(connection: Connection) -> Numbers:

@@ -11,6 +11,7 @@ import numpy as np
 from wrenchbook.service.ledger.records import NotedRows, Vector
 
 _NAN = np.float64(np.nan)
+_KEY_BYTES = 16
 MIN_NUMBERS = 6
 """Numbers of a wrench or displacement: six an interface, and further inputs."""
 
@@ -47,7 +48,7 @@ def unpacked(wrenches: Iterable[bytes], inputs: int = MIN_NUMBERS) -> np.ndarray
 
 def content_key(*parts: bytes) -> bytes:
     """Return 16 bytes that are the same only for the same parts."""
-    return blake2b(b"".join(map(_part, parts)), digest_size=16).digest()
+    return blake2b(b"".join(map(_part, parts)), digest_size=_KEY_BYTES).digest()
 
 
 def row_key(
@@ -90,18 +91,31 @@ def row_records(
     thirds = _complete(rows.curvature)
     sources, fingerprints = rows.source.tolist(), rows.fingerprint.tolist()
     name = _part(component.encode())
-    texts = {text: _part(text.encode()) for text in {*sources, *fingerprints}}
+    notes = block.note
+    texts = {text: _part(text.encode()) for text in {*sources, *fingerprints, *notes}}
     of_load, of_move = (_length(8 * shape.shape[1]) for shape in (rows.wrench, rows.displacement))
-    unknown, records = _part(b""), []
-    for place, (load, move) in enumerate(zip(wrenches, displacements, strict=True)):
-        source, fingerprint, note = sources[place], fingerprints[place], block.note[place]
-        uncertainty, tangent, third = uncertainties[place], tangents[place], thirds[place]
-        digest = blake2b(name, digest_size=16)
-        digest.update(texts[fingerprint] + texts[source] + of_load + load + of_move + move)
-        digest.update(of_move + uncertainty if uncertainty else unknown)
-        key = digest.digest()
+    unknown, of_key, records = _part(b""), _length(_KEY_BYTES), []
+    for load, move, uncertainty, tangent, third, source, fingerprint, note in zip(
+        wrenches,
+        displacements,
+        uncertainties,
+        tangents,
+        thirds,
+        sources,
+        fingerprints,
+        notes,
+        strict=True,
+    ):
+        # The bytes of `row_key` and `seal`, joined once.
+        parts = name + texts[fingerprint] + texts[source] + of_load + load + of_move + move
+        parts += of_move + uncertainty if uncertainty else unknown
+        key = blake2b(parts, digest_size=_KEY_BYTES).digest()
+        if tangent is None and third is None:
+            parts = of_key + key + unknown + texts[note]
+            mark = blake2b(parts, digest_size=_KEY_BYTES).digest()
+        else:
+            mark = seal(key, tangent, note, third)
         content = component, fingerprint, source, load, move, tangent, third, uncertainty
-        mark = seal(key, tangent, note, third)
         records.append((*content, job, now, note, key, mark))
     return records
 

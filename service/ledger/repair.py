@@ -9,7 +9,7 @@ reports no false loss.
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -102,14 +102,14 @@ class Acknowledged:
 
     def losses(self) -> list[str]:
         """Return the losses that no repair has noted yet, as sentences."""
-        return [_sentence(loss) for loss in self._open_losses()]
+        return [sentence for sentence, _ in self._open_losses()]
 
     def lost(self, db: Connection) -> Numbers:
         """Return how many acknowledged jobs and rows are gone, without rows put back since.
 
         Edits share the rows' numbers, so that there may be fewer rows.
         """
-        losses = self._open_losses()
+        losses = [loss for _, loss in self._open_losses()]
         jobs, lost_rows = (
             sum(loss[name][1] - loss[name][0] + 1 for loss in losses) for name in ("jobs", "rows")
         )
@@ -122,33 +122,31 @@ class Acknowledged:
         if self._losses.exists():
             move(self._losses)
 
-    def _open_losses(self) -> list[dict[str, Any]]:
+    def _open_losses(self) -> list[tuple[str, dict[str, Any]]]:
+        """Return each loss, as a sentence and as it was noted."""
         try:
             lines = self._losses.read_text(encoding="utf-8").splitlines()
         except OSError:
             return []
         losses = []
         for line in lines:
-            with suppress(ValueError, KeyError, TypeError):
+            with suppress(ValueError, KeyError, TypeError):  # a line that was not written whole
                 loss = json.loads(line)
-                _sentence(loss)  # fails for a line that is not whole
-                losses.append(loss)
+                seen = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
+                parts = [
+                    f"{what} {first} to {last}"
+                    for what in ("jobs", "rows")
+                    for first, last in [loss[what]]
+                    if last >= first
+                ]
+                sentence = (
+                    f"{' and '.join(parts)} were acknowledged and are not in the ledger any more "
+                    f"(seen {seen} UTC): its -wal file was cut off or removed, or an older copy "
+                    "was put back. Rows that are in a table's file come back by themselves; ask "
+                    "for the other wrenches again"
+                )
+                losses.append((sentence, loss))
         return losses
-
-
-def _sentence(loss: dict[str, Any]) -> str:
-    seen = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
-    parts = [
-        f"{what} {first} to {last}"
-        for what in ("jobs", "rows")
-        for first, last in [loss[what]]
-        if last >= first
-    ]
-    return (
-        f"{' and '.join(parts)} were acknowledged and are not in the ledger any more (seen {seen} "
-        "UTC): its -wal file was cut off or removed, or an older copy was put back. Rows that are "
-        "in a table's file come back by themselves; ask for the other wrenches again"
-    )
 
 
 @dataclass(frozen=True)
@@ -232,26 +230,18 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
     select = f"SELECT {', '.join(common)} FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ?"
     marks = ", ".join("?" * len(common))
     insert = f"INSERT OR IGNORE INTO {table} ({', '.join(common)}) VALUES ({marks})"
-    count = 0
-    for record in _readable(source, select, until):
-        try:
-            count += new.execute(insert, record).rowcount
-        except USE_ERRORS:
-            continue  # its values are damaged
-    return count
-
-
-def _readable(source: Connection, select: str, until: int) -> Iterator[tuple]:
-    """Yield all readable records, halving each range of numbers that is not readable."""
-    ranges, misses = [(0, until)], 0
+    count, misses, ranges = 0, 0, [(0, until)]
     while ranges and misses < _MAX_MISSES:
         first, last = ranges.pop()
         try:
             records = source.execute(select, (first, last)).fetchall()
-        except USE_ERRORS:
+        except USE_ERRORS:  # each range that is not readable is halved
             misses += 1
             if first < last:
                 middle = (first + last) // 2
                 ranges += [(middle + 1, last), (first, middle)]
             continue
-        yield from records
+        for record in records:
+            with suppress(*USE_ERRORS):  # its values are damaged
+                count += new.execute(insert, record).rowcount
+    return count

@@ -24,6 +24,7 @@ from wrenchbook.service.ledger.packing import (
 )
 from wrenchbook.service.ledger.records import (
     DamagedRowError,
+    JobRecord,
     LedgerRow,
     NotedRows,
     RowChanges,
@@ -75,18 +76,12 @@ def in_parts(values: Iterable[Any]) -> Iterator[tuple[str, list[Any]]]:
 
 
 def insert(
-    db: Connection, component: str, rows: Rows, note: str | Sequence[str] = "", *, above: int = 0
+    db: Connection, component: str, records: Sequence[Any], *, above: int = 0
 ) -> tuple[int, int]:
-    """Insert rows, all or none, and return how many were new and how many known.
+    """Insert packed rows; return how many were new and how many known, by their keys.
 
-    A row of the same component, fingerprint, source, wrench, displacement and uncertainty is known.
     New rows get a seq above `above`. A hidden row of a running import counts as new, and is shown.
-    Raises ValueError if a solve lacks an output or a tangent is infinite.
     """
-    if np.isnan(rows.displacement[rows.source == "fea"]).any():
-        raise ValueError("displacement of a solve must be finite")
-    notes = [note] * len(rows) if isinstance(note, str) else note
-    records = row_records(component, NotedRows(rows, notes), time.time())
     if above:
         _skip(db, least=above)
     new = db.executemany(INSERT, records).rowcount if records else 0
@@ -99,39 +94,19 @@ def insert(
 
 
 def add_solved(
-    db: Connection, component: str, rows: Rows, origin: str, job: int, now: float
+    db: Connection,
+    job: JobRecord,
+    displacement: Sequence[float],
+    source: str,
+    origin: str,
+    now: float,
+    **known: Any,
 ) -> LedgerRow:
     """Insert the row of a job, or find the row of the same content, and return it.
 
     A withdrawn row of the same content is restored, since the solve has confirmed it; a damaged
-    row is written again.
-    """
-    (values,) = row_records(component, NotedRows(rows, [origin]), now, job)
-    db.execute(INSERT, values)
-    select = f"SELECT {_COLUMNS} FROM rows WHERE key = ?"
-    record = db.execute(select, (values[-2],)).fetchone()
-    seq = record[0]
-    _show(db, seq)
-    if not _is_sound(record):
-        db.execute(f"UPDATE rows SET ({CONTENT}) = ({_PLACES}) WHERE seq = ?", (*values, seq))
-        if not is_withdrawn(db, seq):
-            edit(db, component, [seq], withdrawn=True, now=now)  # so that readers take it again
-    if is_withdrawn(db, seq):
-        edit(db, component, [seq], withdrawn=False, now=now)
-    db.rows += 1
-    return get(db, seq)
-
-
-def solved_row(
-    wrench: Sequence[float],
-    displacement: Sequence[float],
-    source: str,
-    fingerprint: str,
-    **known: Any,
-) -> Rows:
-    """Return a solve as a row; raises ValueError if a number is not finite or a length is wrong.
-
-    An output whose uncertainty is not known is NaN, but not all of them.
+    row is written again. An output whose uncertainty is not known is NaN, but not all of them.
+    Raises ValueError if a number is not finite or a length is wrong.
     """
     columns = {name: value for name, value in known.items() if value is not None}
     for name, value in {"displacement": displacement, **columns}.items():
@@ -140,10 +115,25 @@ def solved_row(
             raise ValueError(f"{name} must be finite, got {value}")
     if len(displacement) < MIN_NUMBERS:
         raise ValueError(f"displacement needs 6 numbers or more, got {len(displacement)}")
-    inputs, outputs = (Input("", "", "scalar"),) * len(wrench), (Output("", ""),)
+    inputs = (Input("", "", "scalar"),) * len(job.wrench)  # of the space only the counts matter
+    space = Space(inputs, (Output("", ""),) * len(displacement))
+    columns |= {"source": source, "fingerprint": job.fingerprint}
     more = {name: [value] for name, value in columns.items()}
-    more |= {"source": [source], "fingerprint": [fingerprint]}
-    return Rows.of([wrench], [displacement], Space(inputs, outputs * len(displacement)), **more)
+    block = NotedRows(Rows.of([job.wrench], [displacement], space, **more), [origin])
+    (values,) = row_records(job.component, block, now, job.id)
+    db.execute(INSERT, values)
+    select = f"SELECT {_COLUMNS} FROM rows WHERE key = ?"
+    record = db.execute(select, (values[-2],)).fetchone()
+    seq = record[0]
+    _show(db, seq)
+    if not _is_sound(record):
+        db.execute(f"UPDATE rows SET ({CONTENT}) = ({_PLACES}) WHERE seq = ?", (*values, seq))
+        if not is_withdrawn(db, seq):
+            edit(db, job.component, [seq], withdrawn=True, now=now)  # so that readers read it again
+    if is_withdrawn(db, seq):
+        edit(db, job.component, [seq], withdrawn=False, now=now)
+    db.rows += 1
+    return get(db, seq)
 
 
 def rewrite(db: Connection, component: str, seq: int, rows: Rows) -> bool:

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from wrenchbook.service.fields.codec import DamagedFieldsError
-from wrenchbook.service.fields.record import read_geometry, read_row
+from wrenchbook.service.fields.record import DamagedFieldsError, read_geometry, read_row
 from wrenchbook.service.keys import Keyring, KeysError
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.backup import LEDGER
@@ -24,7 +23,7 @@ _ASIDE = (
     *("*.damaged-*", "*.orphan-*", "*.settled-*", "tables/*.damaged-*", ".before-restore-*"),
     "fields/**/*.damaged-*",
 )
-_MOST_NAMED = 5  # paths of one kind in a finding; the number of further ones follows
+_MAX_NAMED = 5  # paths of one kind in a finding; the number of further ones follows
 
 
 @dataclass(frozen=True)
@@ -57,114 +56,74 @@ def not_writable(folder: Path) -> list[Path]:
     return [path for path in paths if path.exists() and not os.access(path, os.R_OK | os.W_OK)]
 
 
-def check_disk(folder: Path) -> list[DataFinding]:
+def check_disk(folder: Path) -> Iterator[DataFinding]:
     """Find a disk that is nearly full, and files that cannot be read and written."""
-    found = []
     free = shutil.disk_usage(folder).free
     if free < LITTLE_BYTES:
         remedy = "make room; prune attempts' folders with serve --keep-days and --keep-count"
-        found.append(DataFinding("fault", f"the disk has {free / 1e6:.0f} MB left", remedy))
+        yield DataFinding("fault", f"the disk has {free / 1e6:.0f} MB left", remedy)
     remedy = f"make it readable and writable for user {os.getuid()}, as the server runs"
-    return found + [
-        DataFinding("fault", f"{path} cannot be read and written", remedy)
-        for path in not_writable(folder)
-    ]
+    for path in not_writable(folder):
+        yield DataFinding("fault", f"{path} cannot be read and written", remedy)
 
 
-def check_side_files(folder: Path, *, mend: bool) -> list[DataFinding]:
-    """Find unusable keys, settings, statistics, solver errors and surfaces.
+def check_side_files(folder: Path, *, mend: bool) -> Iterator[DataFinding]:
+    """Find unusable keys and settings, which only the owner can repair, and surfaces.
 
-    With `mend`, files that the server writes again by itself are moved aside.
+    With `mend`, surfaces, which the server writes again by itself, are moved aside.
     """
-    found = list(_keys_and_settings(folder))
-    for path, remedy, error in _damaged(folder):
-        what = f"{path.relative_to(folder)} cannot be used: {error}"
-        if mend:
-            aside = move_aside(path).name
-            found.append(DataFinding("mended", what, f"moved to {aside}; {remedy}"))
-        else:
-            found.append(DataFinding("fault", what, f"{remedy}, once it is moved away; {REPAIR}"))
-    return found
-
-
-def _keys_and_settings(folder: Path) -> Iterator[DataFinding]:
-    """Find unusable keys and settings, which only the owner can repair."""
     try:
         Keyring(folder)
     except KeysError as error:
         yield DataFinding("fault", f"nobody is let in: {error}")
     path = folder / "wrenchbook.toml"
     try:
-        tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return
+        tomllib.loads(path.read_text(encoding="utf-8") if path.exists() else "")
     except (OSError, ValueError) as error:
         yield DataFinding("fault", f"{path.name} cannot be read as TOML: {error}", "mend it")
-
-
-def _damaged(folder: Path) -> Iterator[tuple[Path, str, Exception]]:
-    """Yield each damaged file with what follows from that, and the error."""
     surface = "its row answers as before; its surface comes from the others until it is solved anew"
-    kinds = [
-        ("fields/*/*/*.fields", read_row, surface),
-        ("fields/*/*/*.geometry", read_geometry, "surfaces come back with further solves"),
-    ]
-    for pattern, read, remedy in kinds:
-        for path in sorted(folder.glob(pattern)):
-            try:
+    geometry = "surfaces come back with further solves"
+    for path in sorted(folder.glob("fields/*/*/*")):
+        kinds = {".fields": (read_row, surface), ".geometry": (read_geometry, geometry)}
+        read, remedy = kinds.get(path.suffix, (None, ""))
+        try:
+            if read is not None:
                 read(path.read_bytes())
-            except FileNotFoundError:
-                continue  # a running server has removed it
-            except (DamagedFieldsError, OSError, ValueError, TypeError, AttributeError) as error:
-                yield path, remedy, error
+        except FileNotFoundError:
+            continue  # a running server has removed it
+        except (DamagedFieldsError, OSError, ValueError, TypeError, AttributeError) as error:
+            what = f"{path.relative_to(folder)} cannot be used: {error}"
+            if mend:
+                aside = move_aside(path).name
+                yield DataFinding("mended", what, f"moved to {aside}; {remedy}")
+            else:
+                yield DataFinding("fault", what, f"{remedy}, once it is moved away; {REPAIR}")
 
 
-def find_leftovers(folder: Path, ledger: Ledger) -> list[DataFinding]:
+def find_leftovers(folder: Path, ledger: Ledger) -> Iterator[DataFinding]:
     """Find files of interrupted writes, copies moved aside, and attempts without a job."""
-    drafts = [
+    unfinished = [
         *(folder / "tables").glob(".*.tmp"),
         *(folder / "components").glob(".incoming-*"),
         *folder.glob(".restoring"),
-        *_partial(folder),
     ]
-    aside = [path for pattern in _ASIDE for path in folder.glob(pattern)]
-    kinds = [
-        (
-            "unfinished files",
-            drafts,
-            "left by an interrupted write; safe to remove while no server is running",
-        ),
-        ("copies moved aside", aside, "remove them once nothing in them is missed"),
-        (
-            "attempts of jobs that the ledger does not have",
-            list(_orphans(folder / "jobs", ledger)),
-            "they are of a ledger that is gone; a result.json in them may be worth a look",
-        ),
-    ]
-    return [
-        DataFinding("note", f"{what}: {_named(folder, paths)}", remedy)
-        for what, paths, remedy in kinds
-        if paths
-    ]
-
-
-def _partial(folder: Path) -> Iterator[Path]:
-    """Yield files of interrupted `write_whole_bytes`: ``.name.process.thread``."""
-    for path in folder.glob(".*.*.*"):
+    for path in folder.glob(".*.*.*"):  # of `write_whole_bytes`: .name.process.thread
         process = path.name.split(".")[-2]
         if process.isdecimal() and not Path(f"/proc/{process}").exists():
-            yield path
-
-
-def _orphans(jobs: Path, ledger: Ledger) -> Iterator[Path]:
+            unfinished.append(path)
+    jobs = folder / "jobs"
     numbers = [int(name) for name in os.listdir(jobs) if name.isdecimal()] if jobs.is_dir() else []  # noqa: PTH208
     known = ledger.attempts(numbers)
-    for number in sorted(numbers):
-        if number not in known:
-            yield jobs / str(number)
-
-
-def _named(folder: Path, paths: list[Path]) -> str:
-    names = ", ".join(str(path.relative_to(folder)) for path in paths[:_MOST_NAMED])
-    more = len(paths) - _MOST_NAMED
-    return f"{names} and {more} more" if more > 0 else names
+    orphans = [jobs / str(number) for number in sorted(numbers) if number not in known]
+    aside = [path for pattern in _ASIDE for path in folder.glob(pattern)]
+    left = "left by an interrupted write; safe to remove while no server is running"
+    gone = "they are of a ledger that is gone; a result.json in them may be worth a look"
+    for what, paths, remedy in (
+        ("unfinished files", unfinished, left),
+        ("copies moved aside", aside, "remove them once nothing in them is missed"),
+        ("attempts of jobs that the ledger does not have", orphans, gone),
+    ):
+        names = ", ".join(str(path.relative_to(folder)) for path in paths[:_MAX_NAMED])
+        more = f" and {len(paths) - _MAX_NAMED} more" if len(paths) > _MAX_NAMED else ""
+        if paths:
+            yield DataFinding("note", f"{what}: {names}{more}", remedy)

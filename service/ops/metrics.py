@@ -54,16 +54,7 @@ class MetricsSource(Protocol):
 
 
 class Metrics(Collector):
-    """The metrics of one server.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    counts : Counts
-        Queries answered by this process.
-    listeners : callable
-        Returns the number of event listeners of this process.
-    """
+    """The metrics of one server: `counts` and event `listeners` are those of this process."""
 
     def __init__(
         self, workspace: MetricsSource, counts: Counts, listeners: Callable[[], int]
@@ -164,8 +155,8 @@ def _of_queries(counts: Counts) -> Iterator[Metric]:
     queries = CounterMetricFamily(
         "wrenchbook_queries", "wrenches answered", labels=("coverage", "method")
     )
-    for words, number in sorted(counts.queries().items()):
-        queries.add_metric(words, number)
+    for labels, number in counts.queries().items():
+        queries.add_metric(labels, number)
     yield queries
     text = "time a table took for one call"
     yield HistogramMetricFamily(
@@ -177,8 +168,8 @@ def _of_requests(counts: Counts) -> Iterator[Metric]:
     labels = ("route", "method", "status")
     requests = CounterMetricFamily("wrenchbook_http_requests", "by route template", labels=labels)
     of_route: dict[str, list[float]] = {}
-    for (route, method, status), numbers in sorted(counts.requests().items()):
-        requests.add_metric((route, method, str(status)), sum(numbers[:-1]))
+    for (route, method, status), numbers in counts.of("request"):
+        requests.add_metric((route, method, status), sum(numbers[:-1]))
         total = of_route.get(route, [0.0] * len(numbers))
         of_route[route] = [one + more for one, more in zip(total, numbers, strict=True)]
     yield requests

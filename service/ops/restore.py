@@ -31,19 +31,36 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
     """
     folder = folder.absolute()
     verify(source)
-    draft = folder / _DRAFT
+    draft, aside = folder / _DRAFT, None
+
+    def place(name: str):
+        path = draft / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
+
     try:
         folder.mkdir(0o700, parents=True, exist_ok=True)
         _check_free(folder, overwrite=overwrite)
         shutil.rmtree(draft, ignore_errors=True)  # of an interrupted restore
         draft.mkdir(0o700)
-        manifest = _unpacked(source, draft)
+        manifest = unpack(source, place)
+        for path in filter(Path.is_dir, draft.rglob("*")):
+            path.chmod(0o700)
+        Ledger(draft / LEDGER).close()  # verifies it and updates its schema
         sync_tree(draft)
         present = _check_free(folder, overwrite=overwrite)  # a server may have started meanwhile
-        aside = _move_aside(folder, present) if present else None
+        if present:
+            aside = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
+            aside.mkdir(0o700)
+            # The ledger and its log first.
+            for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
+                if not entry.name.startswith(".before-restore-"):
+                    entry.rename(aside / entry.name)
         for entry in sorted(draft.iterdir(), key=lambda entry: entry.name == LEDGER):
             entry.rename(folder / entry.name)
         sync_folder(folder)
+    except LedgerError as error:
+        raise BackupError(f"the ledger in {source} cannot be used: {error}") from error
     except OSError as error:
         raise BackupError(f"{folder} cannot be written: {error}") from error
     finally:
@@ -68,31 +85,3 @@ def _check_free(folder: Path, *, overwrite: bool) -> list[Path]:
             "directory, or say --overwrite to have what is in it moved aside. Nothing was changed"
         )
     return present
-
-
-def _unpacked(source: Path, draft: Path) -> Manifest:
-    """Write the files of a backup and open its ledger."""
-
-    def place(name: str):
-        path = draft / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
-
-    manifest = unpack(source, place)
-    for path in filter(Path.is_dir, draft.rglob("*")):
-        path.chmod(0o700)
-    try:
-        Ledger(draft / LEDGER).close()  # verifies it and updates its schema
-    except LedgerError as error:
-        raise BackupError(f"the ledger in {source} cannot be used: {error}") from error
-    return manifest
-
-
-def _move_aside(folder: Path, present: list[Path]) -> Path:
-    """Move the content of a folder into a new one there; the ledger and its log first."""
-    aside = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
-    aside.mkdir(0o700)
-    for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
-        if not entry.name.startswith(".before-restore-"):
-            entry.rename(aside / entry.name)
-    return aside

@@ -15,7 +15,7 @@ from uvicorn.config import STARTUP_FAILURE
 
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.solver_pool import open_engine
+from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.retention import Retention

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from wrenchbook.service.files.scratch import take_scratch
-from wrenchbook.service.http.access.security import security_of_options
+from wrenchbook.service.http.access import security_of_options
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.http.server import Server, raise_open_files, server_config

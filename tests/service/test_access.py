@@ -10,9 +10,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from wrenchbook.service.client import Client
-from wrenchbook.service.http.access import Permission, SecuritySettings
-from wrenchbook.service.http.access.permission import Rates
-from wrenchbook.service.http.access.security import security_settings
+from wrenchbook.service.http.access import Permission, Rates, SecuritySettings, security_settings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.body import counted as counted_
 from wrenchbook.service.http.problems import HttpProblemError
@@ -206,7 +204,7 @@ def test_a_key_is_held_to_its_rate_and_told_when_to_come_again(place, locked):
 def clock(monkeypatch):
     """The time of the rates, s, which a test sets."""
     now = [1000.0]
-    monkeypatch.setattr("wrenchbook.service.http.access.permission.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("wrenchbook.service.http.access.time.monotonic", lambda: now[0])
     return now
 
 
@@ -252,9 +250,9 @@ def test_a_disk_that_takes_nothing_lifts_no_limit(tmp_path, clock, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     (permission,) = permissions(tmp_path / "rates", 1.0, 1)
-    monkeypatch.setattr("wrenchbook.service.http.access.permission.os.pwrite", full)
+    monkeypatch.setattr("wrenchbook.service.http.access.os.pwrite", full)
     assert [permission.wait() == 0.0 for _ in range(4)] == [True, True, False, False]
-    monkeypatch.setattr("wrenchbook.service.http.access.permission.os.open", full)
+    monkeypatch.setattr("wrenchbook.service.http.access.os.open", full)
     (permission,) = permissions(tmp_path / "others", 1.0, 1)
     assert [permission.wait() == 0.0 for _ in range(4)] == [True, True, False, False]
 
@@ -397,7 +395,7 @@ def test_a_key_that_no_header_can_hold_is_refused_without_telling_it():
 
 def test_a_key_is_taken_from_the_environment_unless_one_is_given(monkeypatch):
     monkeypatch.setenv("WRENCHBOOK_KEY", "wb_env")
-    assert b"Bearer wb_env" in Client()._head("GET", "/", {})
-    assert b"Bearer wb_own" in Client(key="wb_own")._head("GET", "/", {})
+    assert b"Bearer wb_env" in Client()._head("GET", "/", None, {})
+    assert b"Bearer wb_own" in Client(key="wb_own")._head("GET", "/", None, {})
     monkeypatch.delenv("WRENCHBOOK_KEY")
-    assert b"Authorization" not in Client()._head("GET", "/", {})
+    assert b"Authorization" not in Client()._head("GET", "/", None, {})

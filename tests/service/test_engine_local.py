@@ -19,7 +19,8 @@ from wrenchbook.service.jobs.attempt import (
     read_outcome,
     read_progress,
 )
-from wrenchbook.service.jobs.solver_pool import LocalEngine, open_engine
+from wrenchbook.service.jobs.engines import open_engine
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test

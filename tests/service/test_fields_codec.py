@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrenchbook.service.fields.codec import (
+from wrenchbook.service.fields.record import (
     MAGIC,
     Column,
     DamagedFieldsError,

@@ -6,8 +6,7 @@ import types
 import numpy as np
 import pytest
 
-from wrenchbook.service.fields.codec import DamagedFieldsError
-from wrenchbook.service.fields.record import GEOMETRY, ROW, leave
+from wrenchbook.service.fields.record import GEOMETRY, ROW, DamagedFieldsError, leave
 from wrenchbook.service.fields.store import FieldStore, key_of
 
 WRENCH = (1.0, -2.0, 0.1, 0.0, 0.0, 1e-300)

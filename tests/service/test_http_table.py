@@ -509,7 +509,7 @@ def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypat
 
 
 def test_a_table_that_is_too_large_is_413_without_a_declared_length(rig, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.http.body.MOST_TABLE_BYTES", 1 << 20)
+    monkeypatch.setattr("wrenchbook.service.http.body.MAX_TABLE_BYTES", 1 << 20)
     pieces = (b"#" * 65536 for _ in range(17))
     reply = rig.post(CALL, content=pieces, headers={"content-type": "text/csv"})
     assert reply.status_code == 413

@@ -112,8 +112,8 @@ def test_counts_of_requests_survive_a_restart_and_add_up():
     counts.add_request("/v1/jobs", "GET", 200, 0.002)
     other.add_all(Counts.from_json(counts.as_json()))
     other.add_all(counts)
-    ((key, numbers),) = other.requests().items()
-    assert key == ("/v1/jobs", "GET", 200)
+    ((key, numbers),) = other.of("request")
+    assert key == ("/v1/jobs", "GET", "200")
     assert (sum(numbers[:-1]), numbers[-1]) == (2, 0.004)
 
 
@@ -182,7 +182,7 @@ def test_no_more_than_a_bounded_number_of_components_becomes_labels(rig, monkeyp
 def test_kinds_of_failures_beyond_a_number_are_told_together(tmp_path, monkeypatch):
     from wrenchbook.service.ledger import Ledger
 
-    monkeypatch.setattr("wrenchbook.service.ledger.jobs.MOST_KINDS", 3)
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.MAX_KINDS", 3)
     ledger = Ledger(tmp_path / "ledger.sqlite")
     for number in range(6):
         ledger.accept("a", "f", [float(number)] * 6)

@@ -15,16 +15,14 @@ from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
-from wrenchbook.service.http.body import MOST_QUERY_BYTES, form_of, read_limited
+from wrenchbook.service.http.body import MAX_QUERY_BYTES, JsonRoute, form_of, read_limited
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply, next_page
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.scenes import need_from
-from wrenchbook.service.http.schemas import Queued
 from wrenchbook.service.library.bundles import MAX_BUNDLE_BYTES
-from wrenchbook.service.library.catalogue import CatalogueCard
 from wrenchbook.service.library.component import (
     Component,
     interface_of,
@@ -32,13 +30,14 @@ from wrenchbook.service.library.component import (
     vibration_of,
     warnings_of,
 )
+from wrenchbook.service.messages import JobLink, Queued
 from wrenchbook.service.query import job_link
-from wrenchbook.service.tables.mapped import ServedTable, warning_of
+from wrenchbook.service.tables.mapped import warning_of
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import Tolerance
 
-router = APIRouter(prefix="/v1/components", tags=["components"])
+router = APIRouter(prefix="/v1/components", tags=["components"], route_class=JsonRoute)
 CATCH_UP_S = 25.0
 _BUNDLE = {
     "type": "object",
@@ -69,7 +68,15 @@ def list_components(
         for name in library.names()
         if (after is None or name > after) and (archived or not cards[name].archived)
     ]
-    found = [one for one in found if _is_about(one, cards[one.name], q)]
+    searched = q.casefold().split()
+    found = [
+        item
+        for item in found
+        if all(
+            word in f"{item.name} {item.title} {cards[item.name].notes}".casefold()
+            for word in searched
+        )
+    ]
     following = None
     if len(found) > limit:
         words = {"q": q, "archived": archived, "limit": limit, "after": found[limit - 1].name}
@@ -82,12 +89,6 @@ def list_components(
             for name, reason in sorted(workspace.broken().items())
         ],
     }
-
-
-def _is_about(component: Component, card: CatalogueCard, search: str) -> bool:
-    """Return whether name, title or notes of a component have all words of a search."""
-    text = f"{component.name} {component.title} {card.notes}".casefold()
-    return all(word in text for word in search.casefold().split())
 
 
 @router.get(
@@ -114,7 +115,8 @@ async def add_component(request: Request, workspace: Opened) -> Response:
         component = await _add_bundle(workspace, request)
     elif kind == "application/json":
         body = read_body(TableOnlyComponent, await read_limited(request.receive))
-        component = await run_in_threadpool(_add_table_only, workspace, body)
+        fields = body.model_dump(exclude_none=True)
+        component = await run_in_threadpool(lambda: workspace.library.add_table_only(**fields))
     else:
         raise HttpProblemError(
             415,
@@ -129,16 +131,12 @@ async def add_component(request: Request, workspace: Opened) -> Response:
 
 async def _add_bundle(workspace: Workspace, request: Request) -> Component:
     # The archive may be as large as a bundle, and its form has a head.
-    async with form_of(request, MAX_BUNDLE_BYTES + MOST_QUERY_BYTES, most_files=1) as form:
+    async with form_of(request, MAX_BUNDLE_BYTES + MAX_QUERY_BYTES, most_files=1) as form:
         upload = form.get("bundle")
         if not isinstance(upload, UploadFile):
             raise bad_body([{"loc": "bundle", "msg": "send the zip as the form's file 'bundle'"}])
         decks = permission_of(request.scope).allows("admin")
         return await run_in_threadpool(workspace.library.add_zip, upload.file, decks=decks)
-
-
-def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component:
-    return workspace.library.add_table_only(**body.model_dump(exclude_none=True))
 
 
 @router.post(
@@ -147,16 +145,8 @@ def _add_table_only(workspace: Workspace, body: TableOnlyComponent) -> Component
     responses=answers(Queued, "the interpolation error is within the tolerance")
     | answers(Queued, "solves are queued", 202)
     | refused(404, 409, 422),
-    openapi_extra=takes(FillBody),
 )
-async def fill(name: str, request: Request, workspace: Opened) -> Response:
-    order = read_body(FillBody, await read_limited(request.receive))
-    reply = await run_in_threadpool(_fill, workspace, name, order)
-    return json_reply(reply, 202 if reply["jobs"] else 200)
-
-
-def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
-    """Design one round of solves on the newest table and accept them."""
+def fill(name: str, workspace: Opened, order: FillBody) -> Response:
     began = time.time()
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
     need, component = None, workspace.library[name]
@@ -178,12 +168,9 @@ def _fill(workspace: Workspace, name: str, order: FillBody) -> dict[str, Any]:
     fewer = (
         f"{len(jobs)} of at most {order.budget} solves: " if 0 < len(jobs) < order.budget else ""
     )
-    return {
-        "component": name,
-        "jobs": [job_link(job, began) for job in jobs],
-        "stage": design.stage,
-        "reason": fewer + design.reason,
-    }
+    links = tuple(JobLink(**job_link(job, began)) for job in jobs)
+    reply = Queued(component=name, jobs=links, stage=design.stage, reason=fewer + design.reason)
+    return json_reply(reply, 202 if jobs else 200)
 
 
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
@@ -191,15 +178,16 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
     table = workspace.tables.surrogate(component.name)
     own_error = workspace.solver_error(component.name) if component.has_fea else None
     findings = workspace.ledger.findings(component.name)  # a large table may still be in the making
+    warning = warning_of(component, table)  # of rows that are in the ledger and not in the table
     return {
         **_summary(workspace, component),
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
         "interface": interface_of(component),
-        **_interfaces(component),
+        **({"interfaces": interfaces_of(component)} if component.space.several else {}),
         "warnings": [
             *_warnings(component, own_error, known=table.bars_are_whole),
-            *({"where": "rows", "message": one} for one in _of_rows(component, table)),
+            *([{"where": "rows", "message": warning}] if warning else []),
             *({"where": f"import {one['import']}", **one} for one in findings),
         ],
         "vibration": vibration_of(component.folder, component.fingerprint),
@@ -227,11 +215,6 @@ def _warnings(
     ]
 
 
-def _of_rows(component: Component, table: ServedTable) -> list[str]:
-    """Return what there is to know of rows that are in the ledger and not in the table."""
-    return [warning] if (warning := warning_of(component, table)) else []
-
-
 def _solver_error(component: Component, error: SolverError | None) -> dict[str, Any] | None:
     """Return what the solver's own answers may be wrong by; None of a measured table."""
     if not component.has_fea:
@@ -255,10 +238,6 @@ def _range(component: Component) -> dict[str, Any]:
     further = {one.name: span for one, span in zip(space.scalars[::-1], spans[::-1], strict=False)}
     inputs = {"inputs": dict(reversed(further.items()))} if further else {}
     return ({"loads": loads} if space.several else next(iter(loads.values()))) | inputs
-
-
-def _interfaces(component: Component) -> dict[str, Any]:
-    return {"interfaces": interfaces_of(component)} if component.space.several else {}
 
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:

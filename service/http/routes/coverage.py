@@ -63,8 +63,8 @@ def _compliance(name: str, table: ServedTable) -> Response:
             load for load, known in zip(space.input_names, fit.known, strict=True) if known
         ],
         "error": fit.error.tolist(),
-        "rows": [f"{one.name} [{one.unit}]" for one in space.outputs],
-        "columns": [f"{one.name} [{one.unit}]" for one in space.inputs],
+        "rows": [f"{output.name} [{output.unit}]" for output in space.outputs],
+        "columns": [f"{load.name} [{load.unit}]" for load in space.inputs],
         **check_physics(table.rows, table.load_range, fit, table.tolerance),
     }
     return json_reply(body)

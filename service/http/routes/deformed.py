@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
-from wrenchbook.service.contract import LOADS, MOMENT_POINT
+from wrenchbook.service.contract import LOADS, MOMENT_POINT, Coverage
 from wrenchbook.service.fields import surface_files
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.http.openapi import BYTES, answers, refused
@@ -18,6 +18,7 @@ from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.component import interface_of, require_one_wrench
+from wrenchbook.service.messages import DeformedShape, Stress
 from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(
@@ -33,7 +34,7 @@ _MOMENT = Query(allow_inf_nan=False, description=f"N·m, about {MOMENT_POINT}")
     "/deformed",
     summary="The deformed surface, and the largest stress, under a wrench",
     responses=answers(
-        dict[str, Any],
+        DeformedShape,
         "the surface; flagged outside the load range, or with too few rows",
         content={surface_files.GLTF_MEDIA_TYPE: BYTES, surface_files.VTU_MEDIA_TYPE: BYTES},
     ),
@@ -96,26 +97,27 @@ def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
     return Response(write(shape), 200, headers, kind)
 
 
-def _body(workspace: Workspace, shape: Deformed) -> dict[str, Any]:
-    geometry, stress = shape.geometry, shape.stress
+def _body(workspace: Workspace, shape: Deformed) -> DeformedShape:
+    geometry = shape.geometry
+    stress: dict[str, Any] | None = shape.stress and shape.stress._asdict()
     interface = interface_of(workspace.library[shape.component]) or {}
     count = len(geometry.vertices)
     simplified = {"from": geometry.whole_vertices, "to": count}
-    return {
-        "component": shape.component,
-        "force": shape.wrench[:3],
-        "moment": shape.wrench[3:],
-        "frame": {"point": interface.get("point"), "axes": interface.get("axes")},
-        "vertices": geometry.vertices,
-        "triangles": geometry.triangles,
-        "displacement": np.ascontiguousarray(shape.displacement),
-        "error": shape.error,
-        "error_parts": None if shape.parts is None else shape.parts.largest(),
-        "within_tolerance": shape.within_tolerance,
-        "simplified": simplified if count < geometry.whole_vertices else None,
-        "stress": None if stress is None else stress._asdict(),
-        "source": shape.source,
-        "rows": shape.rows,
-        "coverage": shape.coverage,
-        **({"reason": shape.reason} if shape.reason else {}),
-    }
+    return DeformedShape(
+        component=shape.component,
+        force=np.array(shape.wrench[:3]),
+        moment=np.array(shape.wrench[3:]),
+        frame={"point": interface.get("point"), "axes": interface.get("axes")},
+        vertices=geometry.vertices,
+        triangles=geometry.triangles,
+        displacement=np.ascontiguousarray(shape.displacement),
+        error=shape.error,
+        error_parts=None if shape.parts is None else shape.parts.largest(),
+        within_tolerance=shape.within_tolerance,
+        simplified=simplified if count < geometry.whole_vertices else None,
+        stress=stress and Stress(**{**stress, "at": np.array(stress["at"])}),
+        source=shape.source,
+        rows=shape.rows,
+        coverage=cast(Coverage, shape.coverage),
+        reason=shape.reason,
+    )

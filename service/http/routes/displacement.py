@@ -11,8 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service.contract import CONTRACT_TEXT
-from wrenchbook.service.http.access import Permission, permission_of
-from wrenchbook.service.http.access.control import beyond_scope
+from wrenchbook.service.http.access import Permission, beyond_scope, permission_of
 from wrenchbook.service.http.batch import (
     BINARY_BODY,
     BINARY_REPLY,
@@ -23,7 +22,7 @@ from wrenchbook.service.http.batch import (
     read_binary,
 )
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
-from wrenchbook.service.http.body import MOST_BATCH_BYTES, Spooled, read_limited, spooled
+from wrenchbook.service.http.body import MAX_BATCH_BYTES, Spooled, read_limited, spooled
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import checked, loads_of, parsed_json, read_query, refuse_query
 from wrenchbook.service.http.problems import HttpProblemError
@@ -117,7 +116,7 @@ async def displacements(name: str, request: Request) -> Response:
             return read_binary(body, options, space)
         return read_batch_body(body, len(space.inputs))
 
-    async with spooled(request.receive, MOST_BATCH_BYTES) as body:
+    async with spooled(request.receive, MAX_BATCH_BYTES) as body:
         wrenches, query = await run_in_threadpool(_permitted, permission, lambda: read(body))
         async with few_large(len(wrenches)):
             outcome = await answer_or_submit_many(workspace, name, wrenches, query)

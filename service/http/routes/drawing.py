@@ -114,8 +114,8 @@ def surface(name: str, workspace: Opened) -> Response:
     if not component.has_fea:
         why = f"{name!r} has measured rows and no mesh, so there is nothing to draw."
         raise HttpProblemError(404, "no-mesh", "The component has no mesh", why)
-    found = surface_of(component.folder, component.fingerprint)
-    return json_reply({"component": name, **found})
+    drawn = surface_of(component.folder, component.fingerprint)
+    return json_reply({"component": name, **drawn})
 
 
 @router.get("/drawing", summary="Rows to draw, at most `most`, and the coverage of a grid")

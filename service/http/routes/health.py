@@ -44,13 +44,18 @@ def ready(
     component: Annotated[str | None, Query(description="only this component's table")] = None,
 ) -> JSONResponse:
     faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
-    pending = _pending(workspace)
+    names, present = set(workspace.library.names()), workspace.tables.present().items()
+    counts = {name: workspace.unbuilt(name, table)[0] for name, table in present if name in names}
+    pending = {name: count for name, count in counts.items() if count}  # rows that are being built
     for name in pending:
         if not workspace.tables.present()[name].row_count:  # it has nothing to answer from
             tables[name] = "broken" if name in broken else "building"
     building = [name for name, state in tables.items() if state == "building"]
     if component is not None:
-        tables = {component: tables.get(component) or _unknown(workspace, component)}
+        if component not in tables:
+            _ = workspace.library[component]  # raises if there is none
+            tables[component] = "building"  # added a moment ago
+        tables = {component: tables[component]}
     flawed = broken or any(state in ("degraded", "broken") for state in tables.values())
     status = "building" if building else "degraded" if flawed else "ready"
     body: dict[str, Any] = {
@@ -82,20 +87,6 @@ def table_states(workspace: Workspace) -> dict[str, TableState]:
         else "ready"
         for name in names
     }
-
-
-def _pending(workspace: Workspace) -> dict[str, int]:
-    """Return how many rows are being built into each table that lacks some."""
-    names, present = set(workspace.library.names()), workspace.tables.present()
-    found = {
-        name: workspace.unbuilt(name, table)[0] for name, table in present.items() if name in names
-    }
-    return {name: count for name, count in found.items() if count}
-
-
-def _unknown(workspace: Workspace, name: str) -> TableState:
-    workspace.library[name]  # raises if there is no such component
-    return "building"  # added a moment ago
 
 
 @router.get(

@@ -25,7 +25,7 @@ from wrenchbook.service.jobs.waiting import why_waiting
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
 from wrenchbook.service.query import job_link
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.table.space import DEFAULT, Space
+from wrenchbook.surrogate.table.space import DEFAULT
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422))
 # The end, where the reason stands; all of it is in the attempt's files.
@@ -34,8 +34,7 @@ CODE = pathlib.Path(__file__).parents[3]
 
 
 def _within(job_id: int) -> int:
-    """Return a number that a job could have: SQLite's integers end at 2**63."""
-    if job_id >= 2**63:
+    if job_id >= 2**63:  # the end of SQLite's integers
         raise UnknownJobError("there is no job of that number; GET /v1/jobs lists all")
     return job_id
 
@@ -53,7 +52,10 @@ def job_body(
 
     `rows` are those of many jobs, read together; one alone reads its own.
     """
-    space = _space(workspace, job)
+    library, name = workspace.library, job.component
+    space = library[name].space if name in library else DEFAULT
+    if len(space.inputs) != len(job.wrench):  # its component is gone, or has other inputs now
+        space = None
     body: dict[str, Any] = {
         **job_link(job),
         "component": job.component,
@@ -73,21 +75,10 @@ def job_body(
         body["row"] = job.row
         row = workspace.ledger.row(job.row) if rows is None else rows.get(job.row)
         if row is not None:  # GET /health/ready names a damaged one
-            body |= _moved(row, space)
+            names = space.several if space else ()
+            moved = by_part(row.displacement, names)
+            body |= {"displacements": moved} if names else moved
     return body
-
-
-def _space(workspace: Workspace, job: JobRecord) -> Space | None:
-    """Return the inputs of a job; None where its component is gone or has others now."""
-    library, name = workspace.library, job.component
-    space = library[name].space if name in library else DEFAULT
-    return space if len(space.inputs) == len(job.wrench) else None
-
-
-def _moved(row: LedgerRow, space: Space | None) -> dict[str, Any]:
-    if space and space.several:
-        return {"displacements": by_part(row.displacement, space.several)}
-    return by_part(row.displacement)
 
 
 @router.get("", summary="List jobs, newest first, a page at a time")
@@ -115,17 +106,19 @@ def list_jobs(
 @router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
 async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
     (job,) = await workspace.polls.wait_all([job_id], wait_s)
-    return await run_in_threadpool(_whole_body, workspace, job)
 
+    def body() -> dict[str, Any]:
+        """Return what a job has, and what lists leave out: its notes, why it waits."""
+        waiting = None
+        if job.status == "waiting":
+            trouble = workspace.tables.trouble()
+            waiting = why_waiting(workspace.ledger, job, workspace.settings.solvers, trouble)
+        return job_body(workspace, job) | {
+            "notes": redact_values(workspace.notes(job)),
+            "waiting": redact_values(asdict(waiting)) if waiting else None,
+        }
 
-def _whole_body(workspace: Workspace, job: JobRecord) -> dict[str, Any]:
-    """Return what one job's own reply has more than in lists: its notes, why it waits."""
-    body = job_body(workspace, job) | {"notes": redact_values(workspace.notes(job))}
-    waiting = None
-    if job.status == "waiting":
-        trouble = workspace.tables.trouble()
-        waiting = why_waiting(workspace.ledger, job, workspace.settings.solvers, trouble)
-    return body | {"waiting": redact_values(asdict(waiting)) if waiting else None}
+    return await run_in_threadpool(body)
 
 
 @router.delete(

@@ -6,19 +6,20 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Request
 from pydantic import Field
-from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service.http.bodies import Body
-from wrenchbook.service.http.body import read_limited
-from wrenchbook.service.http.openapi import answers, refused, takes
-from wrenchbook.service.http.parsing import read_body
+from wrenchbook.service.http.body import JsonRoute
+from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.keys import MEGABYTES, RATE, Keyring, KeysError
 
 router = APIRouter(
-    prefix="/v1/keys", tags=["keys"], responses=refused(s409="this server has no keys")
+    prefix="/v1/keys",
+    tags=["keys"],
+    responses=refused(s409="this server has no keys"),
+    route_class=JsonRoute,
 )
 
 
@@ -44,12 +45,14 @@ def list_keys(request: Request) -> dict[str, Any]:
     summary="Make a key; its secret is sent this once",
     responses=answers(dict[str, Any], "made; `key` is its secret, sent this once", 201)
     | refused(422),
-    openapi_extra=takes(KeyBody),
 )
-async def add_key(request: Request) -> Response:
-    keyring = _keyring(request)
-    body: KeyBody = read_body(KeyBody, await read_limited(request.receive))
-    secret = await run_in_threadpool(_added, keyring, body)
+def add_key(request: Request, body: KeyBody) -> Response:
+    try:
+        secret = _keyring(request).add(
+            body.name, body.scope, rate=body.rate, megabytes=body.megabytes
+        )
+    except KeysError as error:
+        raise bad_body([{"loc": "name", "msg": str(error)}]) from None
     return json_reply({"name": body.name, "scope": body.scope, "key": secret}, 201)
 
 
@@ -64,13 +67,7 @@ def revoke_key(name: str, request: Request) -> dict[str, Any]:
 
 
 def _keyring(request: Request) -> Keyring:
-    """Return the server's keys.
-
-    Raises
-    ------
-    HttpProblemError
-        409, while it needs none: whoever could ask would lock all others out.
-    """
+    """Return the server's keys; 409 while it needs none: a caller would lock all others out."""
     access = request.app.state.access
     if not access.keys_needed:
         raise HttpProblemError(
@@ -81,10 +78,3 @@ def _keyring(request: Request) -> Keyring:
             "wrenchbook keys add NAME --scope admin; from then on every call needs one.",
         )
     return access.keyring
-
-
-def _added(keyring: Keyring, body: KeyBody) -> str:
-    try:
-        return keyring.add(body.name, body.scope, rate=body.rate, megabytes=body.megabytes)
-    except KeysError as error:
-        raise bad_body([{"loc": "name", "msg": str(error)}]) from None

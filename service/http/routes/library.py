@@ -9,9 +9,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service.formats import text_problem
-from wrenchbook.service.http.access.permission import permission_of
+from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
-from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.body import JsonRoute, read_limited
 from wrenchbook.service.http.openapi import answers, refused, takes
 from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
@@ -32,7 +32,12 @@ from wrenchbook.service.tables.importing import copy_rows
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
 
-router = APIRouter(prefix="/v1/components/{name}", tags=["library"], responses=refused(404, 422))
+router = APIRouter(
+    prefix="/v1/components/{name}",
+    tags=["library"],
+    responses=refused(404, 422),
+    route_class=JsonRoute,
+)
 CATCH_UP_S = 25.0
 ImportId = Annotated[int, Path(ge=1, lt=2**63, description="the number of the import")]
 Finding = Annotated[
@@ -46,11 +51,9 @@ MOST_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
     status_code=201,
     summary="Copy a component, with or without its rows",
     responses=answers(dict[str, Any], "copied", 201) | refused(409),
-    openapi_extra=takes(CopyBody),
 )
-async def copy_component(name: str, request: Request) -> Response:
-    body = read_body(CopyBody, await read_limited(request.receive))
-    return await run_in_threadpool(_copied, request, name, body)
+def copy_component(name: str, request: Request, body: CopyBody) -> Response:
+    return _copied(request, name, body)
 
 
 @router.post(
@@ -58,11 +61,9 @@ async def copy_component(name: str, request: Request) -> Response:
     status_code=201,
     summary="Copy under another name, and put the old one away",
     responses=answers(dict[str, Any], "copied, and the old one archived", 201) | refused(409),
-    openapi_extra=takes(RenameBody),
 )
-async def rename_component(name: str, request: Request) -> Response:
-    body = read_body(RenameBody, await read_limited(request.receive))
-    return await run_in_threadpool(_copied, request, name, CopyBody(name=body.name), True)
+def rename_component(name: str, request: Request, body: RenameBody) -> Response:
+    return _copied(request, name, CopyBody(name=body.name), renamed=True)
 
 
 @router.post(

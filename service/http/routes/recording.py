@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+from wrenchbook.service import messages
 from wrenchbook.service.contract import CONTRACT_TEXT, MAX_BLOCK
-from wrenchbook.service.http import table_schemas as schemas
 from wrenchbook.service.http.batch import BINARY_BODY, is_binary, read_wrenches
 from wrenchbook.service.http.bodies import (
     BlockBody,
@@ -22,9 +22,9 @@ from wrenchbook.service.http.bodies import (
     EnvelopeStartBody,
     StartBody,
 )
-from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.body import JsonRoute, read_limited
 from wrenchbook.service.http.openapi import answers, refused, takes
-from wrenchbook.service.http.parsing import both_tolerances, checked, read_block, read_body
+from wrenchbook.service.http.parsing import both_tolerances, checked, read_block
 from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes.displacement import DirectRoute
 from wrenchbook.service.query import job_link
@@ -36,7 +36,6 @@ from wrenchbook.service.recording.start import (
 )
 from wrenchbook.service.recording.store import (
     BlockResult,
-    EnvelopeState,
     RecordingStore,
     Tally,
     bound_of,
@@ -50,10 +49,15 @@ Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 # Each wrench six numbers of 17 digits and a comma, and some blanks.
 MAX_BLOCK_BYTES = MAX_BLOCK * 6 * 40
 
-router = APIRouter(prefix="/v1/components/{name}", tags=["recording"], responses=refused(404, 422))
+router = APIRouter(
+    prefix="/v1/components/{name}",
+    tags=["recording"],
+    responses=refused(404, 422),
+    route_class=JsonRoute,
+)
 blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
 _BLOCK = takes(BlockBody, BINARY_BODY, BlockKey)
-_QUEUED = answers(schemas.Started, "solves are queued", 202)
+_QUEUED = answers(messages.Started, "solves are queued", 202) | refused(409)
 
 
 @blocks.post(
@@ -61,60 +65,69 @@ _QUEUED = answers(schemas.Started, "solves are queued", 202)
     status_code=201,
     summary="LM_direct: save wrenches for later",
     description=CONTRACT_TEXT,
-    response_model=schemas.Recorded,
-    responses=answers(schemas.Recorded, "the block was recorded before"),
+    response_model=messages.Recorded,
+    responses=answers(messages.Recorded, "the block was recorded before"),
     openapi_extra=_BLOCK,
 )
 async def record(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
     result = await run_in_threadpool(_store(request).record, name, wrenches, block)
-    body = {**_block_fields(name, len(wrenches), result), **_counts(result.tally)}
+    fields = _block_fields(name, len(wrenches), result)
+    body = messages.Recorded(**fields, **_counts(result.tally))
     return json_reply(body, 200 if result.known else 201)
 
 
-@router.get("/recording", summary="What is recorded", response_model=schemas.Recording)
+@router.get("/recording", summary="What is recorded", response_model=messages.Recording)
 def get_recording(name: str, request: Request) -> Response:
     recording = _store(request).recording(name)
     tally = recording.tally
-    counts = {"component": name, "outside": tally.outside, **_counts(tally)}
-    return json_reply({**counts, "reason": _thinning(tally), "wrenches": recording.wrenches})
+    return json_reply(
+        messages.Recording(
+            component=name,
+            outside=tally.outside,
+            reason=_thinning(tally),
+            wrenches=recording.wrenches,
+            **_counts(tally),
+        )
+    )
 
 
-@router.delete("/recording", summary="Forget what is recorded", response_model=schemas.Cleared)
+@router.delete("/recording", summary="Forget what is recorded", response_model=messages.Cleared)
 def clear_recording(name: str, request: Request) -> Response:
     before = _store(request).clear(name, "recording")
-    return json_reply({"component": name, "cleared": before.offered})
+    return json_reply(messages.Cleared(component=name, cleared=before.offered))
 
 
-@blocks.post(
+@router.post(
     "/recording/start",
     summary="LM_start: solve what is recorded and not covered",
-    response_model=schemas.Started,
+    response_model=messages.Started,
     responses=_QUEUED,
-    openapi_extra=takes(StartBody),
 )
-async def solve_recording(name: str, request: Request) -> Response:
-    return await _started(name, request, StartBody, start_recording, _store(request))
+def solve_recording(name: str, request: Request, order: StartBody) -> Response:
+    return _started(name, request, order, start_recording, _store(request))
 
 
 @blocks.post(
     "/envelope",
     summary="LM_max: widen the extremes by wrenches",
     description=CONTRACT_TEXT,
-    response_model=schemas.Widened,
+    response_model=messages.Widened,
     openapi_extra=_BLOCK,
 )
 async def widen_envelope(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
     result = await run_in_threadpool(_store(request).widen, name, wrenches, block)
     envelope = await run_in_threadpool(_store(request).envelope, name)
-    return json_reply({**_block_fields(name, len(wrenches), result), **_box(envelope)})
+    fields, (low, high) = _block_fields(name, len(wrenches), result), envelope.box
+    count = envelope.tally.offered
+    return json_reply(messages.Widened(**fields, count=count, min=low, max=high))
 
 
 @router.get(
     "/envelope",
     summary="The extremes, and how far they can move the component",
-    response_model=schemas.Envelope,
+    response_model=messages.Envelope,
 )
 def get_envelope(
     name: str,
@@ -127,50 +140,52 @@ def get_envelope(
     tolerance = both_tolerances(translation, rotation) or component.tolerance
     found = _store(request).envelope(name)
     bound = bound_of(workspace.tables.surrogate(name), found, tolerance)
-    limit = tolerance and {"translation": tolerance.translation, "rotation": tolerance.rotation}
-    body = {
-        "component": name,
-        "inputs": component.space.input_names,
-        "outputs": component.space.output_names,
-        **_box(found),
-        "outside": found.tally.outside,
-        "at_min": found.lowest,
-        "at_max": found.highest,
-        "displacement_bound": bound.displacement,
-        "bound": {"kind": bound.kind, "formula": bound.formula, "coverage": bound.coverage},
-        "negligible": bound.negligible,
-        "tolerance": limit,
-        "reason": bound.reason,
-    }
-    return json_reply(body)
+    low, high = found.box
+    return json_reply(
+        messages.Envelope(
+            component=name,
+            inputs=component.space.input_names,
+            outputs=component.space.output_names,
+            count=found.tally.offered,
+            min=low,
+            max=high,
+            outside=found.tally.outside,
+            at_min=found.lowest,
+            at_max=found.highest,
+            displacement_bound=bound.displacement,
+            bound={"kind": bound.kind, "formula": bound.formula, "coverage": bound.coverage},
+            negligible=bound.negligible,
+            tolerance=tolerance
+            and {"translation": tolerance.translation, "rotation": tolerance.rotation},
+            reason=bound.reason,
+        )
+    )
 
 
-@router.delete("/envelope", summary="Forget the extremes", response_model=schemas.Cleared)
+@router.delete("/envelope", summary="Forget the extremes", response_model=messages.Cleared)
 def clear_envelope(name: str, request: Request) -> Response:
     before = _store(request).clear(name, "envelope")
-    return json_reply({"component": name, "cleared": before.offered})
+    return json_reply(messages.Cleared(component=name, cleared=before.offered))
 
 
-@blocks.post(
+@router.post(
     "/envelope/start",
     summary="LM_start: solve the wrenches at the extremes",
-    response_model=schemas.Started,
+    response_model=messages.Started,
     responses=_QUEUED,
-    openapi_extra=takes(EnvelopeStartBody),
 )
-async def solve_envelope(name: str, request: Request) -> Response:
-    return await _started(name, request, EnvelopeStartBody, start_envelope, _store(request))
+def solve_envelope(name: str, request: Request, order: EnvelopeStartBody) -> Response:
+    return _started(name, request, order, start_envelope, _store(request))
 
 
-@blocks.post(
+@router.post(
     "/table/resolve",
     summary="Solve the wrenches of rows of another setup of the component again",
-    response_model=schemas.Started,
+    response_model=messages.Started,
     responses=_QUEUED,
-    openapi_extra=takes(StartBody),
 )
-async def resolve_table(name: str, request: Request) -> Response:
-    return await _started(name, request, StartBody, start_resolving)
+def resolve_table(name: str, request: Request, order: StartBody) -> Response:
+    return _started(name, request, order, start_resolving)
 
 
 def _store(request: Request) -> RecordingStore:
@@ -232,24 +247,18 @@ def _thinning(tally: Tally) -> str:
     return f"{tally.thinned} wrenches were thinned out: {near}"
 
 
-def _box(envelope: EnvelopeState) -> dict[str, Any]:
-    low, high = envelope.box
-    return {"count": envelope.tally.offered, "min": low, "max": high}
-
-
-async def _started(
+def _started(
     name: str,
     request: Request,
-    kind: type[Body],
+    order: Body,
     start: Callable[..., StartedSolves],
     *store: RecordingStore,
 ) -> Response:
     """Queue solves by the options in the body."""
-    order: Body = read_body(kind, await read_limited(request.receive))
     workspace, began = request.app.state.workspace, time.time()
-    started = await run_in_threadpool(start, workspace, name, *store, **order.model_dump())
-    links = [job_link(job, began) for job in started.jobs]
-    body = {"component": name, **vars(started), "jobs": links}
+    started = start(workspace, name, *store, **order.model_dump())
+    links = tuple(messages.JobLink(**job_link(job, began)) for job in started.jobs)
+    body = messages.Started(**{**vars(started), "component": name, "jobs": links})
     return json_reply(body, 202 if started.jobs else 200)
 
 

@@ -66,16 +66,12 @@ def _edited(
 
 
 def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, Any]:
-    """Return a row of a component, with its provenance.
-
-    Raises
-    ------
-    UnknownRowError
-        If the component has no such row.
-    """
+    """Return a row of a component, with its provenance; UnknownRowError if it has none such."""
     row = workspace.ledger.row(seq)
     if row.component != component.name:
         raise UnknownRowError(f"the table of {component.name!r} has no row {seq}")
+    loaded = workspace.ledger.import_of(seq)
+    job = None if row.job is None else workspace.ledger.job(row.job)
     return {
         "row": row.seq,
         "wrench": list(row.wrench),
@@ -88,8 +84,18 @@ def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, 
         "provenance": {
             "when": iso_time(row.created),
             "note": row.origin,
-            "import": _import(workspace, seq),
-            "job": _job(workspace, row),
+            "import": import_body(loaded) if loaded else None,
+            "job": job
+            and {
+                "id": job.id,
+                "url": f"/v1/jobs/{job.id}",
+                "log": f"/v1/jobs/{job.id}/files",
+                "asked_by": job.asked_by,
+                "engine": job.engine,
+                "attempts": job.attempt,
+                "started": iso_time(job.started) if job.started else None,
+                "finished": iso_time(job.finished) if job.finished else None,
+            },
             "setup": _setup(component, row) if row.fingerprint else None,
         },
     }
@@ -97,11 +103,6 @@ def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, 
 
 def _nulls(values: tuple[float, ...]) -> list[float | None]:
     return [None if math.isnan(value) else value for value in values]
-
-
-def _import(workspace: Workspace, seq: int) -> dict[str, Any] | None:
-    found = workspace.ledger.import_of(seq)
-    return None if found is None else import_body(found)
 
 
 def import_body(one: ImportRecord) -> dict[str, Any]:
@@ -114,22 +115,6 @@ def import_body(one: ImportRecord) -> dict[str, Any]:
         "sha256": one.digest,
         "note": one.note,
         "rig": one.rig,
-    }
-
-
-def _job(workspace: Workspace, row: LedgerRow) -> dict[str, Any] | None:
-    if row.job is None:
-        return None
-    job = workspace.ledger.job(row.job)
-    return {
-        "id": job.id,
-        "url": f"/v1/jobs/{job.id}",
-        "log": f"/v1/jobs/{job.id}/files",
-        "asked_by": job.asked_by,
-        "engine": job.engine,
-        "attempts": job.attempt,
-        "started": iso_time(job.started) if job.started else None,
-        "finished": iso_time(job.finished) if job.finished else None,
     }
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import orjson
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Header, Query
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
@@ -21,15 +21,15 @@ from wrenchbook.service.http.bodies import (
     ToleranceBody,
     ends_of,
 )
-from wrenchbook.service.http.body import read_limited
-from wrenchbook.service.http.openapi import BYTES, refused, takes
+from wrenchbook.service.http.body import JsonRoute
+from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.parsing import read_body, tolerance_of
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.replies import holds, json_reply, naming
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.routes.table import PACKED_TYPE
-from wrenchbook.service.http.schemas import Plans
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.messages import Plans
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.scene.cut import cut
@@ -39,7 +39,9 @@ from wrenchbook.surrogate.scene.savings import measured
 from wrenchbook.surrogate.table.rows import Floats, LoadRange
 from wrenchbook.surrogate.table.space import Space
 
-router = APIRouter(prefix="/v1", tags=["scenes"], responses=refused(404, 422))
+router = APIRouter(
+    prefix="/v1", tags=["scenes"], responses=refused(404, 422), route_class=JsonRoute
+)
 CATCH_UP_S = 25.0
 SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
 
@@ -48,10 +50,8 @@ SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
     "/scenes/plan",
     summary="What a scene needs of its components, and what that saves",
     response_model=Plans,
-    openapi_extra=takes(SceneBody),
 )
-async def plan_scene(request: Request, workspace: Opened) -> Response:
-    scene = read_body(SceneBody, await read_limited(request.receive))
+async def plan_scene(workspace: Opened, scene: SceneBody) -> Response:
     needs = {
         name: _need_of(workspace.library[name], wanted, f"components.{name}")
         for name, wanted in scene.components.items()
@@ -191,8 +191,7 @@ def need_from(
             is_scalar = load.kind == "scalar"
             name = f"inputs.{load.name}" if is_scalar else f"{front}{load.kind}.{number % 3}"
             places.append(f"{where}.{name}")
-        found = [{"loc": places[at], "msg": text} for at, text in error.mistakes]
-        raise bad_body(found) from None
+        raise bad_body([{"loc": places[at], "msg": text} for at, text in error.mistakes]) from None
 
 
 def _unknown(span: SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:

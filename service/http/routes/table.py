@@ -18,7 +18,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from wrenchbook.service.formats import SheetFullError, UnitError
-from wrenchbook.service.http.access.permission import permission_of
+from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.body import received
 from wrenchbook.service.http.import_query import ImportQuery
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes

@@ -71,7 +71,6 @@ def test_a_deformed_part_is_drawn_displaced_by_a_tenth_of_its_size(pyplot):
         coverage="covered",
         reason="",
         source="row",
-        raw={},
     )
     axes = plot.deformed(shape)
     assert "100 times" in axes.get_title()

@@ -8,7 +8,7 @@ from tests.service.engines.cluster import free_port
 from tests.until import until
 from wrenchbook.service.jobs.attempt import EngineError
 from wrenchbook.service.jobs.dask import DaskEngine
-from wrenchbook.service.jobs.solver_pool import EngineSettingsError, check_engine
+from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
 
 OTHER_VERSION = """
 import importlib.metadata as metadata

@@ -63,10 +63,16 @@ def lying(path):
 
 
 def babbling(path):
-    # The last pipe that was opened is the one for the outcome.
-    mine = [fd for fd in range(3, 64) if Path(f"/proc/self/fd/{fd}").exists()]
-    os.write([fd for fd in mine if stat.S_ISFIFO(os.fstat(fd).st_mode)][-1], b"[" * 60_000)
+    lying(path)
     os._exit(0)
+
+
+def vanishing(path):
+    os._exit(0)
+
+
+def leaving(path):
+    os._exit(3)
 
 
 def modules(path):

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wrenchbook.service.sandbox import MIB, Limits, Sandbox, SandboxBusyError, SandboxError, process
+from wrenchbook.service import sandbox as process
+from wrenchbook.service.sandbox import MIB, Limits, Sandbox, SandboxBusyError, SandboxError
 
 HERE = Path(__file__).parent
 SMALL = Limits(memory=256 * MIB, seconds=20.0, output=4 * MIB)
@@ -58,6 +59,8 @@ def test_what_a_function_answers_comes_back_as_it_was(run):
         ("wordy", SMALL, "size"),
         ("crashing", SMALL, "crash"),
         ("babbling", SMALL, "crash"),
+        ("vanishing", SMALL, "crash"),
+        ("leaving", SMALL, "crash"),
     ],
 )
 def test_a_file_that_takes_too_much_is_an_error_by_name_and_the_next_one_is_read(

@@ -1,0 +1,489 @@
+"""Access control of every request before its body is read: keys, rates, hosts, origins, headers."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+import weakref
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import ceil
+from pathlib import Path
+from secrets import compare_digest
+from struct import Struct
+from typing import Any, Final
+
+from starlette.types import Message, Receive, Send
+from starlette.types import Scope as HttpScope
+
+from wrenchbook.service.events import Listener
+from wrenchbook.service.http.body import counted
+from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.keys import (
+    MAX_KEYS,
+    OWN_KEY,
+    Key,
+    Keyring,
+    Scope,
+    digest_of,
+    is_loopback,
+)
+
+LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
+PERMISSION: Final = "wrenchbook.permission"  # its key in a request's scope
+PLAIN: Final = b"x-content-type-options: nosniff\r\n"
+"""Header fields of an answer of the fast path: JSON that no browser requests by itself."""
+
+_READING: Final = ("GET", "HEAD", "OPTIONS")
+# Open to every site and without a key: these files contain nothing of the tables.
+_PUBLIC_FOLDERS: Final = ("/page/",)
+_PUBLIC: Final = frozenset({"/", "/docs", "/openapi.json", "/favicon.ico", "/health/live"})
+_JSON: Final = b"application/json"
+_BYTES: Final = b"application/octet-stream"
+_BINARY: Final = ("/displacements", "/recording", "/envelope")
+# Calls that name what they take themselves: files of many kinds.
+_ANY_TYPE: Final = ("/table", "/v1/components")
+_UMBRIDGE: Final = "/umbridge/"  # clients send the content type of their library
+_NO_LIMIT: Final = 1e6  # requests a second and MiB: no limits
+_BURST_S: Final = 2.0  # a burst is what this many seconds allow
+# Share of a second's requests that a process takes from the common bucket at a time: a lock costs
+# 2 µs, an answer 50. What a process has taken and not used is at most half a percent of a burst.
+_TAKEN: Final = 0.01
+_BUCKET: Final = Struct("=8sd")  # begin of a key's digest; monotonic time at which it is full
+_TRIES: Final = 1000  # for the lock, 1 ms; its holder was stopped in the middle of it then
+
+Fields = tuple[tuple[bytes, bytes], ...]
+
+_NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
+# The page's scripts and styles are files of this server; plotly sets styles and makes pictures.
+_PAGE: Final = (
+    b"default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
+    b"img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; worker-src 'self' "
+    b"blob:; manifest-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+)
+# A report carries its own script, and runs it as a page of no site: it cannot call the server.
+_REPORT: Final = (
+    b"default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    b"img-src data: blob:; frame-ancestors 'none'; sandbox allow-scripts allow-downloads"
+)
+_ALWAYS: Final[Fields] = (
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+)
+_MAIN: Final = "/displacement"
+_SAME_ORIGIN: Final[Fields] = ((b"cross-origin-resource-policy", b"same-origin"),)
+_PREFLIGHT: Final[Fields] = (
+    (b"access-control-allow-methods", b"GET, POST, DELETE"),
+    (
+        b"access-control-allow-headers",
+        b"authorization, content-type, if-none-match, accept, x-request-id",
+    ),
+    (b"access-control-max-age", b"600"),
+    (b"content-length", b"0"),
+)
+
+
+@dataclass(frozen=True)
+class SecuritySettings:
+    """Whether keys are needed; allowed hosts (all if None) and other sites; the server's own key.
+
+    A key is needed anyway once there is one. `own_key` permits all calls and is stored nowhere.
+    """
+
+    keys_needed: bool = False
+    hosts: frozenset[str] | None = None
+    origins: frozenset[str] = field(default_factory=frozenset)
+    own_key: str | None = None
+
+
+def security_settings(
+    host: str, hosts: str | None, origins: str | None, own_key: str | None = None
+) -> SecuritySettings:
+    """Security settings of a server that listens on an address; `hosts`, `origins` by commas.
+
+    On loopback it answers to loopback's names and those listed: a page of another site whose name
+    is made to mean this machine (DNS rebinding) is refused. Elsewhere it needs keys, and answers to
+    any name unless some are listed.
+    """
+    listed, local = _listed(hosts), is_loopback(host)
+    names = LOOPBACK_NAMES | {host} | listed if local or listed else None
+    sites = frozenset(site.rstrip("/").lower() for site in _listed(origins))
+    return SecuritySettings(not local, names, sites, own_key)
+
+
+def security_of_options(options: Mapping[str, Any]) -> SecuritySettings:
+    """Security settings by the options of `serve` and the environment."""
+    own_key = os.environ.get(OWN_KEY)
+    return security_settings(
+        options["host"], options["allow_host"], options["allow_origin"], own_key
+    )
+
+
+def _listed(text: str | None) -> frozenset[str]:
+    return frozenset(part.strip().lower() for part in (text or "").split(",") if part.strip())
+
+
+class Rates:
+    """How many requests each key may send now, counted together by all processes of a server.
+
+    The generic cell rate algorithm (ITU-T I.371): a bucket is the time at which it is full again,
+    and a bucket whose time has passed is none. The others are in the small file `path` under a
+    lock. Without a path, or on a full disk, each process counts for itself.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._known: dict[bytes, float] = {}  # what this process has written last
+        self._file: int | None = None
+        if path is not None:
+            with suppress(OSError):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+                weakref.finalize(self, os.close, self._file)
+
+    def take(self, key: Key) -> tuple[int, float]:
+        """Take some requests of a key: their number, and the seconds until there is one."""
+        name, rate, file = bytes.fromhex(key.digest[:16]), key.rate, self._file
+        at_once = max(_BURST_S, 1.0 / rate)
+        content, now = b"", time.monotonic()  # the same clock in all processes
+        if file is not None:
+            for _ in range(_TRIES):
+                with suppress(BlockingIOError):
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+            with suppress(OSError):
+                content = os.pread(file, MAX_KEYS * _BUCKET.size, 0)
+        whole = len(content) - len(content) % _BUCKET.size
+        buckets = {held: full for held, full in _BUCKET.iter_unpack(content[:whole]) if full > now}
+        full = max(buckets.get(name, now), self._known.get(name, now))
+        if full > now + 2.0 * at_once:  # of an earlier start of the machine
+            full = now
+        count = min(int((now + at_once - full) * rate + 1e-6), max(1, int(_TAKEN * rate)))
+        if count:
+            buckets[name] = self._known[name] = full + count / rate
+        if file is not None:
+            written = b"".join(map(_BUCKET.pack, buckets, buckets.values())) if count else content
+            with suppress(OSError):
+                if written != content:
+                    os.pwrite(file, written, 0)
+                if len(written) < len(content):
+                    os.ftruncate(file, len(written))
+            fcntl.flock(file, fcntl.LOCK_UN)
+        return count, full + 1.0 / rate - at_once - now
+
+
+class Permission:
+    """What a key may do, with the `rates` it shares; without a key all, and nothing is counted."""
+
+    __slots__ = ("_rates", "_remaining", "key")
+
+    def __init__(self, key: Key | None = None, rates: Rates | None = None) -> None:
+        self.key = key
+        self._rates = rates
+        self._remaining = 0
+
+    def allows(self, scope: Scope) -> bool:
+        """Whether it is for a scope."""
+        return self.key is None or self.key.allows(scope)
+
+    def wait(self) -> float:
+        """Count one request: 0, or the seconds until there is one again."""
+        if self.key is None or self._rates is None:
+            return 0.0
+        if not self._remaining:
+            self._remaining, seconds = self._rates.take(self.key)
+            if not self._remaining:
+                return seconds
+        self._remaining -= 1
+        return 0.0
+
+
+OPEN: Final = Permission()
+
+
+def permission_of(scope: Any) -> Permission:
+    """Return the permission of a request."""
+    return scope.get(PERMISSION, OPEN)
+
+
+class AccessControl:
+    """Authentication, rate limits and origin checks of every request.
+
+    `rates`, what keys may send now, is shared by the web workers of a server.
+    """
+
+    def __init__(
+        self, keyring: Keyring, security: SecuritySettings, rates: Rates | None = None
+    ) -> None:
+        self.security = security
+        self.keyring = keyring
+        self._rates = rates or Rates()
+        own = digest_of(security.own_key or "")
+        self._own = Key("own", "admin", own, 0.0, _NO_LIMIT, int(_NO_LIMIT))
+        self._permissions: dict[str, Permission] = {}
+        self._streams: weakref.WeakKeyDictionary[Listener, Permission] = weakref.WeakKeyDictionary()
+        self.heads: dict[bytes, Any] = {}  # cache of the fast path, emptied once a key changes
+        self._version = keyring.version
+
+    @property
+    def keys_needed(self) -> bool:
+        """Whether every call needs a key."""
+        return self.security.keys_needed or len(self.keyring) > 0
+
+    def admit(self, path: str, head: Mapping[bytes, bytes]) -> Permission | None:
+        """Return the permission of a query of the fast path; None for the ordinary path.
+
+        The fast path counts each query itself, and sends neither refusals nor CORS headers; what a
+        key without the scope `write` may ask depends on the body.
+        """
+        try:
+            permission = self.check("POST", path, head, counts=False)
+        except HttpProblemError:
+            return None
+        return permission if permission.allows("write") and b"origin" not in head else None
+
+    def end_with_key(self, listener: Listener, permission: Permission) -> None:
+        """End a listener of events once its key is revoked or changed."""
+        self._streams[listener] = permission
+        if not self._holds(permission):  # since it was permitted
+            listener.end()
+
+    async def pass_on(
+        self, scope: HttpScope, receive: Receive, send: Send
+    ) -> tuple[Receive, Send] | None:
+        """Return a permitted request's `receive` and `send`; answer any other, None then."""
+        head = dict(scope["headers"])
+        origin = head.get(b"origin")
+        listed = None
+        if origin is not None and origin.decode("latin-1").lower() in self.security.origins:
+            listed = origin
+        send = sending(send, scope["path"], listed)
+        if listed and scope["method"] == "OPTIONS" and b"access-control-request-method" in head:
+            fields = [*_of_listed(listed), *_PREFLIGHT]
+            await send({"type": "http.response.start", "status": 204, "headers": fields})
+            await send({"type": "http.response.body", "body": b""})
+            return None
+        try:
+            if PERMISSION not in scope:  # the fast path has admitted and counted it already
+                scope[PERMISSION] = self.check(scope["method"], scope["path"], head)
+        except HttpProblemError as refused:
+            await refused.response()(scope, receive, send)
+            return None
+        key = permission_of(scope).key
+        if key is not None and b"transfer-encoding" in head:
+            receive = counted(receive, key.megabytes << 20)
+        return receive, send
+
+    def check(
+        self, method: str, path: str, head: Mapping[bytes, bytes], *, counts: bool = True
+    ) -> Permission:
+        """Check a request by its head, and return its permission; `counts`: for its key's rate.
+
+        It raises HttpProblemError, 401, 403, 413, 415 or 429; nothing of the body was read.
+        """
+        self._check_host(head)
+        if method in ("GET", "HEAD") and (path in _PUBLIC or path.startswith(_PUBLIC_FOLDERS)):
+            return OPEN
+        self._check_origin(head)
+        permission = self._permission(head)
+        needed = _needed(method, path)
+        if not permission.allows(needed):
+            raise beyond_scope(permission, needed)
+        if counts and (seconds := permission.wait()) > 0.0:
+            assert permission.key is not None
+            raise HttpProblemError(
+                429,
+                "rate",
+                "The key is used too often",
+                f"The key {permission.key.name!r} may ask {permission.key.rate:g} times a second; "
+                "nothing was changed. Ask for many wrenches at once with POST .../displacements, "
+                "or more slowly.",
+                headers={"Retry-After": str(ceil(seconds))},
+            )
+        length = head.get(b"content-length", b"0")
+        if permission.key is not None and length.isdigit():
+            megabytes = permission.key.megabytes
+            if int(length[:20]) > megabytes << 20:
+                raise HttpProblemError(
+                    413,
+                    "too-large",
+                    "The body is too large",
+                    f"This key may send at most {megabytes} MiB at once; nothing was changed. "
+                    "Send parts.",
+                )
+        if method not in _READING and (length != b"0" or b"transfer-encoding" in head):
+            _check_kind(path, head)
+        return permission
+
+    def _check_host(self, head: Mapping[bytes, bytes]) -> None:
+        """Refuse a request whose Host is not allowed (DNS rebinding)."""
+        if self.security.hosts is None:
+            return
+        host = head.get(b"host", b"").decode("latin-1").lower()
+        name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
+        if name not in self.security.hosts:
+            raise HttpProblemError(
+                403,
+                "host",
+                "The host is not allowed",
+                f"Host {name[:100]!r} is not allowed. If it is a name of this server, start it "
+                "with: wrenchbook serve --allow-host NAME",
+            )
+
+    def _check_origin(self, head: Mapping[bytes, bytes]) -> None:
+        """Refuse a request of another site's page, unless `allow-origin` lists the site.
+
+        Programs send neither Origin nor Sec-Fetch-Site; browsers do, and pages cannot change them.
+        """
+        site = "another site"
+        if (origin := head.get(b"origin")) is not None:
+            site, host = origin.decode("latin-1").lower(), head.get(b"host", b"").decode("latin-1")
+            if site in self.security.origins or site.partition("://")[2] == host.lower():
+                return
+        elif head.get(b"sec-fetch-site", b"none") not in (b"cross-site", b"same-site"):
+            return
+        raise HttpProblemError(
+            403,
+            "cross-site",
+            "Pages of other sites may not call this server",
+            f"The request comes from a page of {site[:100]}; nothing was changed. If that page is "
+            "yours, start the server with: wrenchbook serve --allow-origin "
+            f"{site[:100] if '://' in site else 'ORIGIN'}",
+        )
+
+    def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
+        self.refresh()
+        if not self.keys_needed:
+            return OPEN
+        word, _, secret = head.get(b"authorization", b"").decode("latin-1").partition(" ")
+        secret = secret.strip()
+        if word.lower() != "bearer" or not secret:
+            raise _no_key("This server needs a key, and the request has none.")
+        permission = self._permissions.get(secret)
+        if permission is None:
+            own = self.security.own_key
+            is_own = own is not None and compare_digest(secret.encode(), own.encode())
+            key = self._own if is_own else self.keyring.find(secret)
+            if key is None:
+                raise _no_key("The request's key is none of this server's; it may be revoked.")
+            permission = self._permissions[secret] = Permission(key, self._rates)
+        return permission
+
+    def refresh(self) -> None:
+        """Once a key has changed, end its streams and drop cached permissions; for the loop."""
+        if self.keyring.look() == self._version:
+            return
+        self._version = self.keyring.version
+        self.heads.clear()
+        self._permissions.clear()
+        for listener, permission in list(self._streams.items()):
+            if not self._holds(permission):
+                listener.end()
+
+    def _holds(self, permission: Permission) -> bool:
+        """Whether a request that was permitted would be so now."""
+        key = permission.key
+        return not self.keys_needed if key is None else key is self._own or self.keyring.has(key)
+
+
+def _needed(method: str, path: str) -> Scope:
+    """Return the scope that a call needs."""
+    if path == "/v1/keys" or path.startswith("/v1/keys/"):
+        return "admin"
+    # Whether a displacement queues anything stands in its body, which is looked at there.
+    asks = path.startswith("/v1/components/") and path.endswith(("/displacement", "/displacements"))
+    return "read" if method in _READING or (method == "POST" and asks) else "write"
+
+
+def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
+    """Return the refusal of a call that needs another scope."""
+    assert permission.key is not None
+    also = ""
+    if needed == "write":
+        also = " A displacement with on_thin 'estimate' or 'reject' needs no more than read."
+    return HttpProblemError(
+        403,
+        "scope",
+        "The key's scope does not allow this",
+        f"The key {permission.key.name!r} is for {permission.key.scope}, this call needs {needed}; "
+        f"nothing was changed.{also} Make another with: wrenchbook keys add NAME --scope {needed}",
+    )
+
+
+def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
+    """Refuse bodies that a page may send without a preflight: a form, or text, that holds JSON.
+
+    A program may leave the type out. A request with an Origin, which browsers send, may not.
+    """
+    kind = head.get(b"content-type", b"").partition(b";")[0].strip().lower()
+    if path.endswith(_ANY_TYPE) or not (kind or b"origin" in head):
+        return
+    if path.startswith(_UMBRIDGE) and b"origin" not in head:
+        return
+    taken = (_JSON, _BYTES) if path.endswith(_BINARY) else (_JSON,)
+    if kind not in taken:
+        raise HttpProblemError(
+            415,
+            "media-type",
+            "Not a form this call takes",
+            f"The content type is {kind.decode('latin-1')[:100] or 'missing'}. Send the header "
+            f"Content-Type: {b' or '.join(taken).decode()} (curl: --json, or -H).",
+        )
+
+
+def _no_key(why: str) -> HttpProblemError:
+    return HttpProblemError(
+        401,
+        "key",
+        "A key is needed",
+        f"{why} Send the header Authorization: Bearer KEY; wrenchbook's own client takes "
+        "key=, its commands the variable WRENCHBOOK_KEY. Whoever runs the server makes one with: "
+        "wrenchbook keys add NAME",
+        headers={"WWW-Authenticate": 'Bearer realm="wrenchbook"'},
+    )
+
+
+def sending(send: Send, path: str, origin: bytes | None) -> Send:
+    """Return a `send` that adds security headers to replies of `path` that do not set them.
+
+    `origin` is a listed site, whose pages may read the reply.
+    """
+    main = path.endswith(_MAIN)
+
+    async def put(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            fields = list(message.get("headers", ()))
+            present = {name.lower() for name, _ in fields}
+            # The main call's reply is the same on both paths.
+            more: list[tuple[bytes, bytes]] = list(_ALWAYS[:1] if main and not origin else _ALWAYS)
+            if not main and path.startswith("/v1/"):
+                kind = next(
+                    (value for name, value in fields if name.lower() == b"content-type"), b""
+                )
+                policy = _REPORT if kind.startswith(b"text/html") else _NOTHING
+                # Other users of the same machine must not read the tables of a key from a cache.
+                more += [(b"content-security-policy", policy), (b"cache-control", b"no-store")]
+            elif not main:
+                more += [(b"content-security-policy", _PAGE)]
+            if origin is not None:
+                more += _of_listed(origin)
+            elif not main:
+                more += _SAME_ORIGIN
+            fields += [header for header in more if header[0] not in present]
+            message = {**message, "headers": fields}
+        await send(message)
+
+    return put
+
+
+def _of_listed(origin: bytes) -> Fields:
+    """Headers that permit a page of a listed site to read the reply."""
+    return (
+        (b"access-control-allow-origin", origin),
+        (b"access-control-expose-headers", b"location, link, etag, retry-after, x-request-id"),
+        (b"cross-origin-resource-policy", b"cross-origin"),
+        (b"vary", b"Origin"),
+    )
