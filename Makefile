@@ -63,9 +63,10 @@ types: $(VENV)/.installed-dev
 arch: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 
-# files a package, import cycles, lengths, duplicates, units in docstrings
+# figures of the structure, and the files that each kind of request passes
 house: $(VENV)/.installed-dev
 	$(BIN)/python -m tests.house
+	$(BIN)/python -m tests.walks
 
 messages: $(VENV)/.installed-dev  ## print all error messages: where each appears, its text and what to do
 	$(BIN)/python -m tests.messages

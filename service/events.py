@@ -11,7 +11,6 @@ import contextlib
 import logging
 import secrets
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, NamedTuple
@@ -194,20 +193,13 @@ class Events:
         self._seen: Seen | None = None
         self._looked = asyncio.Event()
         self._wake = asyncio.Event()
-        self._unsubscribe: Callable[[], None] = lambda: None
 
-    def start(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Look soon after each commit."""
-
-        def committed() -> None:
-            if self._task is not None and not loop.is_closed():
-                loop.call_soon_threadsafe(self._wake.set)
-
-        self._unsubscribe = self._workspace.watcher.on_change(committed)
+    def wake(self) -> None:
+        """Look soon: something was committed. For the loop."""
+        self._wake.set()
 
     async def stop(self) -> None:
         """End the listeners and look no more."""
-        self._unsubscribe()
         self.feed.close()
         if self._task is not None:
             self._task.cancel()

@@ -79,17 +79,15 @@ class Workspace:
         self.shapes = DeformedSurfaces(self.fields)
         self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
         self.polls = Polls(self.ledger)
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._compliance_requested: dict[str, tuple[str, int]] = {}
 
-    def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
-        """Map the tables; `loop` is that of the callers who wait for jobs."""
-        self._loop = loop
+    def start(self) -> None:
+        """Map the tables, and watch for changes by other processes."""
         # Threads of small matrix products only wait for each other, the more the busier the cores.
         threadpool_limits(limits=1)
         with suppress(LedgerUnavailableError):
             self.ledger.drop_abandoned()  # what a server left that was killed during an import
-        self.watcher.on_change(self._on_commit)
+        self.watcher.on_change(self.tables.wake, self.tables.stamp)
         self.watcher.start()
         self.tables.start()
         self.query_counts.start()
@@ -259,8 +257,3 @@ class Workspace:
             self.submission.fill(name, design.wrenches, urgent=True)
         except LedgerUnavailableError:
             del self._compliance_requested[name]  # the next query tries again
-
-    def _on_commit(self) -> None:
-        """Wake the callers that wait for a job; for the watcher's thread."""
-        if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self.polls.notify)

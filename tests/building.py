@@ -3,7 +3,6 @@
 Importing this module gives each application that tests make such a workspace.
 """
 
-import asyncio
 from contextlib import ExitStack
 
 from wrenchbook.service.http import app
@@ -18,14 +17,14 @@ class BuildingWorkspace(Workspace):
 
     builder: TableBuilder
 
-    def start(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
+    def start(self) -> None:
         self._parts = ExitStack()
         state = CoordinatorState(self.settings.folder / FOLDER)
         if state.take():
             self._parts.callback(state.release)
             parts = self.ledger, self.library, self.errors
             self.builder = self._parts.enter_context(building(self.settings, parts, state))
-        super().start(loop)
+        super().start()
 
     def stop_building(self) -> None:
         """Stop the builder, which writes what is not written yet; another may take its place."""

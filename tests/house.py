@@ -120,8 +120,8 @@ def sources() -> tuple[Source, ...]:
 
 @cache
 def graph() -> grimp.ImportGraph:
-    """Return who imports whom, imports inside functions and under TYPE_CHECKING included."""
-    return grimp.build_graph("wrenchbook", cache_dir=None)
+    """Return the imports of all modules, those inside functions included, those of types not."""
+    return grimp.build_graph("wrenchbook", exclude_type_checking_imports=True, cache_dir=None)
 
 
 def imports() -> dict[str, set[str]]:

@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from importlib.metadata import version
 
 from fastapi import FastAPI
@@ -113,11 +114,14 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         loop = asyncio.get_running_loop()
         access: AccessControl = app.state.access
         try:
-            events.start(loop)
-            workspace.watcher.on_change(
-                lambda: loop.call_soon_threadsafe(access.refresh), access.keyring.look
-            )
-            await run_in_threadpool(workspace.start, loop)
+            for wake, stamp in (
+                (workspace.polls.notify, None),
+                (events.wake, None),
+                (access.refresh, access.keyring.look),
+            ):
+                listener = partial(loop.call_soon_threadsafe, wake)
+                workspace.watcher.on_change(listener, stamp)
+            await run_in_threadpool(workspace.start)
             yield
         finally:
             await events.stop()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from wrenchbook.service.ledger.ledger import Ledger
@@ -16,14 +16,14 @@ _log = logging.getLogger(__name__)
 LOOK_S = 0.02  # between looks: PRAGMA data_version, or the date of a file, takes microseconds
 TROUBLE_S = 1.0  # before a listener that failed is called again
 
-Stamp = Callable[[], Hashable]
+Stamp = Callable[[], object]
 
 
 @dataclass(eq=False)
 class _Entry:
     listener: Callable[[], object]
     stamp: Stamp
-    last: Hashable
+    last: object
     not_before: float = 0.0
 
 
@@ -84,7 +84,7 @@ class Watcher:
         while not self._stopping.is_set():
             self._wake.wait(LOOK_S)
             self._wake.clear()
-            stamps: dict[Stamp, Hashable] = {}
+            stamps: dict[Stamp, object] = {}
             for entry in self._entries:
                 if time.monotonic() < entry.not_before or self._stopping.is_set():
                     continue

@@ -23,11 +23,18 @@ LOCK, _STATUS = "lock", "status.json"
 
 @dataclass(frozen=True)
 class Status:
+<<<<<<< HEAD
     """What is wrong, as far as the builder knows.
 
     `trouble` says why no job runs, `faults` why a component's table is not what the ledger says;
     `failed` has the ledger's newest change of a component when its table could not be built. `pid`
     is the builder's, 0 if it has written no status.
+=======
+    """The state of the building process: why no job runs, and faults of tables by component.
+
+    `pid` is 0 if it has written none; `failed` has the ledger's newest change of a component when
+    its table could not be built.
+>>>>>>> main
     """
 
     trouble: str | None = None
@@ -37,10 +44,15 @@ class Status:
 
 
 class CoordinatorState:
+<<<<<<< HEAD
     """The folder of a data directory's builder, made if there is none."""
+=======
+    """The folder of one data directory."""
+>>>>>>> main
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self._mapped = folder / f"{os.getpid()}-{id(self)}.mapped"
         self._written: Status | None = None
         self._lock: int | None = None
         with suppress(OSError):  # a web worker answers on a read-only disk
@@ -82,19 +94,16 @@ class CoordinatorState:
 
     def publish(self, mapped: Mapped) -> None:
         """Write which tables this process answers from; see `unpublish`."""
-        write_whole_bytes(self._own(), json.dumps(mapped).encode(), durable=False)
+        write_whole_bytes(self._mapped, json.dumps(mapped).encode(), durable=False)
 
     def unpublish(self) -> None:
         """Remove what this process has published."""
-        self._own().unlink(missing_ok=True)
+        self._mapped.unlink(missing_ok=True)
 
     def others(self) -> Iterator[Mapped]:
         """Yield which tables each other running process answers from."""
         for path in self._folder.glob("*.mapped"):
             with suppress(OSError):  # that process has just ended
                 os.kill(int(path.name.partition("-")[0]), 0)
-                if path != self._own():
+                if path != self._mapped:
                     yield json.loads(path.read_bytes())
-
-    def _own(self) -> Path:
-        return self._folder / f"{os.getpid()}-{id(self)}.mapped"

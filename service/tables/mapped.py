@@ -40,10 +40,11 @@ from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
 
-LOOK_S = 0.02  # between looks at the folder: microseconds each
+LOOK_S = 0.005  # between looks at what other web workers answer from, while a caller waits
+MEMORY_S = 0.1  # between looks at the memory of tables
 # A folder's time goes on in steps of up to 10 ms (a kernel's tick): what came within the step of
 # the last look is seen by the looks of this long after a change.
-SETTLED_S = 0.1
+SETTLED_NS = 100_000_000
 START_S = 30.0  # for a start to wait for the builder: a table that comes later answers 503
 # How long a thread that computes may keep the interpreter from one that answers: about what an
 # answer takes; Python's own 5 ms are felt by each call.
@@ -218,20 +219,26 @@ class MappedTables:
         self._unread: dict[str, str] = {}
         self._status, self._published = Status(), Mapped()
         self._changed = threading.Condition()
-        self._stopping = threading.Event()
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self.wake = self._wake.set
         self._thread = threading.Thread(target=self._follow, name="tables-follow", daemon=True)
 
     def start(self) -> None:
-        """Start to follow; return once the small tables are there that the builder can build."""
+        """Start to map; return once the small tables are there that the builder can build.
+
+        From then on `wake` is to be called whenever `stamp` changes.
+        """
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_S))
+        self.wake()
         self._thread.start()
         names = self._store.small(self._library.names())
         with self._changed:
             self._changed.wait_for(lambda: names <= {*self._mapped, *self.faults()}, START_S)
 
     def stop(self) -> None:
-        """Stop following."""
+        """Stop mapping."""
         self._stopping.set()
+        self.wake()
         if self._thread.is_alive():
             self._thread.join()
         self._state.unpublish()
@@ -298,7 +305,7 @@ class MappedTables:
             others = (mapped.get(name, [0, ""]) for mapped in self._state.others())
             if all(int(version) >= goal and its == setup for version, its in others):
                 return True
-            if time.monotonic() >= end or self._stopping.wait(LOOK_S / 4):
+            if time.monotonic() >= end or self._stopping.wait(LOOK_S):
                 break
         return False
 
@@ -314,24 +321,30 @@ class MappedTables:
             "again in a while"
         )
 
+    def stamp(self) -> object:
+        """Return a value that changes when there may be new tables; takes microseconds.
+
+        The library's version takes up the components that another process has added.
+        """
+        files = self._store.stamp()
+        settled = time.time_ns() - files > SETTLED_NS
+        return self._library.version(), files, settled or time.monotonic(), self._state.read()
+
     def _follow(self) -> None:
-        seen, changed = None, 0.0
-        while not self._stopping.wait(LOOK_S):
+        while not self._stopping.is_set():
+            woken = self._wake.wait(MEMORY_S)
+            self._wake.clear()
             try:
                 drop_least_used(self.present().values(), self._memory)
-                # The library's version takes up what another process has added.
-                now = self._library.version(), self._store.stamp(), self._state.read()
-                if now != seen:
-                    seen, changed = now, time.monotonic()
-                elif time.monotonic() - changed > SETTLED_S:
-                    continue
-                self._map_new(now[-1])
+                if woken:
+                    self._map_new()
             except Exception:
                 log.exception("looking for new tables failed; trying again")
-                seen = None
                 self._stopping.wait(1.0)
+                self.wake()
 
-    def _map_new(self, status: Status) -> None:
+    def _map_new(self) -> None:
+        status = self._state.read()
         for name, files in self._store.packed_files().items():
             if name in self._library:
                 component = self._library[name]

@@ -13,6 +13,7 @@ from tests.service.ledger_rows import NewRow, insert, stored
 from tests.surrogate.law import Law
 from tests.until import until
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.component import BrokenComponentError
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build as builds
@@ -49,10 +50,14 @@ class Site:
         assert self.state.take()
         where = self.ledger, self.library, self.folder / "tables", self.state
         self.builder, self.tables = TableBuilder(*where), MappedTables(*where)
+        self.watcher = Watcher(self.ledger)
+        self.watcher.on_change(self.tables.wake, self.tables.stamp)
+        self.watcher.start()
         self.builder.start()
         self.tables.start()
 
     def close(self):
+        self.watcher.stop()
         self.tables.stop()
         self.builder.stop()
         self.state.release()

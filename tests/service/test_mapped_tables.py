@@ -8,6 +8,7 @@ import pytest
 from tests.service.ledger_rows import NewRow, insert, stored
 from tests.until import until
 from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build as builds
 from wrenchbook.service.tables import mapped, store
@@ -35,6 +36,9 @@ class Part:
         if kind is TableBuilder:
             assert self.state.take()
         self.tables = kind(self.ledger, self.library, folder / "tables", self.state)
+        self.watcher = Watcher(self.ledger)
+        if isinstance(self.tables, MappedTables):
+            self.watcher.on_change(self.tables.wake, self.tables.stamp)
 
     def add(self, name, count):
         self.library.add_table_only(name=name, title=name, range={"force": RANGE, "moment": RANGE})
@@ -44,10 +48,12 @@ class Part:
 @contextmanager
 def part(folder, kind, *, leave=True):
     one = Part(folder, kind)
+    one.watcher.start()
     one.tables.start()
     try:
         yield one
     finally:
+        one.watcher.stop()
         one.tables.stop()
         if kind is TableBuilder and leave:
             one.state.release()
@@ -279,9 +285,9 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
         assert late.tables.catch_up("new", 20)
         may_map, map_new = threading.Event(), late.tables._map_new
 
-        def slow(status):
+        def slow():
             assert may_map.wait(20)
-            map_new(status)
+            map_new()
 
         monkeypatch.setattr(late.tables, "_map_new", slow)
         insert(reader.ledger, "new", "", new_rows(2, 4))

@@ -32,7 +32,7 @@ def test_the_command_reports_every_mistake_and_ends_with_1(tmp_path, capsys):
     text = (SHIPPED / "bar" / "component.toml").read_text()
     text = text.replace("210e9", "-210e9").replace('"distributed"', '"glued"')
     (tmp_path / "component.toml").write_text(text)
-    assert main([str(tmp_path)]) == 1
+    assert main(["--json", str(tmp_path)]) == 1
     report = json.loads(capsys.readouterr().out)
     assert report["ok"] is False
     assert [problem["where"] for problem in report["problems"]] == [
@@ -66,7 +66,7 @@ def test_a_wrong_call_ends_with_2(capsys):
 @pytest.mark.parametrize(
     "module",
     [
-        "fea",
+        "wrenchbook.fea",
         "wrenchbook.fea.bundle.read",
         "wrenchbook.fea.mesh.mesh",
         "wrenchbook.fea.mesh.generators",

@@ -58,13 +58,18 @@ def test_a_material_of_no_such_number_is_refused(bar, key, value):
 
 
 def test_the_program_takes_the_mass_as_arguments(bar, capsys):
-    assert main(["--mass", "2", "--inertia=1,1,2", "--centre=0,0,0.1", str(with_density(bar))]) == 0
+    assert (
+        main(
+            ["--json", "--mass", "2", "--inertia=1,1,2", "--centre=0,0,0.1", str(with_density(bar))]
+        )
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)
     assert told["vibration"]["riding_mass"] == 2.0
 
 
 def test_the_text_says_the_frequency(bar, capsys):
-    assert main(["--text", "--mass", "2", str(with_density(bar))]) == 0
+    assert main(["--mass", "2", str(with_density(bar))]) == 0
     assert "first natural frequency" in capsys.readouterr().out
 
 
