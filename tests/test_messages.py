@@ -9,7 +9,7 @@ from tests.messages import messages
     ("package", "place", "text"),
     [
         ("service/cli", "exit 2", "give --start or --clear, not both"),
-        ("service/http/access", "403", "Host {host[:100]!r} is not allowed"),
+        ("service/http", "403", "Host {name[:100]!r} is not allowed"),
         ("service", "409", "{name!r} has rows loaded from outside"),
         ("fea/mesh/cad", "422, check: exit 1", "there is no {kind} {number}"),
         ("fea", "failed job, 424", "Lower the load range, or stiffen the part"),

@@ -34,7 +34,7 @@ class Request:
     query: Mapping[str, object] | None = None  # those that are None are left out
     headers: Mapping[str, str] | None = None
     wait_s: float | None = None  # that the server may wait before it answers; adds to the timeout
-    # Whether sending the request twice does no more than once. Any other is sent once, on a new
+    # Whether sending the request twice does no more than once. Others are sent once, on a new
     # connection: the server may have closed a kept one.
     repeatable: bool = True
     # Whether a server that refuses the connection is tried again, and one that is busy (503 with
@@ -88,6 +88,7 @@ class Item(Generic[T]):
 Step = Request | Listen | NextLine | Pause
 Call = Generator[Step, Any, T]
 Items = Generator[Step | Item[T], Any, None]
+Awaited = Coroutine[Any, Any, T]
 
 
 def json_request(method: str, path: str, body: object = None, **options: Any) -> Request:
@@ -116,7 +117,7 @@ class BlockingRunner(Protocol):
 class AsyncRunner(Protocol):
     """A connection whose calls are awaited."""
 
-    def run(self, call: Call[T], /) -> Coroutine[Any, Any, T]:
+    def run(self, call: Call[T], /) -> Awaited[T]:
         """Return the result of a call."""
         ...
 
@@ -140,7 +141,7 @@ class _Method(Generic[P, B, A]):
 
 def sync_and_async(
     call: Callable[Concatenate[Any, P], Call[T]],
-) -> _Method[P, T, Coroutine[Any, Any, T]]:
+) -> _Method[P, T, Awaited[T]]:
     """Make a generator of requests a method that returns its result."""
 
     @functools.wraps(call)
@@ -148,7 +149,7 @@ def sync_and_async(
         return self.run(call(self, *args, **options))
 
     # A signature shows ``Call[Job]`` as ``Job``,
-    return cast("_Method[P, T, Coroutine[Any, Any, T]]", _with_result(method, "Call", "{}"))
+    return cast("_Method[P, T, Awaited[T]]", _with_result(method, "Call", "{}"))
 
 
 def sync_and_async_iterator(

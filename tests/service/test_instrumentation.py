@@ -33,7 +33,7 @@ def crashing(folder, stand_in, monkeypatch):
         logging.getLogger("wrenchbook.service").error("about to fail")
         raise ZeroDivisionError
 
-    monkeypatch.setattr("wrenchbook.service.http.routes.jobs._whole_body", crash)
+    monkeypatch.setattr("wrenchbook.service.http.routes.jobs.job_body", crash)
     app = create_app(Settings(folder, solvers=0))
     with TestClient(app, raise_server_exceptions=False) as client:
         client.post("/v1/components/spring/solve", json={"force": [0, 0, -5]})
