@@ -205,7 +205,7 @@ def failed(http, folder):
 
 def test_the_log_of_a_failed_job_names_no_folder_of_the_machine(http, failed, folder):
     (failed / LOG).write_text(
-        f'File "{folder.absolute()}/jobs/1/1/deck", in {Path(__file__).parents[2]}'
+        f'File "{folder.absolute()}/jobs/1/1/deck", in {Path(problems.__file__).parents[2]}'
     )
     told = http.get("/v1/jobs/1/log")
     assert told.headers["content-type"].startswith("text/plain")

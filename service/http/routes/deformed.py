@@ -102,7 +102,7 @@ def _body(workspace: Workspace, shape: Deformed) -> DeformedShape:
     stress: dict[str, Any] | None = shape.stress and shape.stress._asdict()
     interface = interface_of(workspace.library[shape.component]) or {}
     count = len(geometry.vertices)
-    simplified = {"from": geometry.whole_vertices, "to": count}
+    simplified: dict[Literal["from", "to"], int] = {"from": geometry.whole_vertices, "to": count}
     return DeformedShape(
         component=shape.component,
         force=np.array(shape.wrench[:3]),
@@ -115,7 +115,7 @@ def _body(workspace: Workspace, shape: Deformed) -> DeformedShape:
         error_parts=None if shape.parts is None else shape.parts.largest(),
         within_tolerance=shape.within_tolerance,
         simplified=simplified if count < geometry.whole_vertices else None,
-        stress=stress and Stress(**{**stress, "at": np.array(stress["at"])}),
+        stress=Stress(**{**stress, "at": np.array(stress["at"])}) if stress else None,
         source=shape.source,
         rows=shape.rows,
         coverage=cast(Coverage, shape.coverage),
