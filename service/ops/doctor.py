@@ -29,11 +29,11 @@ from wrenchbook.service.ops.checks import (
     move_aside,
 )
 from wrenchbook.service.ops.restore import in_use
-from wrenchbook.service.tables.rows import unsolved
+from wrenchbook.service.tables.rows import followed, unsolved
 from wrenchbook.service.tables.store import TableStore
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
 from wrenchbook.surrogate.table.meta import TableMeta
-from wrenchbook.surrogate.table.rows import Rows, joined
+from wrenchbook.surrogate.table.rows import Rows
 
 Whole = dict[str, tuple[Rows, TableMeta]]
 
@@ -251,7 +251,7 @@ def _compare(
     if not mend:
         return [DataFinding("fault" if on_file else "note", what, f"a server's start or {REPAIR}")]
     files.load(component)  # puts rows that the file alone has back into the ledger
-    rows, last_seq = _table(ledger, component)
+    rows, last_seq = followed(ledger, component, Rows.empty(component.space), 0)
     files.save(component, rows, last_seq)
     back = ledger.count_rows(name) - count
     remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)} rows"
@@ -263,7 +263,7 @@ def _of_another_setup(ledger: Ledger, component: Component) -> list[DataFinding]
     others = ledger.of_other_setups(component.name, component.fingerprint)
     if not others:
         return []
-    rows, _ = _table(ledger, component)
+    rows, _ = followed(ledger, component, Rows.empty(component.space), 0)
     known = component.linear and bool(np.isfinite(rows.compliance).all(axis=(1, 2)).any())
     wrenches = unsolved(component, others, rows.wrench)
     if known or not len(wrenches):  # one solve of a linear component determines its compliance
@@ -273,11 +273,3 @@ def _of_another_setup(ledger: Ledger, component: Component) -> list[DataFinding]
     back = "they come back if its files are as they were"
     remedy = f"{again}; {back}" if component.has_fea else back
     return [DataFinding("note", what, remedy)]
-
-
-def _table(ledger: Ledger, component: Component) -> tuple[Rows, int]:
-    """Return all rows that the ledger has of a component's setup, and its newest change."""
-    setup = {"space": component.space, "fingerprint": component.fingerprint}
-    with ledger.table_at(component.name, **setup) as table:
-        lots = [lot.rows for lot in table.lots]
-    return joined([Rows.empty(component.space), *lots]), table.version

@@ -23,10 +23,11 @@ LOCK, _STATUS = "lock", "status.json"
 
 @dataclass(frozen=True)
 class Status:
-    """The state of the building process: why no job runs, and faults of tables by component.
+    """What is wrong, as far as the builder knows.
 
-    `pid` is 0 if it has written none; `failed` has the ledger's newest change of a component when
-    its table could not be built.
+    `trouble` says why no job runs, `faults` why a component's table is not what the ledger says;
+    `failed` has the ledger's newest change of a component when its table could not be built. `pid`
+    is the builder's, 0 if it has written no status.
     """
 
     trouble: str | None = None
@@ -36,7 +37,7 @@ class Status:
 
 
 class CoordinatorState:
-    """The folder of one data directory."""
+    """The folder of a data directory's builder, made if there is none."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

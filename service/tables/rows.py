@@ -29,20 +29,8 @@ CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.it
 class ExportRows:
     """The rows of a component's present setup as table files hold them.
 
-    Attributes
-    ----------
-    seq : list of int
-        The ledger's number of each row.
-    wrench : ndarray, shape (n, inputs), N and N·m
-    displacement, uncertainty : ndarray, shape (n, outputs), m and rad
-        NaN where not measured, not known.
-    compliance : ndarray, shape (n, outputs, inputs), m and rad over N and N·m
-        NaN where not known.
-    curvature : ndarray, shape (n, p) or (n, 0), SI
-        As `Rows.curvature`.
-    source, note, fingerprint : list of str
-    when, who : list of str
-        When each came, UTC, and its sender; ``who`` is empty for a solve.
+    Arrays as of `Rows`, NaN where not measured or not known; ``when`` each came, UTC, and ``who``
+    sent it, empty for a solve.
     """
 
     seq: list[int]
@@ -63,6 +51,11 @@ def export_rows(
 ) -> ExportRows:
     """Return rows of the ledger as columns; `spans` are the imports' numbers, in order."""
     rows, firsts = stored.rows, [first for first, _, _ in spans]
+
+    def sender(seq: int) -> str:
+        at = bisect_right(firsts, seq) - 1
+        return spans[at][2].who if at >= 0 and seq <= spans[at][1] else ""
+
     return ExportRows(
         seq=rows.seq.tolist(),
         wrench=rows.wrench,
@@ -74,7 +67,7 @@ def export_rows(
         note=list(stored.note),
         fingerprint=rows.fingerprint.tolist(),
         when=[iso_time(created) for created in stored.created],
-        who=[_who(seq, firsts, spans) for seq in rows.seq.tolist()],
+        who=[sender(seq) for seq in rows.seq.tolist()],
     )
 
 
@@ -127,11 +120,6 @@ def noted_rows(component: Component, piece: ParsedTable) -> NotedRows:
     return NotedRows(rows, piece.note)
 
 
-def _who(seq: int, firsts: list[int], spans: Sequence[tuple[int, int, ImportRecord]]) -> str:
-    at = bisect_right(firsts, seq) - 1
-    return spans[at][2].who if at >= 0 and seq <= spans[at][1] else ""
-
-
 def followed(ledger: Ledger, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
     """Return a component's rows with the ledger's changes after a seq, and up to which seq."""
     fresh = [rows]  # joined at the end: a table of a million rows comes in fifty parts
@@ -150,17 +138,8 @@ def followed(ledger: Ledger, component: Component, rows: Rows, after: int) -> tu
 def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Floats:
     """Return the distinct wrenches of rows of other setups that no row of the table has.
 
-    Parameters
-    ----------
-    others : iterable of bytes
-        Packed wrenches of the rows of other setups.
-    known : ndarray, shape (n, inputs), N and N·m
-        The wrenches of the table's rows.
-
-    Returns
-    -------
-    ndarray, shape (k, inputs), N and N·m
-        In their order, loads on locked freedoms zero.
+    `others` are packed wrenches of the rows of other setups, `known` (n, inputs), N and N·m, those
+    of the table's rows. In the order of `others`, loads on locked freedoms zero.
     """
     inputs = len(component.space.inputs)
     distinct = dict.fromkeys(packed(component.acting(unpacked(others, inputs))))
