@@ -139,10 +139,14 @@ class Rates:
         self._known: dict[bytes, float] = {}  # what this process has written last
         self._file: int | None = None
         if path is not None:
-            with suppress(OSError):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-                weakref.finalize(self, os.close, self._file)
+            self.share(path)
+
+    def share(self, path: Path) -> None:
+        """Count together with the other processes that use the file, from now on."""
+        with suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            weakref.finalize(self, os.close, self._file)
 
     def take(self, key: Key) -> tuple[int, float]:
         """Take some requests of a key: their number, and the seconds until there is one."""
