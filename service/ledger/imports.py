@@ -11,7 +11,6 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,8 +34,6 @@ HOLD_SECONDS = 0.03
 
 _MIN, _MAX = 100, 4000  # rows of one transaction
 _FIRST = 500
-_LOT = 250_000  # rows in memory at once, 200 MB
-_IN_ORDER = 50_000  # rows of a file that keep its order
 _PATIENCE_SECONDS = 120.0  # that an import waits for another one
 _COLUMNS = "component, created, who, filename, format, digest, note, rig, rows"
 _QUALIFIED = f"imports.id, {', '.join(f'imports.{name}' for name in _COLUMNS.split(', '))}"
@@ -229,22 +226,10 @@ def _take_lock(ledger: Ledger) -> int | None:
 def _sized(
     ledger: Ledger, component: str, blocks: Iterable[NotedRows]
 ) -> Iterator[list[tuple[Any, ...]]]:
-    """Pack blocks, and cut them such that a transaction takes `HOLD_SECONDS`.
-
-    The rows of a large file come in lots by key: each transaction then changes a few neighbouring
-    pages of the index of keys instead of most of them.
-    """
+    """Pack blocks, and cut them such that a transaction takes `HOLD_SECONDS`."""
     size, now = _FIRST, time.time()
-    records: list[tuple[Any, ...]] = []
-    ahead = iter(blocks)
-    while True:
-        block = next(ahead, None)
-        records += () if block is None else row_records(component, block, now)
-        if block is not None and len(records) < _LOT:
-            continue
-        if len(records) > _IN_ORDER:
-            records.sort(key=itemgetter(-2))
-        start = 0
+    for block in blocks:
+        records, start = row_records(component, block, now), 0
         while start < len(records):
             some = records[start : start + size]
             start += size
@@ -253,9 +238,6 @@ def _sized(
             took = max(time.monotonic() - began, 1e-6)
             ledger.sync()  # else the next durable commit waits until all is synced
             size = round(min(max(size * min(HOLD_SECONDS / took, 2.0), _MIN), _MAX))
-        if block is None:
-            return
-        records = []
 
 
 def _begin(db: Connection, component: str, about: About) -> int:

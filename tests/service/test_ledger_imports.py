@@ -43,26 +43,6 @@ def blocks(count, seed=1, lots=3):
         yield NotedRows(Rows.of(wrench, moved, source=["measured"] * count), ["note"] * count)
 
 
-def test_rows_of_a_large_file_come_in_by_their_keys_and_each_once(ledger, monkeypatch):
-    monkeypatch.setattr(imports, "_IN_ORDER", 50)
-    monkeypatch.setattr(imports, "_LOT", 100)
-    monkeypatch.setattr(imports, "_FIRST", 7)
-    twice = [*blocks(40), *blocks(40, lots=1)]
-    new, known, number = ledger.import_rows("rig", iter(twice), About())
-    assert (new, known) == (120, 40)
-    assert number is not None
-    keys = [key for block in blocks(40) for key in row_keys("rig", block)]
-    rows = stored(ledger, "rig")
-    assert [row.seq for row in rows] == list(range(1, 121))
-    sent = np.concatenate([block.rows.wrench for block in blocks(40)])
-    assert sorted(tuple(row.wrench) for row in rows) == sorted(map(tuple, sent.tolist()))
-    assert ledger.known_rows(keys) == 120
-    few = ledger.import_rows("few", blocks(40, lots=1), About())
-    assert few[0] == 40
-    first = next(blocks(40)).rows.wrench.tolist()
-    assert [list(row.wrench) for row in stored(ledger, "few")] == first  # in their order
-
-
 class KilledError(BaseException):
     """What a test throws into an import."""
 
