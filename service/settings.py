@@ -1,85 +1,160 @@
-"""Settings of a workspace, the same in all processes of a server."""
+"""The settings of a server: options of `serve`, variables of the environment, keys of a file.
+
+``queue_limit`` is the option ``--queue-limit``, the variable ``WRENCHBOOK_QUEUE_LIMIT`` and the key
+``queue_limit``. The option wins over the variable, that over the file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import difflib
+import json
+import os
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Le
 
 from wrenchbook.service.files.program import usable_cores
-from wrenchbook.service.ops.retention import KEEP, Keep
-from wrenchbook.service.submission import QUEUE_LIMIT
-from wrenchbook.service.tables.store import TABLE_MEMORY
+
+PREFIX = "WRENCHBOOK_"
+FILE = "wrenchbook.toml"  # in the data directory, unless --config names another
+# Variables of other commands and of tests; all others that begin so are taken for settings.
+OTHERS = frozenset(
+    {"SERVER", "KEY", "OWN_KEY", "MEMORY_MARGIN", "WORKER_FOLDER", "PARDISO", "SOLVE", "FUZZ"}
+    | {"KILLS", "SOAK", "SOAK_KILLS", "SOAK_SEEDS", "BENCH_ROUNDS", "BENCH_UNKNOWNS"}
+)
+_DONE, _FAILED = "folders of done attempts are kept", "folders of failed and cancelled ones"
+Count = Annotated[int, Ge(0)]
+Days = Annotated[float, Ge(0)]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Where a workspace lies and how many solves may run at once on this machine.
+    """The settings of a server; the text beside each is the help of its option."""
 
-    Parameters
-    ----------
-    folder:
-        The data directory; everything the server must not lose is in it.
-    solvers:
-        Solves at once, as many as there are cores by default; 0 leaves all solving to other
-        processes (``wrenchbook work``).
-    engine:
-        Where they run, by name.
-    scheduler:
-        Address of the Dask scheduler, if they run on a Dask cluster.
-    allow_decks:
-        Whether an uploaded bundle may have a deck: it names a command, which solvers then run.
-    queue_limit:
-        Open jobs of a component that queries may have; those of fills and solves do not count.
-    table_memory:
-        MB of rows and numpy tables that a process keeps; packed tables are mapped.
-    method:
-        What answers where a request names no method; a table's own default if None.
-    keep:
-        Which folders of ended attempts are kept.
-    access_log:
-        Whether each request is a line of the log.
-    opentelemetry:
-        Whether requests are traced; without it, OTEL_* variables of the environment decide.
-    processes:
-        How many web workers the server has.
-    """
-
-    folder: Path
-    solvers: int = field(default_factory=usable_cores)
-    engine: str = "local"
-    allow_decks: bool = False
-    queue_limit: int = QUEUE_LIMIT
-    scheduler: str | None = None
-    table_memory: int = TABLE_MEMORY
-    keep: Keep = KEEP
-    method: str | None = None
-    access_log: bool = False
-    processes: int = 1
-
-
-def settings_of_options(options: Mapping[str, Any]) -> Settings:
-    """Return the settings of a process of the server by the options of `serve`.
-
-    Parameters
-    ----------
-    options : mapping
-        By name; those that are no settings of a workspace are ignored.
-    """
-    keep = Keep(
-        *(options[f"keep_{one}"] for one in ("days", "count", "failed_days", "failed_count"))
+    data: Annotated[Path, "data directory"] = Path("wrenchbook-data")
+    solvers: Annotated[Count, "solves at once; by default one a core"] = field(
+        default_factory=usable_cores
     )
-    return Settings(
-        folder=Path(options["data"]),
-        solvers=options["solvers"],
-        engine=options["engine"],
-        allow_decks=options["allow_decks"],
-        queue_limit=options["queue_limit"],
-        table_memory=options["table_memory"],
-        scheduler=options["scheduler"],
-        keep=keep,
-        method=options["method"],
-        access_log=options["access_log"],
-        processes=options["processes"],
+    host: Annotated[str, "address to listen on"] = "127.0.0.1"
+    port: Annotated[int, Ge(0), Le(65535), "0 takes a free one"] = 8000
+    processes: Annotated[
+        int, Ge(1), Le(64), "that answer; more than 1: one more builds and solves"
+    ] = 1
+    engine: Annotated[str, "where solves run: local or dask"] = "local"
+    scheduler: Annotated[str | None, "with --engine dask: tcp://HOST:8786, or tls://"] = None
+    allow_decks: Annotated[bool, "take uploaded bundles with a deck: solvers run its command"] = (
+        False
     )
+    method: Annotated[
+        Literal["griddata", "additive", "kriging", "linear"] | None,
+        "answers where a request names none; by default each table's best",
+    ] = None
+    queue_limit: Annotated[Count, "open jobs of a component from queries"] = 64
+    table_memory: Annotated[Count, "MB of rows and numpy tables kept; packed tables are mapped"] = (
+        700
+    )
+    keep_days: Annotated[Days, f"days that {_DONE}"] = 30.0
+    keep_count: Annotated[Count, f"most {_DONE}, 27 kB each"] = 2000
+    keep_failed_days: Annotated[Days, f"days that {_FAILED} are kept"] = 180.0
+    keep_failed_count: Annotated[Count, f"most {_FAILED} that are kept"] = 10_000
+    log_level: Annotated[Literal["debug", "info", "warning", "error"], "how much is logged"] = (
+        "info"
+    )
+    log_format: Annotated[Literal["text", "json"], "lines for people or JSON for programs"] = "text"
+    access_log: Annotated[bool, "a line a request; queries take no fast path then"] = False
+    allow_host: Annotated[
+        str | None, "further names of this server, with commas: a proxy's, say"
+    ] = None
+    allow_origin: Annotated[
+        str | None, "other sites whose pages may call: https://..., with commas"
+    ] = None
+    first_key: Annotated[bool, "make a key for admin if there is none; printed once"] = False
+
+
+class SettingsError(ValueError):
+    """A file, a variable or an option has a setting that there is not, or a wrong value."""
+
+
+def read_settings(
+    options: Mapping[str, Any], config: Path | None
+) -> tuple[Settings, dict[str, str]]:
+    """Merge options, environment and file; return the settings, and where each comes from.
+
+    `options` are those of the command line alone. `config` is the file; without it that of the data
+    directory, if there is one. Raises `SettingsError`.
+    """
+    from pydantic import TypeAdapter, ValidationError  # no other command waits for its import
+
+    names = [setting.name for setting in fields(Settings)]
+    environment: dict[str, Any] = {}
+    for variable, value in os.environ.items():
+        name = variable.removeprefix(PREFIX)
+        if name == variable or name in OTHERS or not value:
+            continue
+        if name.lower() not in names:
+            raise _unknown(variable, [f"{PREFIX}{known.upper()}" for known in names], "environment")
+        environment[name.lower()] = value
+    data = Path(options.get("data") or environment.get("data") or Settings.data)
+    file = config or data / FILE
+    from_file = _read(file, names, named=config is not None)
+    origins = dict.fromkeys(names, "default") | dict.fromkeys(from_file, str(file))
+    origins |= {name: f"{PREFIX}{name.upper()}" for name in environment}
+    origins |= dict.fromkeys(options, "command line")
+    try:
+        values = {**from_file, **environment, **options}
+        return TypeAdapter(Settings).validate_python(values), origins
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = str(first["loc"][0])
+        place = origins[name]
+        if place == str(file):
+            place = f"{name} in {file}"
+        elif place == "command line":
+            place = f"--{name.replace('_', '-')}"
+        raise SettingsError(f"{place}: {first['msg']}, not {first['input']!r}") from error
+
+
+def as_file(settings: Settings, origins: Mapping[str, str]) -> str:
+    """Write settings as a file that says the same, with where each comes from."""
+    lines = []
+    for name, origin in origins.items():
+        value = getattr(settings, name)
+        # JSON's texts, numbers and truth values are TOML's too.
+        written = json.dumps(value if isinstance(value, int | float) else str(value))
+        line = f"# {name} is not set" if value is None else f"{name} = {written}"
+        lines.append(f"{line}  # {origin}")
+    return "\n".join(lines) + "\n"
+
+
+def _read(file: Path, names: Iterable[str], *, named: bool) -> dict[str, Any]:
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        if named:
+            raise SettingsError(f"there is no file {file}") from None
+        return {}
+    except NotADirectoryError:
+        raise SettingsError(
+            f"{file.parent} is no data directory: it, or a folder of its path, is a file"
+        ) from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SettingsError(f"{file} cannot be read as TOML: {error}") from error
+    for name in values:
+        if name not in names:
+            raise _unknown(name, names, str(file))
+    if "data" in values and not named:
+        raise SettingsError(
+            f"{file} lies in the data directory and cannot name another one; say it with --data"
+        )
+    return values
+
+
+def _unknown(name: str, known: Iterable[str], place: str) -> SettingsError:
+    known = sorted(known)
+    near = difflib.get_close_matches(name, known, 1, 0.5)
+    meant = f"; did you mean {near[0]}?" if near else f". There are: {', '.join(known)}"
+    return SettingsError(f"there is no setting {name} ({place}){meant}")

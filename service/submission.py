@@ -18,12 +18,12 @@ from scipy.spatial import KDTree
 from wrenchbook.service.ledger import JobRecord, Ledger, OpenJob, packed, unpacked
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
+from wrenchbook.service.settings import Settings
 
 Floats = NDArray[np.float64]
 
 GRAINS = 1e6  # to a load's scale: two wrenches that round to the same grains are one job
 REACH = 0.05  # of a load's scale: an open job as near as this is joined
-QUEUE_LIMIT = 64  # open jobs of a component that queries may have
 MAX_FAILED = 100_000  # failed jobs that a fill leaves out: more than anyone lets happen
 BLOCK = 65_536  # differences of wrenches looked at in one go, 3 MB
 
@@ -69,7 +69,9 @@ class _Open:
 class Submission:
     """Turns wrenches into jobs of the ledger; at most `queue_limit` open ones come from queries."""
 
-    def __init__(self, ledger: Ledger, library: Library, queue_limit: int = QUEUE_LIMIT) -> None:
+    def __init__(
+        self, ledger: Ledger, library: Library, queue_limit: int = Settings.queue_limit
+    ) -> None:
         self._ledger = ledger
         self._library = library
         self.queue_limit = queue_limit

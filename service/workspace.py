@@ -49,14 +49,14 @@ class Workspace:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self._jobs_folder = settings.folder / "jobs"
+        self._jobs_folder = settings.data / "jobs"
         # A full disk or a damaged file does not keep the existing tables from answering.
-        self.ledger = Ledger(settings.folder / "ledger.sqlite", patient=True)
+        self.ledger = Ledger(settings.data / "ledger.sqlite", patient=True)
         if trouble := self.ledger.trouble():
             log.error("nothing is accepted until this is repaired: %s", trouble)
         self.watcher = Watcher(self.ledger)
         self.library = Library(
-            settings.folder / "components",
+            settings.data / "components",
             allow_decks=settings.allow_decks,
             on_added=self._on_added,
             on_checked=self._on_checked,
@@ -69,15 +69,15 @@ class Workspace:
         self.tables = MappedTables(
             self.ledger,
             self.library,
-            settings.folder / "tables",
-            CoordinatorState(settings.folder / FOLDER),
+            settings.data / "tables",
+            CoordinatorState(settings.data / FOLDER),
             self.errors,
             settings.table_memory,
             settings.method,
         )
-        self.fields = FieldStore(settings.folder / "fields")
+        self.fields = FieldStore(settings.data / "fields")
         self.shapes = DeformedSurfaces(self.fields)
-        self.reports = Reports(settings.folder / "reports", settings.folder / "tables")
+        self.reports = Reports(settings.data / "reports", settings.data / "tables")
         self.polls = Polls(self.ledger)
         self._compliance_requested: dict[str, tuple[str, int]] = {}
 
@@ -214,7 +214,7 @@ class Workspace:
         trouble = self.ledger.trouble()
         if trouble:
             return [f"nothing is accepted: {trouble}"]
-        if is_full(self.settings.folder):
+        if is_full(self.settings.data):
             return ["nothing is accepted: the disk is full; make room"]
         trouble = self.tables.trouble()
         return [f"jobs do not run: {trouble}"] if trouble else []

@@ -19,7 +19,7 @@ class BuildingWorkspace(Workspace):
 
     def start(self) -> None:
         self._parts = ExitStack()
-        state = CoordinatorState(self.settings.folder / FOLDER)
+        state = CoordinatorState(self.settings.data / FOLDER)
         if state.take():
             self._parts.callback(state.release)
             parts = self.ledger, self.library, self.errors

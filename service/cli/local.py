@@ -2,129 +2,97 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
+from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
+from annotated_types import Ge, Le
 from rich.text import Text
 
 from wrenchbook.service.cli.connect import AsJson, print_json
 from wrenchbook.service.cli.keys import make_first_key
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.files.program import run_child, usable_cores
+from wrenchbook.service.settings import Settings, SettingsError, as_file, read_settings
 
 CORES = usable_cores()
-LogLevel = Literal["debug", "info", "warning", "error"]
-LogFormat = Literal["text", "json"]
-DEFAULT_DATA = Path("wrenchbook-data")
-
-
-Host = Annotated[str, typer.Option(help="address to listen on")]
-AccessLog = Annotated[
-    bool, typer.Option("--access-log", help="a line a request; queries take no fast path then")
-]
-AllowHost = Annotated[
-    str | None, typer.Option(help="further names of this server, with commas: a proxy's, say")
-]
-AllowOrigin = Annotated[
-    str | None, typer.Option(help="other sites whose pages may call: https://..., with commas")
-]
-FirstKey = Annotated[
-    bool, typer.Option("--first-key", help="make a key for admin if there is none; printed once")
-]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one")]
-Solvers = Annotated[int, typer.Option(min=0, help="solves at once; by default one a core")]
-Processes = Annotated[
-    int, typer.Option(min=1, max=64, help="that answer; more than 1: one more builds and solves")
-]
-EngineName = Annotated[str, typer.Option(help="where solves run: local or dask")]
-Scheduler = Annotated[
-    str | None, typer.Option(help="with --engine dask: tcp://HOST:8786, or tls://")
-]
-AllowDecks = Annotated[
-    bool, typer.Option(help="take uploaded bundles with a deck: solvers run its command")
-]
-Method = Annotated[
-    Literal["griddata", "additive", "kriging", "linear"] | None,
-    typer.Option(help="answers where a request names none; by default each table's best"),
-]
-QueueLimit = Annotated[int, typer.Option(min=0, help="open jobs of a component from queries")]
-_DONE, _FAILED = "folders of done attempts are kept", "folders of failed and cancelled ones"
-KeepDays = Annotated[float, typer.Option(min=0, help=f"days that {_DONE}")]
-TableMemory = Annotated[
-    int, typer.Option(min=0, help="MB of rows and numpy tables kept; packed tables are mapped")
-]
-KeepCount = Annotated[int, typer.Option(min=0, help=f"most {_DONE}, 27 kB each")]
-KeepFailedDays = Annotated[float, typer.Option(min=0, help=f"days that {_FAILED} are kept")]
-KeepFailedCount = Annotated[int, typer.Option(min=0, help=f"most {_FAILED} that are kept")]
-Level = Annotated[LogLevel, typer.Option(help="how much the log tells")]
-Form = Annotated[LogFormat, typer.Option(help="lines for people or JSON for programs")]
-Config = Annotated[
-    Path | None, typer.Option(help="settings; otherwise wrenchbook.toml in the data directory")
-]
-ShowSettings = Annotated[
-    bool, typer.Option("--show-settings", help="print all settings, and where from, and end")
-]
+DEFAULT_DATA = Settings.data
 Folder = Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")]
 
 
+def _option(name: str, hint: Any) -> inspect.Parameter:
+    """Return the parameter of a command that stands for a field of `Settings`."""
+    kind, *notes = get_args(hint)
+    bounds = {type(note): note for note in notes if not isinstance(note, str)}
+    default = next(one for one in fields(Settings) if one.name == name).default
+    option = typer.Option(
+        f"--{name.replace('_', '-')}",
+        help=next(note for note in notes if isinstance(note, str)),
+        min=bounds[Ge].ge if Ge in bounds else None,
+        max=bounds[Le].le if Le in bounds else None,
+        show_default=False if default in (None, False, MISSING) else str(default),
+    )
+    annotation = Annotated[kind | None, option]
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, keyword, default=None, annotation=annotation)
+
+
 def serve(
-    ctx: typer.Context,
-    data: Folder = DEFAULT_DATA,
-    host: Host = "127.0.0.1",
-    port: Port = 8000,
-    solvers: Solvers = CORES,
-    processes: Processes = 1,
-    engine: EngineName = "local",
-    scheduler: Scheduler = None,
-    allow_decks: AllowDecks = False,
-    method: Method = None,
-    queue_limit: QueueLimit = 64,
-    table_memory: TableMemory = 700,
-    keep_days: KeepDays = 30.0,
-    keep_count: KeepCount = 2000,
-    keep_failed_days: KeepFailedDays = 180.0,
-    keep_failed_count: KeepFailedCount = 10_000,
-    log_level: Level = "info",
-    log_format: Form = "text",
-    access_log: AccessLog = False,
-    allow_host: AllowHost = None,
-    allow_origin: AllowOrigin = None,
-    first_key: FirstKey = False,
-    config: Config = None,
-    show_settings: ShowSettings = False,
+    config: Annotated[
+        Path | None, typer.Option(help="settings; otherwise wrenchbook.toml in the data directory")
+    ] = None,
+    show_settings: Annotated[
+        bool, typer.Option("--show-settings", help="print all settings, and where from, and end")
+    ] = False,
     as_json: AsJson = False,
+    **options: Any,
 ) -> None:
     """Serve the API and solve what is queued."""
-    from wrenchbook.service.cli.settings import settings_of, shown
-
-    found = settings_of(ctx, serve, config)
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        settings, origins = read_settings(given, config)
+    except SettingsError as error:
+        raise typer.BadParameter(str(error)) from error
     if show_settings and as_json:
-        print_json({name: vars(setting) for name, setting in found.items()})
+        shown = {"value": lambda name: getattr(settings, name), "origin": origins.get}
+        print_json({n: {key: of(n) for key, of in shown.items()} for n in origins})
     elif show_settings:
-        typer.echo(shown(found), nl=False)
+        typer.echo(as_file(settings, origins), nl=False)
     else:
-        _serve(**{name: setting.value for name, setting in found.items()}, as_json=as_json)
+        _serve(settings, as_json)
 
 
-def _serve(**options: Any) -> None:
+serve.__annotations__ = get_type_hints(serve, include_extras=True)
+_own = list(inspect.signature(serve).parameters.values())[:-1]
+_hints = get_type_hints(Settings, include_extras=True)
+serve.__signature__ = inspect.Signature(  # pyright: ignore[reportFunctionMemberAccess]
+    [
+        *(one.replace(annotation=serve.__annotations__[one.name]) for one in _own),
+        *(_option(name, hint) for name, hint in _hints.items()),
+    ]
+)
+
+
+def _serve(settings: Settings, as_json: bool) -> None:
     """Serve by the settings found."""
     from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
     from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 
     try:
-        check_engine(options["engine"], options["scheduler"])
+        check_engine(settings.engine, settings.scheduler)
     except EngineSettingsError as error:
         raise typer.BadParameter(str(error)) from error
-    _make_folder(Path(options["data"]))
-    if options["first_key"]:
-        make_first_key(options["data"], err=options["as_json"])
-    require_keys(options["host"], options["data"])
+    _make_folder(settings.data)
+    if settings.first_key:
+        make_first_key(settings.data, err=as_json)
+    require_keys(settings.host, settings.data)
     try:
-        supervise(options)
+        supervise(settings, as_json=as_json)
     except AddressError as error:
         raise _refused(str(error)) from error
 

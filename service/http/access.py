@@ -30,6 +30,7 @@ from wrenchbook.service.keys import (
     digest_of,
     is_loopback,
 )
+from wrenchbook.service.settings import Settings
 
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 PERMISSION: Final = "wrenchbook.permission"  # its key in a request's scope
@@ -115,12 +116,10 @@ def security_settings(
     return SecuritySettings(not local, names, sites, own_key)
 
 
-def security_of_options(options: Mapping[str, Any]) -> SecuritySettings:
-    """Security settings by the options of `serve` and the environment."""
+def security_of(settings: Settings) -> SecuritySettings:
+    """Security settings of a server by its settings and the environment."""
     own_key = os.environ.get(OWN_KEY)
-    return security_settings(
-        options["host"], options["allow_host"], options["allow_origin"], own_key
-    )
+    return security_settings(settings.host, settings.allow_host, settings.allow_origin, own_key)
 
 
 def _listed(text: str | None) -> frozenset[str]:

@@ -113,7 +113,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         app.state.metrics = metered = Metrics(workspace, counts, lambda: events.feed.listeners)
         loop = asyncio.get_running_loop()
         access: AccessControl = app.state.access
-        rates.share(settings.folder / SHARED / "rates")
+        rates.share(settings.data / SHARED / "rates")
         try:
             for wake, stamp in (
                 (workspace.polls.notify, None),
@@ -141,7 +141,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
     )
     app.state.counts = counts
     rates = Rates()
-    keyring = Keyring(settings.folder)
+    keyring = Keyring(settings.data)
     app.state.access = AccessControl(keyring, security or SecuritySettings(), rates)
     return _with_routes(app, settings)
 

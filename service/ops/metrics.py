@@ -65,7 +65,7 @@ class Metrics(Collector):
         self._read: Statistics | None = None
         self._version: int | None = None
         self._registry = CollectorRegistry()
-        folder = settings.folder / SHARED / COUNTS
+        folder = settings.data / SHARED / COUNTS
         self._shared = SharedCounts(folder, counts, listeners)
         self._registry.register(self)
 
@@ -83,7 +83,7 @@ class Metrics(Collector):
         yield from _of_queries(counts)
         yield from _of_requests(counts)
         yield GaugeMetricFamily("wrenchbook_event_listeners", "of GET /v1/events", value=listening)
-        builder = CoordinatorState(self._workspace.settings.folder / SHARED).read().pid
+        builder = CoordinatorState(self._workspace.settings.data / SHARED).read().pid
         yield from _of_processes({**pids, "builder": builder} if builder else pids)
         yield from self._of_ledger()
         yield from self._of_tables()
@@ -146,7 +146,7 @@ class Metrics(Collector):
         text = "solves at once of this server"
         yield GaugeMetricFamily("wrenchbook_solvers", text, value=settings.solvers)
         with contextlib.suppress(OSError):
-            free = shutil.disk_usage(settings.folder).free
+            free = shutil.disk_usage(settings.data).free
             text = "where the data directory is"
             yield GaugeMetricFamily("wrenchbook_disk_free_bytes", text, value=free)
 

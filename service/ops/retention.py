@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wrenchbook.service.ledger import FINAL, Ledger, LedgerError
+from wrenchbook.service.settings import Settings
 
 _log = logging.getLogger(__name__)
 
@@ -29,19 +30,22 @@ class Keep:
     `failed` are for failed and cancelled jobs, whose folder has the cause.
     """
 
-    days: float = 30.0
-    count: int = 2_000  # 27 kB and 7 entries each: 54 MB
-    failed_days: float = 180.0
-    failed_count: int = 10_000
+    days: float = Settings.keep_days
+    count: int = Settings.keep_count  # 27 kB and 7 entries each: 54 MB
+    failed_days: float = Settings.keep_failed_days
+    failed_count: int = Settings.keep_failed_count
 
 
-KEEP = Keep()
+def kept_by(settings: Settings) -> Keep:
+    """Return the folders that a server keeps by its settings."""
+    done = settings.keep_days, settings.keep_count
+    return Keep(*done, settings.keep_failed_days, settings.keep_failed_count)
 
 
 class Retention:
     """A thread that bounds the size of a data directory; `jobs_folder` has the attempts'."""
 
-    def __init__(self, ledger: Ledger, jobs_folder: Path, keep: Keep = KEEP) -> None:
+    def __init__(self, ledger: Ledger, jobs_folder: Path, keep: Keep) -> None:
         self._ledger, self._jobs_folder, self._keep = ledger, jobs_folder, keep
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None

@@ -18,11 +18,12 @@ from wrenchbook.service.files.program import give_back, usable_cores
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
+from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables import store
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
 from wrenchbook.service.tables.rows import followed
 from wrenchbook.service.tables.solver_errors import SolverErrors
-from wrenchbook.service.tables.store import TABLE_MEMORY, TableStore, drop_least_used
+from wrenchbook.service.tables.store import TableStore, drop_least_used
 from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
@@ -109,7 +110,7 @@ class TableBuilder:
         folder: Path,
         state: CoordinatorState,
         errors: SolverErrors | None = None,
-        memory: float = TABLE_MEMORY,
+        memory: float = Settings.table_memory,
         trouble: Callable[[], str | None] = lambda: None,
     ) -> None:
         self._ledger, self._library, self._state = ledger, library, state

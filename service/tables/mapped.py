@@ -16,12 +16,12 @@ import numpy as np
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
+from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import build_table, packed_bytes
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Mapped, Status
 from wrenchbook.service.tables.rows import unsolved
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.service.tables.store import (
-    TABLE_MEMORY,
     PackedFile,
     TableStore,
     drop_least_used,
@@ -206,7 +206,7 @@ class MappedTables:
         folder: Path,
         state: CoordinatorState,
         errors: SolverErrors | None = None,
-        memory: float = TABLE_MEMORY,
+        memory: float = Settings.table_memory,
         method: str | None = None,
     ) -> None:
         self._ledger, self._library, self._state = ledger, library, state

@@ -35,9 +35,6 @@ T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
-# MB of rows and numpy tables that a process keeps. The packed tables answer; numpy tables serve
-# fills, plans and the build of the next version.
-TABLE_MEMORY = 700
 ROW_MB = 0.013  # of a numpy table, a row: measured with 20,000 single-axis and multi-axis rows
 LARGE = 3000  # rows: a table of more takes over a second to build
 ROW_BYTES = 450  # of a row in an HDF5 file, about

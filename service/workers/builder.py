@@ -6,9 +6,8 @@ import logging
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any
 
 from threadpoolctl import threadpool_limits
 from uvicorn.config import STARTUP_FAILURE
@@ -18,8 +17,8 @@ from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.ops.retention import Retention
-from wrenchbook.service.settings import Settings, settings_of_options
+from wrenchbook.service.ops.retention import Retention, kept_by
+from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.solver_errors import SolverErrors
@@ -35,7 +34,7 @@ def opened(settings: Settings) -> Iterator[Parts]:
 
     A full disk or a damaged ledger does not keep the existing tables from answering.
     """
-    folder = settings.folder
+    folder = settings.data
     ledger = Ledger(folder / "ledger.sqlite", patient=True)
     try:
         if trouble := ledger.trouble():
@@ -55,11 +54,11 @@ def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
     if not settings.solvers:
         yield None
         return
-    (ledger, library, errors), jobs = parts, settings.folder / "jobs"
+    (ledger, library, errors), jobs = parts, settings.data / "jobs"
     engine = open_engine(settings.engine, settings.solvers, scheduler=settings.scheduler)
-    fields = FieldStore(settings.folder / "fields")
+    fields = FieldStore(settings.data / "fields")
     dispatcher = Dispatcher(ledger, engine, lambda name: library[name].folder, jobs, fields, errors)
-    retention = Retention(ledger, jobs, settings.keep)
+    retention = Retention(ledger, jobs, kept_by(settings))
     dispatcher.start()
     retention.start()
     try:
@@ -81,7 +80,7 @@ def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Itera
     tables = TableBuilder(
         ledger,
         library,
-        settings.folder / "tables",
+        settings.data / "tables",
         state,
         errors,
         settings.table_memory,
@@ -94,7 +93,7 @@ def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Itera
         yield tables
 
 
-def run(options: Mapping[str, Any], started: threading.Event) -> None:
+def run(settings: Settings, started: threading.Event) -> None:
     """Build tables and dispatch jobs until SIGTERM; `started` is set once both are at work.
 
     A data directory with another builder ends the process.
@@ -102,12 +101,11 @@ def run(options: Mapping[str, Any], started: threading.Event) -> None:
     stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the parent ends this process
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    settings = settings_of_options(options)
-    state = CoordinatorState(settings.folder / FOLDER)
+    state = CoordinatorState(settings.data / FOLDER)
     if not state.take():
         log.error(
             "another server uses %s; stop it first, or serve another directory with --data",
-            settings.folder,
+            settings.data,
         )
         sys.exit(STARTUP_FAILURE)
     try:

@@ -15,7 +15,6 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
@@ -26,10 +25,11 @@ from uvicorn.config import STARTUP_FAILURE
 from uvicorn.importer import import_from_string
 
 from wrenchbook.service.ops.logs import set_up
+from wrenchbook.service.settings import Settings
 
 log = logging.getLogger("wrenchbook.service.workers")
 
-# Name in ps and top, and what a process runs: `run(options, started, *sockets)`.
+# Name in ps and top, and what a process runs: `run(settings, started, *sockets)`.
 BUILDER: Final = "wb-builder", "wrenchbook.service.workers.builder:run"
 WEB_WORKER: Final = "wb-webworker", "wrenchbook.service.workers.web_worker:run"
 HEARTBEAT_S: Final = 0.25
@@ -58,9 +58,9 @@ class WorkerFailedError(RuntimeError):
 class Child:
     """A child process, which ends at once with its parent; `started` is by its last heartbeat."""
 
-    def __init__(self, kind: tuple[str, str], options: Mapping[str, Any], *sockets: Any) -> None:
+    def __init__(self, kind: tuple[str, str], settings: Settings, *sockets: Any) -> None:
         self._heartbeats, end = forks.Pipe(duplex=False)
-        self.process = forks.Process(target=_run, args=(*kind, dict(options), end, *sockets))
+        self.process = forks.Process(target=_run, args=(*kind, settings, end, *sockets))
         self.process.start()
         end.close()
         self.name, self.started, self.begun = kind[0], False, time.monotonic()
@@ -93,7 +93,7 @@ class Child:
 
 
 def _run(
-    name: str, path: str, options: Mapping[str, Any], end: Connection, *sockets: socket.socket
+    name: str, path: str, settings: Settings, end: Connection, *sockets: socket.socket
 ) -> None:
     """Run in a child process; end it when its parent has ended, and leave solvers running."""
     started = threading.Event()
@@ -108,8 +108,8 @@ def _run(
     threading.Thread(target=heartbeat, name="heartbeat", daemon=True).start()
     with suppress(OSError):  # Linux: the name of the process in ps and top
         Path("/proc/self/comm").write_text(name)
-    set_up(options["log_level"], options["log_format"])
-    import_from_string(path)(options, started, *sockets)
+    set_up(settings.log_level, settings.log_format)
+    import_from_string(path)(settings, started, *sockets)
 
 
 class Supervisor:
@@ -119,11 +119,11 @@ class Supervisor:
     all processes have started; `failed` says why the server ends without a signal.
     """
 
-    def __init__(self, options: Mapping[str, Any], bound: socket.socket, ready: str) -> None:
-        self._options, self._bound, self._ready = options, bound, ready
+    def __init__(self, settings: Settings, bound: socket.socket, ready: str) -> None:
+        self._settings, self._bound, self._ready = settings, bound, ready
         self._signals: list[int] = []
         self._builder = self._start(BUILDER)
-        self._web = [self._start(WEB_WORKER) for _ in range(options["processes"])]
+        self._web = [self._start(WEB_WORKER) for _ in range(settings.processes)]
         self._to_replace = 0  # web workers, of a restart that has begun
         self._successor: Child | None = None
         self._retired: list[Child] = []  # replaced, and finishing their requests
@@ -144,7 +144,7 @@ class Supervisor:
 
     def _start(self, kind: tuple[str, str]) -> Child:
         sockets = () if kind == BUILDER else (self._bound,)
-        return Child(kind, self._options, *sockets)
+        return Child(kind, self._settings, *sockets)
 
     def _announce(self) -> None:
         """Print the address once all processes have started."""
@@ -226,22 +226,22 @@ def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
     return bound, f"http://{shown}:{bound.getsockname()[1]}"
 
 
-def supervise(options: Mapping[str, Any]) -> None:
-    """Serve by the options of `serve`; the address is printed once the server answers.
+def supervise(settings: Settings, *, as_json: bool = False) -> None:
+    """Serve; the address is printed once the server answers.
 
     At the first SIGINT or SIGTERM requests are finished and solves wait for the next start. A
     second one ends the processes at once, and leaves solvers running for the next start to find.
     Raises AddressError, and WorkerFailedError if a process cannot be started, or another server
     uses the data directory.
     """
-    bound, address = bind_to(options["host"], options["port"])
+    bound, address = bind_to(settings.host, settings.port)
     forks.set_forkserver_preload([path.split(":")[0] for _, path in (BUILDER, WEB_WORKER)])
     forkserver.ensure_running()
-    set_up(options["log_level"], options["log_format"])
+    set_up(settings.log_level, settings.log_format)
     ready = f"wrenchbook serves {address}"
-    if options.get("as_json"):
-        ready = json.dumps({"address": address, "data": str(options["data"]), "pid": os.getpid()})
-    supervisor = Supervisor(options, bound, ready)
+    if as_json:
+        ready = json.dumps({"address": address, "data": str(settings.data), "pid": os.getpid()})
+    supervisor = Supervisor(settings, bound, ready)
     supervisor.run()
     if supervisor.failed:
         raise WorkerFailedError(supervisor.failed)

@@ -10,16 +10,15 @@ import asyncio
 import shutil
 import socket
 import threading
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 from wrenchbook.service.files.scratch import take_scratch
-from wrenchbook.service.http.access import security_of_options
+from wrenchbook.service.http.access import security_of
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.http.server import Server, raise_open_files, server_config
 from wrenchbook.service.sandbox import warm_up
-from wrenchbook.service.settings import settings_of_options
+from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.supervisor import RETIRE
 
 DELAY_S: Final = 0.001  # for each open connection, in which a worker with fewer takes the next one
@@ -33,18 +32,18 @@ PARSERS = (
 
 
 class WebWorker(Server):
-    """A server by the options of `serve`, on a socket that the other web workers listen on too."""
+    """A server on a socket that the other web workers listen on too."""
 
-    def __init__(self, options: Mapping[str, Any], ready: threading.Event) -> None:
+    def __init__(self, settings: Settings, ready: threading.Event) -> None:
         self._ready = ready
         raise_open_files()
         self._scratch = take_scratch()
-        security = security_of_options(options)
-        app = create_app(settings_of_options(options), security)
-        super().__init__(server_config(app, options["log_level"], log_config=None))
+        security = security_of(settings)
+        app = create_app(settings, security)
+        super().__init__(server_config(app, settings.log_level, log_config=None))
         # The private server of a command ends before that pays; a process each takes 90 MB.
-        self._warms_up = security.own_key is None and options["processes"] == 1
-        self._shares = options["processes"] > 1
+        self._warms_up = security.own_key is None and settings.processes == 1
+        self._shares = settings.processes > 1
         self._timer: asyncio.TimerHandle | None = None
         self._begun: set[asyncio.Task[None]] = set()
 
@@ -108,6 +107,6 @@ class WebWorker(Server):
             taken.close()
 
 
-def run(options: Mapping[str, Any], started: threading.Event, bound: socket.socket) -> None:
+def run(settings: Settings, started: threading.Event, bound: socket.socket) -> None:
     """Answer requests until SIGTERM; `started` is set once connections are taken."""
-    WebWorker(options, started).run([bound])
+    WebWorker(settings, started).run([bound])

@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.settings import settings_of_options
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.workspace import Settings
 
@@ -173,7 +172,7 @@ def test_serve_takes_the_queue_limit_and_the_memory_of_tables(monkeypatch, tmp_p
     served = []
     monkeypatch.setattr(
         "wrenchbook.service.workers.supervisor.supervise",
-        lambda options: served.append(settings_of_options(options)),
+        lambda settings, as_json: served.append(settings),
     )
     words = ["serve", "--data", str(tmp_path), "--queue-limit", "7", "--table-memory", "50"]
     reply = CliRunner().invoke(app, words)

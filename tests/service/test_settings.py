@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from wrenchbook.service.cli.local import serve
 from wrenchbook.service.cli.main import app
-from wrenchbook.service.cli.settings import OTHERS, PREFIX, _fields
+from wrenchbook.service.settings import OTHERS, PREFIX, Settings
 
 
 @pytest.fixture
@@ -122,7 +121,7 @@ def test_every_variable_that_make_and_the_tests_set_lets_a_server_start():
     for file in (root / "Makefile", *root.glob("tests/**/*.py"), *root.glob("fea/**/*.py")):
         if file.name != Path(__file__).name:
             named |= set(re.findall(r"(?<!_)WRENCHBOOK_[A-Z_]+", file.read_text()))
-    settings = {f"{PREFIX}{name.upper()}" for name in _fields(serve)}
+    settings = {f"{PREFIX}{name.upper()}" for name in Settings.__dataclass_fields__}
     assert named <= settings | {f"{PREFIX}{name}" for name in OTHERS} | {PREFIX}
 
 

@@ -192,7 +192,7 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
         size = log.seek(0, 2)
         log.seek(max(0, size - MOST_LOG_BYTES))
         end = log.read(MOST_LOG_BYTES).decode(errors="replace")
-    shown = without_places(end, workspace.settings.folder)
+    shown = without_places(end, workspace.settings.data)
     if size > MOST_LOG_BYTES:
         shown = f"[the first {size - MOST_LOG_BYTES} bytes are in .../files]\n{shown}"
     return Response(shown, 200, None, "text/plain")
