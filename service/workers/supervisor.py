@@ -99,10 +99,12 @@ def _run(
     started = threading.Event()
 
     def heartbeat() -> None:
+        parent = multiprocessing.parent_process()
+        assert parent is not None
         with suppress(OSError):
-            while True:
+            while parent.is_alive():
                 end.send(started.is_set())
-                time.sleep(HEARTBEAT_S)
+                parent.join(HEARTBEAT_S)
         os._exit(1)
 
     threading.Thread(target=heartbeat, name="heartbeat", daemon=True).start()
