@@ -11,6 +11,7 @@ from pathlib import Path
 
 from starlette.types import Receive, Scope, Send
 
+import tests.building  # noqa: F401, tables are built beside the application
 from wrenchbook.service.http.app import Application, create_app
 from wrenchbook.service.http.server import Server, server_config
 from wrenchbook.service.workspace import Settings
