@@ -259,8 +259,8 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     if query.on_thin != "queue":
         if beyond:
             raise BeyondRangeError(
-                f"{beyond}. Nothing was queued. Ask with beyond_range true to have it solved all "
-                "the same.",
+                f"{beyond}. Nothing was queued. Ask with beyond_range true (--beyond-range) to "
+                "have it solved all the same.",
                 coverage="outside",
             )
         asked_by, urgent = query.on_thin, query.wait_s > 0
@@ -268,7 +268,10 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         placed, why = Placed(job, own=True), ""
     elif beyond:
         placed = Placed(None, own=False)
-        why = f"no solve is queued beyond the load range unless beyond_range: {beyond}"
+        why = (
+            "no solve is queued beyond the load range unless beyond_range (--beyond-range): "
+            f"{beyond}"
+        )
     else:
         (placed,), limit = submission.queue(name, wrench), submission.queue_limit
         why = f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)"
@@ -427,7 +430,7 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         raise BeyondRangeError(
             f"{int(out.sum())} wrenches are outside the load range, the first is number {first}: "
             f"{why_beyond(component.load_range, acting[first])}. Nothing was queued. Ask with "
-            "beyond_range true to have them solved all the same.",
+            "beyond_range true (--beyond-range) to have them solved all the same.",
             beyond=thin[out].tolist(),
         )
     place_jobs = workspace.submission.queue

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import plotly.graph_objects as go
+
 from wrenchbook.fea.accuracy.convergence import studied, write
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.failure import SolveFailed
@@ -49,8 +51,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def write_plot(study: dict[str, Any], page: Path) -> None:
     """Draw each response's distance to its limit, or to the finest mesh, over the cells' size."""
-    import plotly.graph_objects as go
-
     figure = go.Figure()
     for i, name in enumerate(study["outputs"]):
         values = [row[i] for row in study["values"]]

@@ -345,7 +345,7 @@ def main() -> None:
         if "--json" in sys.argv:
             print_json({"error": error.body or {"title": error.title, "detail": error.detail}})
         render.plain(err, error.title, style="red")
-        render.plain(err, render.in_cli_words(error.detail))
+        render.plain(err, error.detail)
         render.body_errors(err, error)
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:

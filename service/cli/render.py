@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -188,37 +187,13 @@ def _inputs(raw: Mapping[str, Any]) -> str:
 def row_errors(out: Console, reply: dict[str, Any]) -> None:
     """Print the mistakes of a table file, one cause a line."""
     for cause in reply.get("causes", reply["errors"]):  # servers before 0.3 have no causes
-        plain(out, in_cli_words(mistake_line(cause)))
+        plain(out, mistake_line(cause))
 
 
 def body_errors(out: Console, error: ProblemError) -> None:
     """Print the mistakes a problem answer lists, one cause a line."""
     for one in error.body.get("causes", error.errors):
-        plain(out, in_cli_words(f"  {mistake_line(one)}"))
-
-
-_CLI_WORDS = {
-    r"missing_loads=zero": "--missing-loads-zero",
-    r"partial=true": "--partial",
-    r"displacements=FILE": "--displacements FILE",
-    r"lag \(time_offset_s\)": "--lag SECONDS",
-    r"\b(tare|decimal|lag)=": r"--\1 ",
-    r"\bon_thin '(\w+)'": r"--on-thin \1",
-    r"\bunless beyond_range\b": "without --beyond-range",
-    r"\bbeyond_range true\b": "--beyond-range",
-    r"\bsheet=NAME": "--sheet NAME",
-    r"\bignore_extra\b": "--ignore-extra",
-    r"\bname it in ignore\b": "name it with --ignore",
-    r"\bby ignore or mapping\b": "by --ignore or --column",
-    r"\bwith mapping\b": "with --column 'LABEL=fz [N]'",
-}
-
-
-def in_cli_words(text: str) -> str:
-    """Return a message of an import with the CLI's options for those of the HTTP query."""
-    for pattern, option in _CLI_WORDS.items():
-        text = re.sub(pattern, option, text)
-    return text
+        plain(out, f"  {mistake_line(one)}")
 
 
 def plain(out: Console, text: str, style: str | None = None) -> None:
@@ -358,18 +333,3 @@ def fill(
     assert order is not None  # a budget is positive
     about = {"component": name, "stage": order.stage, "reason": order.reason}
     return {**about, "spent": spent, "failed": failures, "rows": now["rows"]}
-
-
-__all__ = [
-    "ProblemError",
-    "answer_table",
-    "bar",
-    "body_errors",
-    "component_table",
-    "fill",
-    "follow",
-    "in_cli_words",
-    "job_table",
-    "method_line",
-    "row_errors",
-]

@@ -276,9 +276,7 @@ TABLE_COMMANDS = {"import": import_table, "export": export_table, "withdraw": wi
 
 
 def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> None:
-    out.print(
-        Text(f"{finding['cause']}: {render.in_cli_words(finding['message'])}", style="yellow")
-    )
+    out.print(Text(f"{finding['cause']}: {finding['message']}", style="yellow"))
     if number is not None:
         command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
         many = finding["count"] or "all"

@@ -113,7 +113,7 @@ def number_problem(cell: str, comma: bool) -> str:
     if "," in cell or (comma and "." in cell):
         mark, name = (",", "comma") if comma else (".", "point")
         text = number_text(cell, comma, declared=True)
-        meant = f", or say decimal={mark} for {text}" if text is not None else ""
+        meant = f", or say decimal={mark} (--decimal {mark}) for {text}" if text is not None else ""
         return f"{quoted(cell)}: the file has a decimal {name}; write no other mark{meant}"
     if number_text(cell.split()[0], comma) is not None:
         return f"{quoted(cell)} is not a number alone; the unit stands in the header only"

@@ -67,7 +67,10 @@ _ATI_UNITS = {
     "kN*m": ("kilonewton-meter",),
 }
 _UNITS = {spelling: unit for unit, spellings in _ATI_UNITS.items() for spelling in spellings}
-_ALONE = "; a log of loads alone: send the log of its displacements too, as displacements=FILE"
+_ALONE = (
+    "; a log of loads alone: send the log of its displacements too, as displacements=FILE "
+    "(--displacements FILE)"
+)
 
 Record = tuple[int, list[str]]
 """The line of a record in its file, from 1, and its cells."""
@@ -301,7 +304,9 @@ def _read_labels(
             mistake = FileMistake(line, label or f"column {index + 1}", str(error))
             header.mistakes.append(mistake)
     for name in names.missing_from(labels) if options.role == "table" else ():
-        message = "is named by ignore or mapping, and the file has no such column"
+        message = (
+            "is named by ignore or mapping (--ignore or --column), and the file has no such column"
+        )
         header.mistakes.append(FileMistake(line, name, message))
     for message in _missing_columns(header, labels, options):
         header.mistakes.append(FileMistake(line, "header", message))
@@ -392,7 +397,10 @@ class _ColumnNames:
         if len(fits) == 1:
             return next(iter(fits.values()))
         if len(fits) > 1:
-            raise UnitError(f"can be {' or '.join(sorted(fits))}; name one with mapping")
+            raise UnitError(
+                f"can be {' or '.join(sorted(fits))}; name one with mapping (--column "
+                "'LABEL=fz [N]')"
+            )
         # With brackets, or as a bare name, the label names a column and its unit is the mistake.
         if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
             raise problem
@@ -429,8 +437,9 @@ def _unknown(name: str, columns: Columns) -> str:
     near = difflib.get_close_matches(name, (*columns.numbers, *TEXTS), n=1, cutoff=0.6)
     hint = f"; did you mean {near[0]}? Units stand in brackets: fx [N]" if near else ""
     return (
-        f"is not a column of a table{hint}. Rename it, name it in ignore, or say what it is with "
-        f"mapping; there are {' '.join(columns.wrench)} {' '.join(columns.displacement)}, a "
+        f"is not a column of a table{hint}. Rename it, name it in ignore (--ignore), or say what "
+        "it is with mapping (--column 'LABEL=fz [N]'); there are "
+        f"{' '.join(columns.wrench)} {' '.join(columns.displacement)}, a "
         f"displacement's with _err, {columns.compliance[0]} ... {columns.compliance[-1]}, source, "
         "note, fingerprint"
     )
@@ -462,7 +471,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
         out = f" (left out: {', '.join(header.ignored)})" if header.ignored else ""
         yield (
             f"there is no column for {', '.join(absent)}{out}; if these loads were zero, say "
-            "missing_loads=zero"
+            "missing_loads=zero (--missing-loads-zero)"
         )
     for name in columns.further if options.role != "displacements" else ():
         if name not in named:

@@ -135,6 +135,7 @@ def with_loads(
     if report.read and report.unmatched == report.read and not report.mistakes:
         message = (
             f"no displacement lies between two loads, whose times are {time[0]:g} to {time[-1]:g} "
-            "s; do the clocks differ? lag (time_offset_s) is added to the displacements' times"
+            "s; do the clocks differ? lag (time_offset_s, --lag SECONDS) is added to the "
+            "displacements' times"
         )
         report.mistakes.ruin(0, "time", message)

@@ -147,7 +147,7 @@ def _ambiguity(cell: str) -> str:
     number, other = cell.replace(",", "."), cell.replace(mark, "")
     return (
         f"'{cell}' is {number} or {other}, and no number in the file decides; say "
-        f"decimal={mark} for {number}, decimal={point} for {other}"
+        f"decimal={mark} (--decimal {mark}) for {number}, decimal={point} for {other}"
     )
 
 
@@ -236,7 +236,7 @@ def _unnamed_problem(cells: list[str], header: Header) -> str:
         return ""
     return (
         f"has a value in column {index + 1}, which has no name in the header; name it, or "
-        "leave it out with ignore_extra"
+        "leave it out with ignore_extra (--ignore-extra)"
     )
 
 

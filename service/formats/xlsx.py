@@ -113,7 +113,9 @@ def _sheet(file: BinaryIO, name: str | None, *, values: bool) -> Any:
     sheets = [sheet for sheet in book.worksheets if name is None or sheet.title == name]
     if not sheets:
         known = ", ".join(sheet.title for sheet in book.worksheets)
-        raise NoSheetError(f"there is no sheet {name!r}; it has {known or 'none'}: say sheet=NAME")
+        raise NoSheetError(
+            f"there is no sheet {name!r}; it has {known or 'none'}: say sheet=NAME (--sheet NAME)"
+        )
     sheet = sheets[name is None and len(sheets) > 1 and sheets[0].title == ABOUT_SHEET]
     sheet.reset_dimensions()  # those that a file states may be wrong
     return sheet

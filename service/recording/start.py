@@ -136,8 +136,8 @@ def _start(
         )
     if beyond:
         reasons.append(
-            f"{beyond} are outside the load range: start with beyond_range true to solve them all "
-            "the same"
+            f"{beyond} are outside the load range: start with beyond_range true (--beyond-range) "
+            "to solve them all the same"
         )
     if not len(unknown) and not reasons:
         any_known = solved.any() or covered.any()

@@ -13,7 +13,7 @@ import wrenchbook
 from tests.service.client.answers import LinearTable
 
 mujoco: Any = _mujoco
-ARM = Path(wrenchbook.__file__).parent / "data" / "scenes" / "arm.xml"
+ARM = Path(__file__).parents[2] / "data" / "scenes" / "arm.xml"
 FIRST = 27.0  # Hz
 # s, a move of all joints by up to 1.2 rad, from rest to rest. Of the 0.6 % that answers at rest are
 # off, 0.5 are inertia and damping, which they do not know; moves in 1 s are off by 2 %.

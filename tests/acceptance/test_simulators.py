@@ -18,7 +18,7 @@ from tests.service.client.answers import LinearTable, bar_compliance
 from tests.service.client.scenes import pendulum_wrench
 from tests.service.live import add_rows, as_rows, served
 
-SCENES = Path(wrenchbook.__file__).parent / "data" / "scenes"
+SCENES = Path(__file__).parents[2] / "data" / "scenes"
 TURNED = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
 POINT = np.array([0.1, 0.2, 1.0])
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -20,7 +20,7 @@ from tests.acceptance.conftest import RealServer
 from tests.service.live import add_rows, as_rows, clean_wrenches
 
 mujoco: Any = _mujoco
-ARM = Path(wrenchbook.__file__).parent / "data" / "scenes" / "arm.xml"
+ARM = Path(__file__).parents[2] / "data" / "scenes" / "arm.xml"
 # Short rounds, many of them: on a busy machine the best is one that nobody interrupted.
 SECONDS, ROUNDS, SYNC = 0.1, 60, 0.005
 FULL = np.array([500.0] * 3 + [200.0] * 3)  # N and N·m

@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 import wrenchbook
+from tests.service.live import served
 from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_client_calls import COVERED, QUEUED
 from wrenchbook.service.cli.main import main
@@ -268,6 +269,7 @@ def test_plan_sends_the_scene_of_a_file_and_prints_what_is_left_out(
         "solves": {"whole": 15, "scene": 5},
         "saves": {"build_s": 0.5, "memory_bytes": 2_000_000, "us_per_answer": -1.0},
         "saves_from": {"build_s": "measured", "memory_bytes": "counted"},
+        "tolerance": {"translation": 1e-5, "rotation": 1e-5}, "table_version": 3,
     }  # fmt: skip
     file = tmp_path / "scene.toml"
     file.write_text("[components.plate]\nforce = [0, 0, 5]\nmoment = [0, 0, 0]\n")
@@ -380,20 +382,15 @@ def test_import_sends_a_lag_and_prints_what_the_logs_show(stub: Stub, run: Run, 
     )
 
 
-def test_a_refused_import_names_the_options_of_the_command_line(
-    stub: Stub, run: Run, tmp_path: Path
-):
-    (tmp_path / "loads.csv").write_text("time [s]")
-    message = "no column for mz; if these loads were zero, say missing_loads=zero"
-    error = {"row": 1, "field": "header", "message": message, "loc": "row 1", "msg": message}
-    detail = "Say partial=true; a log alone: displacements=FILE"
-    stub.answers(Answer({"title": "Mistakes", "detail": detail, "errors": [error]}, 422))
-    status, _, err = run("import", "plate", str(tmp_path / "loads.csv"))
-    shown = " ".join(err.split())
+def test_a_refused_import_names_the_options_of_the_command_line(run: Run, tmp_path: Path):
+    (tmp_path / "loads.csv").write_text("fz [N],ux [m]\n1,2\n")
+    load_range = {"force": [9.0] * 3, "moment": [9.0] * 3}
+    with served(tmp_path / "data") as client:
+        client.add_component({"name": "rig", "title": "rig", "range": load_range})
+        file = str(tmp_path / "loads.csv")
+        status, _, err = run("import", "rig", file, "--server", client.url)
     assert status == 1
-    assert "Say --partial; a log alone: --displacements FILE" in shown
-    assert "say --missing-loads-zero" in shown
-    assert "missing_loads" not in shown
+    assert "missing_loads=zero (--missing-loads-zero)" in " ".join(err.split())
 
 
 def test_withdraw_lists_findings_with_the_command_that_withdraws_their_rows(stub: Stub, run: Run):

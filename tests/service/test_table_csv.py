@@ -185,7 +185,7 @@ def test_mixed_decimal_marks_are_an_error_and_not_a_guess():
     table = read_csv(f"{header}\n1,5;0;0;0;0;0;0\n1.234;0;0;0;0;0;0\n1.234,5;0;0;0;0;0;0\n")
     assert [(error.row, error.field) for error in table.errors] == [(3, "fx [N]")]
     assert (
-        "the file has a decimal comma; write no other mark, or say decimal=, for 1234"
+        "the file has a decimal comma; write no other mark, or say decimal=, (--decimal ,) for 1234"
         in table.errors[0].message
     )
     assert table.wrench[:, 0].tolist() == [1.5, 1234.5]
@@ -260,7 +260,10 @@ def test_missing_load_columns_are_zero_and_missing_displacements_not_measured():
         ("forces_x [N]", "is not a column of a table"),
         ("Fxx [N]", "did you mean fx?"),
         ("fx_Q", "did you mean fx? Units stand in brackets: fx [N]"),
-        ("temperature [K]", "Rename it, name it in ignore, or say what it is with mapping"),
+        (
+            "temperature [K]",
+            "Rename it, name it in ignore (--ignore), or say what it is with mapping",
+        ),
         ("fx [N", "is not of the form name [unit]"),
         ("[N]", "is not of the form name [unit]"),
         ("ux [mm]", "ux stands twice; keep one"),

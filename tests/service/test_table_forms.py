@@ -197,7 +197,7 @@ def test_texts_of_numbers_follow_one_law_of_marks_in_every_format(form, texts, d
 
 @TYPED
 def test_a_text_with_a_mark_that_may_part_thousands_is_asked_for_in_every_format(form):
-    assert "say decimal=, for 15.009" in error_of(form(loads_of("15,009")))
+    assert "say decimal=, (--decimal ,) for 15.009" in error_of(form(loads_of("15,009")))
 
 
 @pytest.mark.parametrize("form", [as_sheet, as_records])

@@ -216,7 +216,7 @@ def _block_fields(name: str, count: int, result: BlockResult) -> dict[str, Any]:
     if result.outside:
         remarks.append(
             f"{result.outside} of these are outside the load range: they are kept, and solved only "
-            "by a start with beyond_range true"
+            "by a start with beyond_range true (--beyond-range)"
         )
     return {
         "component": name,

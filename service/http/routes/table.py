@@ -293,7 +293,7 @@ def _refused(reply: dict[str, Any]) -> HttpProblemError:
         "The table has mistakes",
         f"Nothing was loaded. {len(errors)} mistake(s); the first is in row {first['row']}, "
         f"{first['field']}: {first['message']}. Mend them and send the whole file again, or "
-        "say partial=true to load the good rows.",
+        "say partial=true (--partial) to load the good rows.",
         **{
             **reply,
             "errors": [
