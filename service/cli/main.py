@@ -284,7 +284,10 @@ def plan(
     with connected(server, data) as client:
         plans = read.plan(client)
     if as_json:
-        print_json({"components": {name: one.raw for name, one in plans.items()}})
+        bodies = {name: plan.raw for name, plan in plans.items()}
+        for body in bodies.values():
+            del body["component"]
+        print_json({"components": bodies})
     else:
         plan_table.show(out, plans)
 
