@@ -14,6 +14,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,9 @@ import typer
 
 import wrenchbook
 from tests.service.live import served
+from wrenchbook.service.cli.local import PROGRAMS
 from wrenchbook.service.cli.main import app
+from wrenchbook.service.files.program import child_command
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "data/docs"
@@ -101,8 +104,18 @@ def commands(page: Path) -> Iterator[tuple[int, list[str]]]:
                 yield line, shlex.split(words, comments=True)[1:]
 
 
+@cache
+def help_of(program: str) -> str:
+    command = child_command(f"wrenchbook.fea.check.{PROGRAMS[program][0]}", "--help")
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
 def parse(words: list[str]) -> None:
     """Parse a command line as far as that its command and options exist."""
+    if words[0] in PROGRAMS:
+        options = [word.partition("=")[0] for word in words if word.startswith("--")]
+        assert [option for option in options if option not in help_of(words[0])] == []
+        return
     command = typer.main.get_command(app)
     context = typer.Context(command, info_name="wrenchbook")
     while hasattr(command, "commands") and words and not words[0].startswith("-"):
