@@ -1,5 +1,6 @@
 """A server in this process, with a stand-in for finite elements."""
 
+import resource
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,15 @@ from wrenchbook.service.workspace import Settings
 
 HERE = Path(__file__).parent
 SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
+
+
+@pytest.fixture(autouse=True)
+def _address_space():
+    """Lift the limit that a solver sets which a test runs in this process."""
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    yield
+    if resource.getrlimit(resource.RLIMIT_AS) != limits:
+        resource.setrlimit(resource.RLIMIT_AS, limits)
 
 
 @pytest.fixture
