@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..messages import JobLink, Queued
-from .errors import InvalidArgument, ServerTimeout
+from .errors import InvalidArgument, Json, ServerTimeout
 from .request import (
     Call,
     Item,
@@ -22,7 +22,7 @@ from .request import (
     sync_and_async,
     sync_and_async_iterator,
 )
-from .wrenches import options
+from .wrenches import Tolerance, options
 
 Vector = NDArray[np.float64]
 ENDED = ("done", "failed", "cancelled")
@@ -198,10 +198,10 @@ class JobCalls:
     def fill(
         self,
         name: str,
-        tolerance: Any = None,
+        tolerance: Tolerance | None = None,
         budget: int | None = None,
         *,
-        range: Mapping[str, Any] | None = None,  # noqa: A002 (the contract's word)
+        range: Mapping[str, Json] | None = None,  # noqa: A002 (the contract's word)
         outputs: Sequence[str] | None = None,
         for_joint: bool = False,
     ) -> Call[Round]:
@@ -236,12 +236,12 @@ class JobCalls:
     def fill_until(
         self,
         name: str,
-        tolerance: Any = None,
+        tolerance: Tolerance | None = None,
         budget: int = 100,
         *,
         round_size: int = ROUND,
         timeout: float = 3600.0,
-        range: Mapping[str, Any] | None = None,  # noqa: A002 (the contract's word)
+        range: Mapping[str, Json] | None = None,  # noqa: A002 (the contract's word)
         outputs: Sequence[str] | None = None,
         for_joint: bool = False,
     ) -> Items[Round]:
@@ -316,9 +316,9 @@ def _ended(job: Job | int | Answer, timeout: float) -> Call[Job]:
 
 def _fill(
     name: str,
-    tolerance: Any,
+    tolerance: Tolerance | None,
     budget: int | None,
-    range_: Mapping[str, Any] | None,
+    range_: Mapping[str, Json] | None,
     outputs: Sequence[str] | None,
     for_joint: bool,
 ) -> Call[Round]:

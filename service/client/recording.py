@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from .. import messages
 from ..contract import LOADS, MAX_BLOCK
 from ..messages import Envelope, Recording
-from .errors import InvalidArgument
+from .errors import Document, InvalidArgument
 from .job import Job
 from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
-from .wrenches import many_wrenches, options, tolerance_body
+from .wrenches import Tolerance, many_wrenches, options, tolerance_body
 
 Kind = Literal["recording", "envelope"]
 KINDS: tuple[Kind, ...] = ("recording", "envelope")
@@ -35,7 +35,7 @@ class RecordingCalls:
     """
 
     @sync_and_async
-    def record(self, name: str, wrenches: ArrayLike) -> Call[dict[str, Any]]:
+    def record(self, name: str, wrenches: ArrayLike) -> Call[Document]:
         """LM_direct: save wrenches, shape (n, inputs), N and N·m, in a component's recording.
 
         Returns
@@ -89,7 +89,7 @@ class RecordingCalls:
         return (yield from _start(name, "recording/start", body))
 
     @sync_and_async
-    def widen_envelope(self, name: str, wrenches: ArrayLike) -> Call[dict[str, Any]]:
+    def widen_envelope(self, name: str, wrenches: ArrayLike) -> Call[Document]:
         """LM_max: widen a component's envelope by wrenches, shape (n, inputs), N and N·m.
 
         Returns
@@ -100,7 +100,7 @@ class RecordingCalls:
         return (yield from _send_blocks(name, "envelope", wrenches))
 
     @sync_and_async
-    def envelope(self, name: str, tolerance: Any = None) -> Call[Envelope]:
+    def envelope(self, name: str, tolerance: Tolerance | None = None) -> Call[Envelope]:
         """Return a component's envelope; with `tolerance` (m, rad) in the place of its own."""
         query = None if tolerance is None else tolerance_body(tolerance)
         reply = yield json_request("GET", component_path(name, "envelope"), query=query)
@@ -132,7 +132,7 @@ class RecordingCalls:
     @sync_and_async
     def send_block(
         self, name: str, kind: Kind, wrenches: bytes, client: str, sequence: int
-    ) -> Call[dict[str, Any]]:
+    ) -> Call[Document]:
         """Send a block of packed wrenches, little-endian float64 (n, inputs), under its key.
 
         However often it is sent, it is taken in once. A refused connection is not tried again.
@@ -147,7 +147,7 @@ def _block_request(
     return Request("POST", component_path(name, kind), wrenches, BINARY, query, retry=retry)
 
 
-def _send_blocks(name: str, kind: Kind, wrenches: ArrayLike) -> Call[dict[str, Any]]:
+def _send_blocks(name: str, kind: Kind, wrenches: ArrayLike) -> Call[Document]:
     """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as it takes."""
     block, client, reply = checked_rows(wrenches), secrets.token_hex(16), {}
     for sequence, start in enumerate(range(0, max(len(block), 1), MAX_BLOCK)):
@@ -156,7 +156,7 @@ def _send_blocks(name: str, kind: Kind, wrenches: ArrayLike) -> Call[dict[str, A
     return reply | {"recorded": len(block)}
 
 
-def _start(name: str, call: str, body: dict[str, Any]) -> Call[Started]:
+def _start(name: str, call: str, body: Document) -> Call[Started]:
     return Started.read((yield json_request("POST", component_path(name, call), body)).json())
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..contract import OUTPUTS
 from ..messages import Plan
-from .errors import InvalidArgument
+from .errors import Document, InvalidArgument, Json
 from .request import AsyncRunner, BlockingRunner, Call, json_request
 from .wrenches import tolerance_body
 
@@ -55,7 +55,7 @@ class Scene:
     >>> table = client.download("plate", scene=scene)               # doctest: +SKIP
     """
 
-    def __init__(self, components: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(self, components: Mapping[str, Mapping[str, Json]]) -> None:
         if not isinstance(components, Mapping) or not components:
             raise SceneError("a scene has at least one component: {'plate': {'force': [...], ...}}")
         self.components = {str(name): _checked(name, need) for name, need in components.items()}
@@ -86,7 +86,7 @@ class Scene:
     def __contains__(self, name: object) -> bool:
         return name in self.components
 
-    def wanted(self, name: str) -> dict[str, Any]:
+    def wanted(self, name: str) -> Document:
         """Return what ``Client.fill`` and ``fill_until`` take: range, outputs, tolerance.
 
         Raises
@@ -101,7 +101,7 @@ class Scene:
             "tolerance": one.get("tolerance"),
         }
 
-    def component(self, name: str) -> dict[str, Any]:
+    def component(self, name: str) -> Document:
         """Return what it needs of one component, as the wire has it.
 
         Raises
@@ -143,7 +143,7 @@ class Scene:
         return json.dumps(self.component(name), sort_keys=True)
 
 
-def _checked(name: str, need: Any) -> dict[str, Any]:
+def _checked(name: str, need: Json) -> Document:
     """Return one component's need as the wire has it."""
     if not isinstance(need, Mapping):
         raise SceneError(f"components.{name}: a table of {', '.join(_FIELDS)}, not {need!r}")
@@ -153,7 +153,7 @@ def _checked(name: str, need: Any) -> dict[str, Any]:
         )
     where = f"components.{name}"
     if (loads := need.get("loads")) is None:
-        body: dict[str, Any] = _wrench(where, need, ("force", "moment"))
+        body: Document = _wrench(where, need, ("force", "moment"))
     else:
         each = _named(f"{where}.loads", loads).items()
         body = {"loads": {one: _wrench(f"{where}.loads.{one}", own, own) for one, own in each}}
@@ -170,20 +170,20 @@ def _checked(name: str, need: Any) -> dict[str, Any]:
     return body
 
 
-def _named(where: str, given: Any) -> Mapping[str, Any]:
+def _named(where: str, given: Json) -> Mapping[str, Json]:
     if not isinstance(given, Mapping):
         raise SceneError(f"{where}: a table by name, not {given!r}")
     return given
 
 
-def _wrench(where: str, need: Any, words: Iterable[str]) -> dict[str, Any]:
+def _wrench(where: str, need: Json, words: Iterable[str]) -> Document:
     """Return the spans of force and moment; those that `words` names must be there."""
     if unknown := set(words) - {"force", "moment"}:
         raise SceneError(f"{where}: unknown {', '.join(sorted(unknown))}; it has force, moment")
     return {word: _spans(f"{where}.{word}", need.get(word)) for word in words}
 
 
-def _outputs(where: str, outputs: Any) -> list[str]:
+def _outputs(where: str, outputs: Json) -> list[str]:
     listed = isinstance(outputs, Sequence) and not isinstance(outputs, str)
     known = listed and all(str(one).rpartition(".")[2] in OUTPUTS for one in outputs)
     if not known or not outputs:
@@ -196,7 +196,7 @@ def _place(output: str) -> tuple[str, int]:
     return interface, OUTPUTS.index(own)
 
 
-def _spans(where: str, spans: Any) -> list[list[float]]:
+def _spans(where: str, spans: Json) -> list[list[float]]:
     """Return three spans [low, high], N or N·m."""
     if spans is None:
         raise SceneError(f"{where} is missing: three of [low, high]; [0, 0] for what cannot occur")
@@ -206,7 +206,7 @@ def _spans(where: str, spans: Any) -> list[list[float]]:
     return [_span(f"{where}.{place}", span) for place, span in enumerate(spans)]
 
 
-def _span(where: str, span: Any) -> list[float]:
+def _span(where: str, span: Json) -> list[float]:
     try:
         ends = np.asarray(span)
     except ValueError:  # ragged
