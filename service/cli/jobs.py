@@ -21,7 +21,7 @@ from wrenchbook.service.cli.render import job_table, plain
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.client import Client, Event, Job
 
-MOST_SHOWN = 50  # open jobs in the table before the first event
+MAX_SHOWN = 50  # open jobs in the table before the first event
 
 
 def jobs(
@@ -107,6 +107,6 @@ def _open_jobs(client: Client, component: str | None) -> list[Job]:
     found = [
         job
         for status in ("running", "waiting")
-        for job in client.jobs(component, status, limit=MOST_SHOWN)
+        for job in client.jobs(component, status, limit=MAX_SHOWN)
     ]
-    return found[:MOST_SHOWN]
+    return found[:MAX_SHOWN]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from . import Client
 
 BLOCK = 256
-MOST_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
+MAX_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
 FLUSH_S = 1.0  # a block that is not full is sent after this long: a slow loop is recorded too
 BACKOFF_S = (0.1, 5.0)  # between attempts while the server is away: doubled from, up to
 AT_EXIT_S = 5.0  # how long the end of the program waits for what is not sent
@@ -145,7 +145,7 @@ class Recorder:
             if self._closing:
                 raise RecorderError("the recorder is closed; make another one")
             self._check_failed()
-            if self._count >= MOST_PENDING:
+            if self._count >= MAX_PENDING:
                 raise RecorderError(
                     f"the wrench was not taken: {self._count} wrenches wait for the server "
                     f"({self._trouble or 'it is slow'}). `unsent` returns them; a slower loop, or "

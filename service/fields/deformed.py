@@ -24,7 +24,7 @@ from wrenchbook.service.fields.shape import (
 )
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.library.component import Component
-from wrenchbook.surrogate.field_weights import LEAST_LEFT_OUT, FieldWeights, nearest_rows
+from wrenchbook.surrogate.field_weights import MIN_LEFT_OUT, FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Rows, why_beyond
@@ -371,7 +371,7 @@ class Blend:
         moved = 3 * len(geometry.vertices)
         largest = float(np.abs(values[:, 0, :moved]).max(initial=0.0))
         blank = cls(geometry, weights, values, numbers, largest, None, 0.0, None)
-        if len(rows) < LEAST_LEFT_OUT:
+        if len(rows) < MIN_LEFT_OUT:
             return blank
         errors, sigmas = weights.left_out(values.__getitem__, values.shape[2])
         lengths = np.linalg.norm(errors[:, :moved].reshape(len(rows), -1, 3), axis=2)

@@ -69,7 +69,7 @@ def code_digest(*folders: str) -> str:
 _ARENA_MAX = -8  # M_ARENA_MAX of glibc's malloc.h
 # Each thread has a heap of its own otherwise, of 64 MiB of address space: the forty of a server
 # take 1.3 GB, 0.4 GB with few, and where addresses are limited no thread could be started.
-MOST_HEAPS = 4
+MAX_HEAPS = 4
 
 
 def give_back() -> None:
@@ -85,4 +85,4 @@ def give_back() -> None:
 def keep_few_heaps() -> None:
     """Let the threads that start from now on share heaps where the C library can (glibc)."""
     with suppress(OSError, AttributeError):  # another C library
-        ctypes.CDLL(None).mallopt(_ARENA_MAX, MOST_HEAPS)
+        ctypes.CDLL(None).mallopt(_ARENA_MAX, MAX_HEAPS)

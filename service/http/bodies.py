@@ -153,12 +153,12 @@ Span = Annotated[
 ]
 
 
-MOST_VALUES = 64  # inputs, outputs of a table
+MAX_VALUES = 64  # inputs, outputs of a table
 Outputs = Annotated[
     list[str] | None,
     Field(
         min_length=1,
-        max_length=MOST_VALUES,
+        max_length=MAX_VALUES,
         description="those that are read, ux to rz or left.ux ...; all if left out",
     ),
 ]
@@ -192,8 +192,8 @@ class SpaceSpan(Body):
     """
 
     # First: whether the others are needed depends on them.
-    loads: Annotated[dict[str, InterfaceSpan] | None, Field(max_length=MOST_VALUES)] = None
-    inputs: Annotated[dict[str, Span] | None, Field(max_length=MOST_VALUES)] = None
+    loads: Annotated[dict[str, InterfaceSpan] | None, Field(max_length=MAX_VALUES)] = None
+    inputs: Annotated[dict[str, Span] | None, Field(max_length=MAX_VALUES)] = None
     force: Annotated[Spans | None, Field(validate_default=True)] = None
     moment: Annotated[Spans | None, Field(validate_default=True)] = None
 
@@ -268,7 +268,7 @@ class TableOnlyComponent(Body):
     name: str
     title: str
     range: RangeBody | None = None
-    interface: Annotated[list[MeasuredInterface] | None, Field(max_length=MOST_VALUES)] = None
+    interface: Annotated[list[MeasuredInterface] | None, Field(max_length=MAX_VALUES)] = None
     inputs: MeasuredInputs | None = None
     tolerance: ToleranceBody | None = None
 

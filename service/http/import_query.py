@@ -14,7 +14,7 @@ from wrenchbook.service.http.bodies import Body
 
 _MAX_COLUMNS = 1000
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
-MOST_WAIT_S = 600.0  # a million rows take minutes
+MAX_WAIT_S = 600.0  # a million rows take minutes
 _POINT = "x,y,z from the interface's point in its frame, m: the point that"
 _LOAD_CELL = "the point where it is now, or where it was: translation x force is taken off them"
 _Text = Annotated[str, Field(max_length=1000)]
@@ -84,9 +84,7 @@ class ImportQuery(Body):
     ] = None
     wait_s: Annotated[
         float,
-        Field(
-            ge=0, le=MOST_WAIT_S, allow_inf_nan=False, description="for answers from the rows, s"
-        ),
+        Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False, description="for answers from the rows, s"),
     ] = WAIT_S
     note: Annotated[str, Field(max_length=10_000, description="kept with the import")] = ""
     filename: Annotated[str, Field(max_length=1000, description="kept with the import")] = ""

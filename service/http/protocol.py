@@ -32,8 +32,8 @@ from wrenchbook.service.query import answered_at_once, fields_of, plain_query
 
 log = logging.getLogger(__name__)
 
-MOST_CONNECTIONS: Final = 8192  # below the open files of a server, see `server.OPEN_FILES`
-MOST_HEAD_BYTES: Final = 64 * 1024  # what proxies and other servers take, or less
+MAX_CONNECTIONS: Final = 8192  # below the open files of a server, see `server.OPEN_FILES`
+MAX_HEAD_BYTES: Final = 64 * 1024  # what proxies and other servers take, or less
 HEAD_S: Final = 10.0  # for a head, from its first byte or from the connection's beginning
 BODY_S: Final = 30.0  # for a body, and the time that it takes at this rate:
 SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection has more
@@ -67,7 +67,7 @@ _TOO_LONG: Final = HttpProblemError(
     431,
     "head-too-long",
     "The head of the request is too long",
-    f"URL and header fields may have {MOST_HEAD_BYTES:,} bytes together; nothing was changed. "
+    f"URL and header fields may have {MAX_HEAD_BYTES:,} bytes together; nothing was changed. "
     "Send what is long as the body.",
 )
 
@@ -245,7 +245,7 @@ class FastPathProtocol(HttpToolsProtocol):
         super().connection_made(transport)
         self.flow = _Flow(transport, self.pipeline)
         self._since = self.loop.time()
-        if len(self.connections) > MOST_CONNECTIONS:
+        if len(self.connections) > MAX_CONNECTIONS:
             transport.close()
             return
         self._timer = self.loop.call_later(LOOK_S, self._check_timeouts)
@@ -371,7 +371,7 @@ class FastPathProtocol(HttpToolsProtocol):
 
         The refusal takes the place of a request whose body cannot be read further.
         """
-        refusal = _TOO_LONG if self._head_bytes > MOST_HEAD_BYTES else _NOT_HTTP
+        refusal = _TOO_LONG if self._head_bytes > MAX_HEAD_BYTES else _NOT_HTTP
         self._drops_input = self._is_last = True
         if self._in_request and self._in_body:
             if self.pipeline:
@@ -406,7 +406,7 @@ class FastPathProtocol(HttpToolsProtocol):
     def _count(self, size: int) -> None:
         """Count bytes of a head; the parser ends with an error at too many."""
         self._head_bytes += size
-        if self._head_bytes > MOST_HEAD_BYTES:
+        if self._head_bytes > MAX_HEAD_BYTES:
             raise ValueError("the head is too long")
 
     def _answer(self, fast: FastPath, data: bytes) -> bool:

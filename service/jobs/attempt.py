@@ -224,7 +224,7 @@ def _digest(content: Mapping[str, Any]) -> str:
     return blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-MOST_BYTES: Final = 1 << 30  # of all files together; a deck's solver may leave any number
+MAX_BYTES: Final = 1 << 30  # of all files together; a deck's solver may leave any number
 _MOST_TEXT: Final = 8 << 20
 _PIECE: Final = 1 << 18
 _TEXTS: Final = (".txt", ".json", ".log")
@@ -237,7 +237,7 @@ def zipped(folder: Path) -> IO[bytes]:
     anything on the machine. Texts lose the paths of the machine.
     """
     file: Any = tempfile.SpooledTemporaryFile(_MOST_TEXT)  # noqa: SIM115 (closed by the reader)
-    room, missing = MOST_BYTES, []
+    room, missing = MAX_BYTES, []
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.rglob("*")):  # it does not follow links
             if path.is_dir() and not path.is_symlink():

@@ -32,7 +32,7 @@ from wrenchbook.service.tables.coordinator_state import CoordinatorState
 from wrenchbook.surrogate.kernel.build import sources_hash
 
 # A component is a label and adds four series; GET /v1/components has the rest.
-MOST_COMPONENTS = 200
+MAX_COMPONENTS = 200
 FRESH_S = 1.0  # age of cached ledger statistics: several scrapers cost one query
 
 
@@ -123,7 +123,7 @@ class Metrics(Collector):
 
     def _of_tables(self) -> Iterator[Metric]:
         names, tables = self._workspace.library.names(), self._workspace.tables
-        some, now = names[:MOST_COMPONENTS], time.time()
+        some, now = names[:MAX_COMPONENTS], time.time()
         present = tables.present()
         known = {name: present[name] for name in some if present.get(name) is not None}
         written = {name: tables.written(name) for name in some}

@@ -175,7 +175,7 @@ def test_a_start_that_cannot_be_is_the_servers_problem(server, recorder):
 
 
 def test_a_full_memory_refuses_the_wrench_and_keeps_all_others(monkeypatch):
-    monkeypatch.setattr(recorder_module, "MOST_PENDING", 10)
+    monkeypatch.setattr(recorder_module, "MAX_PENDING", 10)
     recorder = Recorder(Client("http://127.0.0.1:9"), "plate", block=4)
     for _ in range(10):
         recorder.add(WRENCH)

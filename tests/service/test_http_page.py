@@ -12,7 +12,7 @@ from tests.service.conftest import SOLVERS
 from tests.service.live import FULL, as_rows, clean_wrenches, full_wrenches, moved
 from wrenchbook.service.http import problems
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.http.routes.jobs import MOST_LOG_BYTES
+from wrenchbook.service.http.routes.jobs import MAX_LOG_BYTES
 from wrenchbook.service.http.routes.page import FOLDER, router
 from wrenchbook.service.jobs.attempt import LOG
 from wrenchbook.service.workspace import Settings
@@ -213,7 +213,7 @@ def test_the_log_of_a_failed_job_names_no_folder_of_the_machine(http, failed, fo
 
 
 def test_of_a_long_log_the_end_is_told_and_how_much_is_missing(http, failed):
-    (failed / LOG).write_bytes(b"x" * 10 + b"y" * MOST_LOG_BYTES)
+    (failed / LOG).write_bytes(b"x" * 10 + b"y" * MAX_LOG_BYTES)
     told = http.get("/v1/jobs/1/log").text
     assert told.startswith("[the first 10 bytes are in .../files]\ny")
     assert "x" not in told.removeprefix("[the first 10 bytes are in .../files]")

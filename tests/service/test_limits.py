@@ -262,7 +262,7 @@ def test_who_leaves_before_the_request_is_whole_is_no_mistake_of_ours(asked, cal
 
 
 def test_no_more_connections_are_held_than_there_may_be(live, monkeypatch):
-    monkeypatch.setattr(protocol, "MOST_CONNECTIONS", 3)
+    monkeypatch.setattr(protocol, "MAX_CONNECTIONS", 3)
     held = [opened(live) for _ in range(8)]
     closed = sum(connection.recv(1) == b"" for connection in held)  # all, in the end
     assert closed == 8

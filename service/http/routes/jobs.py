@@ -29,7 +29,7 @@ from wrenchbook.surrogate.table.space import DEFAULT
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422))
 # The end, where the reason stands; all of it is in the attempt's files.
-MOST_LOG_BYTES = 64 * 1024
+MAX_LOG_BYTES = 64 * 1024
 CODE = pathlib.Path(__file__).parents[3]
 
 
@@ -190,11 +190,11 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
         raise HttpProblemError(404, "no-files", "No log", why)
     with path.open("rb") as log:
         size = log.seek(0, 2)
-        log.seek(max(0, size - MOST_LOG_BYTES))
-        end = log.read(MOST_LOG_BYTES).decode(errors="replace")
+        log.seek(max(0, size - MAX_LOG_BYTES))
+        end = log.read(MAX_LOG_BYTES).decode(errors="replace")
     shown = without_places(end, workspace.settings.data)
-    if size > MOST_LOG_BYTES:
-        shown = f"[the first {size - MOST_LOG_BYTES} bytes are in .../files]\n{shown}"
+    if size > MAX_LOG_BYTES:
+        shown = f"[the first {size - MAX_LOG_BYTES} bytes are in .../files]\n{shown}"
     return Response(shown, 200, None, "text/plain")
 
 

@@ -43,7 +43,7 @@ ImportId = Annotated[int, Path(ge=1, lt=2**63, description="the number of the im
 Finding = Annotated[
     str | None, Query(max_length=100, description="cause of a finding: its rows; else all rows")
 ]
-MOST_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
+MAX_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
 
 
 @router.post(
@@ -85,7 +85,7 @@ def unarchive_component(name: str, request: Request) -> Response:
     openapi_extra=takes(NotesBody),
 )
 async def write_notes(name: str, request: Request) -> Response:
-    text = read_body(NotesBody, await read_limited(request.receive, MOST_NOTES_BYTES)).text
+    text = read_body(NotesBody, await read_limited(request.receive, MAX_NOTES_BYTES)).text
     if problem := text_problem(text):
         raise bad_body([{"loc": "text", "msg": problem}])
     return await run_in_threadpool(_put, request, name, notes=text)
