@@ -237,7 +237,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     a solve outside the load range, NoSetupError if nothing can be solved, SolveFailedError if the
     solve of this wrench failed, TableBehindError if only rows that are being built can answer.
     """
-    name = outcome.component
+    name, outcome.began = outcome.component, time.time()
     if outcome.table.needs_compliance:
         workspace.surrogate(name)  # has its solves queued
     component = workspace.library[name]
@@ -251,7 +251,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         row = _rows_at(component, rows, wrench)[0]
         if row is not None:
             return _by_row(workspace, query, outcome, row)
-    outcome.began, outcome.unsolved = time.time(), True
+    outcome.unsolved = True
     submission, beyond = workspace.submission, ""
     component = submission.solvable(name)
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:

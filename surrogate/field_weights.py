@@ -29,7 +29,7 @@ from .kriging.factor import KrigingFactor, factorise
 from .kriging.settings import DEFAULTS, KrigingSettings
 from .table.rows import Floats, LoadRange
 
-LEAST_LEFT_OUT = 4  # rows left out below which they say nothing of an error's size
+MIN_LEFT_OUT = 4  # rows left out below which they say nothing of an error's size
 
 
 @dataclass(frozen=True)

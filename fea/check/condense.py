@@ -29,6 +29,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("folder", type=Path, help="folder of the component bundle")
     add("out", type=Path, help="the file to write, .npz")
     options = parser.parse_args(arguments)
+    if options.out.suffix.lower() != ".npz":
+        parser.error(f"{options.out}: the file is an .npz")
+    if not options.out.absolute().parent.is_dir():
+        parser.error(f"{options.out}: there is no folder {options.out.absolute().parent}")
     try:
         found = vars(Solver(read_bundle(options.folder)).craig_bampton(options.modes))
         with options.out.open("wb") as file:

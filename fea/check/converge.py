@@ -34,6 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--plot", type=Path, help="write errors over cell sizes as a page, .html")
     add("folder", type=Path, help="folder of the component bundle")
     options = parser.parse_args(arguments)
+    if options.plot is not None and options.plot.suffix.lower() not in (".html", ".htm"):
+        parser.error(f"--plot {options.plot}: the page is an .html file")
+    if options.plot is not None and not options.plot.absolute().parent.is_dir():
+        parser.error(f"--plot {options.plot}: there is no folder {options.plot.absolute().parent}")
     try:
         bundle = read_bundle(options.folder)
         file = write(bundle, studied(bundle, options.finer))
