@@ -173,7 +173,7 @@ def test_metrics_are_told_while_the_ledger_cannot_be_used(rig, folder, monkeypat
 
 
 def test_no_more_than_a_bounded_number_of_components_becomes_labels(rig, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.ops.metrics.MOST_COMPONENTS", 2)
+    monkeypatch.setattr("wrenchbook.service.ops.metrics.MAX_COMPONENTS", 2)
     found = samples(rig)
     assert sum(name == "wrenchbook_table_version" for name, *_ in found) <= 2
     assert found["wrenchbook_components",] == len(rig.app.state.workspace.library.names())
