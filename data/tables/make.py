@@ -235,7 +235,7 @@ REPLIES: dict[str, dict[str, Any]] = {
     "thousands.csv": {
         "status": 422,
         "query": ZERO,
-        "errors": [[2, "fz [N]", "say decimal=, for 1.250"]],
+        "errors": [[2, "fz [N]", "say decimal=, (--decimal ,) for 1.250"]],
     },
     "open_quote.csv": {
         "status": 422,

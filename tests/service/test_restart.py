@@ -245,7 +245,7 @@ def supervisor(monkeypatch):
     monkeypatch.setattr(supervisors, "REFUSE_AFTER_S", 0.0)
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     with socket.socket() as bound, socket.socket() as StandIn.sentinel:
-        yield from _looking(Supervisor({"processes": 2}, bound, "ready"))
+        yield from _looking(Supervisor(Settings(processes=2), bound, "ready"))
 
 
 def _looking(made):
