@@ -166,6 +166,8 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     supported = bundle.supports is not None or any(one.held for one in bundle.interfaces)
     if bundle.mesh is None or bundle.interface is None or not supported:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
+        if bundle.deck is not None:
+            message = "missing; the [deck] is solved by its own command, and nothing is meshed here"
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)

@@ -41,7 +41,8 @@ def table_format(file: str | Path) -> str:
     if suffix.lower() not in _ENDINGS:
         named = f"the ending {suffix}" if suffix else "no ending"
         raise InvalidArgument(
-            f"{file} has {named}, which is no form of a table; there are {', '.join(_ENDINGS)}"
+            f"{file} has {named}, which is no form of a table; there are {', '.join(_ENDINGS)}, "
+            "and with wrenchbook export .fmu and .zip"
         )
     return _ENDINGS[suffix.lower()]
 

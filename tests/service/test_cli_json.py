@@ -233,6 +233,27 @@ def test_a_condensed_part_tells_its_frames(run, tmp_path):
         assert found["free"][0] == pytest.approx(arrays["free"][0], rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("condense", "bar", "bar.txt"), "the file is an .npz"),
+        (("condense", "bar", "nowhere/bar.npz"), "there is no folder"),
+        (("converge", "bar", "--plot", "errors.png"), "the page is an .html file"),
+        (("converge", "bar", "--plot", "nowhere/errors.html"), "there is no folder"),
+        (("converge", "plate_ccx"), "the [deck] is solved by its own command"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_refused_before_anything_is_solved(
+    run, tmp_path, monkeypatch, words, says
+):
+    monkeypatch.chdir(tmp_path)
+    command, part, *rest = words
+    status, said = run(command, str(SHIPPED / part), *rest)
+    assert status != 0
+    assert says in said
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_part_that_cannot_be_condensed_says_why(run, tmp_path):
     status, _ = run("condense", str(tmp_path), str(tmp_path / "none.npz"), "--json")
     assert status == 1

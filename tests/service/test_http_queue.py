@@ -48,6 +48,14 @@ def test_300_steps_of_a_pendulum_do_not_queue_300_jobs(http, scale):
     assert 1 <= len(open_jobs(http)) <= 10
 
 
+def test_the_solve_that_a_linear_parts_first_query_queues_is_new_to_it(http):
+    """The reply said that it had been queued before: the design of the part came first."""
+    call = CALL.replace("plate_thin", "bar")
+    body = {"force": [100.0, 20.0, -15.0], "moment": [1.0, 0.0, -1.0]}
+    assert http.post(call, json=body).json()["job"]["new"]
+    assert not http.post(call, json=body).json()["job"]["new"]
+
+
 def test_two_wrenches_a_millionth_of_a_millionth_apart_are_one_job_even_when_it_is_done(
     http, stand_in, scale
 ):
