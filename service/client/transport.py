@@ -263,10 +263,12 @@ class Transport:
         return "\r\n".join([*lines, "", ""]).encode("latin-1")
 
     def _unreachable(self, error: BaseException) -> ServerUnreachable:
-        unreachable = ServerUnreachable(
-            f"no answer from {self.url} ({error or type(error).__name__}); "
-            "start a server with: wrenchbook serve"
-        )
+        why = str(error) or type(error).__name__
+        text = f"no answer from {self.url} ({why}); start a server with: wrenchbook serve"
+        closed = ConnectionResetError, BrokenPipeError, http.client.IncompleteRead
+        if isinstance(error, closed):
+            text = f"{self.url} ended the connection before its reply ({why}); try again"
+        unreachable = ServerUnreachable(text)
         unreachable.refused = isinstance(error, ConnectionRefusedError)
         return unreachable
 
