@@ -25,6 +25,7 @@ from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.service.workers.supervisor import IN_USE
 
 log = logging.getLogger(__name__)
 
@@ -186,10 +187,7 @@ def run(settings: Settings, started: threading.Event) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     state = CoordinatorState(settings.data / FOLDER)
     if not state.take():
-        log.error(
-            "another server uses %s; stop it first, or serve another directory with --data",
-            settings.data,
-        )
+        log.error(IN_USE.format(settings.data))
         sys.exit(STARTUP_FAILURE)
     try:
         with opened(settings) as parts, building(settings, parts, state):
