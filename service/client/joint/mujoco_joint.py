@@ -171,13 +171,7 @@ class MujocoJoint(Joint):
         model, data, dofs = self._model, self._data, self._dofs
         dt = float(model.opt.timestep)
         self._watch_base()
-        position, moved, turned = data.qpos, np.zeros(3), np.zeros(3)
-        moved[self.free[self.free < 3]] = position[self._slides]
-        if self._turns:
-            engine.mju_quat2Vel(turned, position[self._turn : self._turn + 4], 1.0)
-            turned = turned @ self._axes
-        elif self._turn >= 0:
-            turned[self.free[-1] - 3] = position[self._turn]
+        moved, turned = self._displacement()
         wrench, stiffness = self.state(moved, turned)
         # From the joints' velocities to those of the contract, shape (6, free): a ball's is that of
         # the tip in its own axes; the contract's about fixed ones.
@@ -200,6 +194,17 @@ class MujocoJoint(Joint):
             force = np.linalg.solve(implicit, self._law[0] + slope @ velocity)
             self._law = force, np.zeros_like(slope)
         data.qfrc_applied[dofs] = -(self._law[0] + self._law[1] @ data.qvel[dofs])
+
+    def _displacement(self) -> tuple[Vector, Vector]:
+        """Return translation, m, and rotation vector, rad, in the undeformed interface frame."""
+        position, moved, turned = self._data.qpos, np.zeros(3), np.zeros(3)
+        moved[self.free[self.free < 3]] = position[self._slides]
+        if self._turns:
+            engine.mju_quat2Vel(turned, position[self._turn : self._turn + 4], 1.0)
+            turned = turned @ self._axes
+        elif self._turn >= 0:
+            turned[self.free[-1] - 3] = position[self._turn]
+        return moved, turned
 
     def _watch_base(self) -> None:
         """Warn once that the base has been put elsewhere by a body without velocity."""
