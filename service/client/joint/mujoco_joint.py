@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import JointError, JointWarning, required, warn
 from ..rotation import rotation_matrix
+from ..wrenches import Vector
 from .joint import FREEDOMS, Joint
 
 if TYPE_CHECKING:
