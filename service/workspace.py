@@ -223,7 +223,7 @@ class Workspace:
         """Return what is wrong with single components, by name; the others answer."""
         damaged: dict[str, str] = {}
         if losses := self.ledger.losses():
-            damaged["(ledger)"] = f"{'; '.join(losses)}. Settle it with: wrenchbook doctor --mend"
+            damaged["(ledger)"] = f"{'; '.join(losses)}. Note it with: wrenchbook doctor --repair"
         for seq, name in self.ledger.damaged.items():
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
         return {**damaged, **self.tables.faults(), **self.library.broken()}

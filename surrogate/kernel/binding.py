@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..answer import NAMES
-from ..packed.format import CHECKED, Packed, PackedTableError, checksum_in, map_file, read
+from ..packed.format import CHECKSUM, Packed, PackedTableError, map_file, read
 from ..packed.reasons import Reason, text_of
 from ..table.definite import sample_of, weakest
 from ..table.space import Space
@@ -125,7 +125,7 @@ class PackedTable:
     @property
     def checksum(self) -> int:
         """The CRC-32 of the file's content, from its header."""
-        return checksum_in(bytes(self._packed.content[:CHECKED]))
+        return int.from_bytes(self._packed.content[CHECKSUM], "little")
 
     def answer(
         self,

@@ -107,10 +107,10 @@ def test_a_truncated_or_a_longer_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "words"), [(4, "use a newer wrenchbook"), (0, "write it again")]
+    ("number", "words"), [(5, "use a newer wrenchbook"), (3, "download it again")]
 )
 def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch):
-    monkeypatch.setattr(packed_format, "OLDEST_FORMAT", number)
+    monkeypatch.setattr(packed_format, "FORMAT", number)
     content = b"".join(pack(table_of("linear")))
     monkeypatch.undo()
     (tmp_path / "plate.wbt").write_bytes(content)
@@ -122,14 +122,6 @@ def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch)
     ):
         with pytest.raises(PackedTableError, match=says):
             opens(source)
-
-
-@pytest.mark.parametrize(
-    ("kind", "number"), [("solved", 1), ("second derivatives of some", 2), ("own length scales", 3)]
-)
-def test_only_second_derivatives_need_the_newest_format(kind, number):
-    """Programs of version 0.2, which read format 1, read the tables that they can answer from."""
-    assert int.from_bytes(content_of(kind)[8:12], "little") == number
 
 
 OPTIONAL = re.compile(  # words are made of these, or there is no such part without them
