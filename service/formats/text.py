@@ -268,6 +268,8 @@ class _Conversion:
             for block in (names.uncertainty, names.compliance, names.curvature)
         )
         time = self._times() if options.role != "table" else None
+        if options.role == "loads":
+            displacement = np.zeros(displacement.shape)  # those of the other log count
         self._check_status()
         if options.role != "loads":
             labels = [columns[name].label for name in names.displacement if name in columns]
@@ -277,18 +279,20 @@ class _Conversion:
         self._check_whole(compliance, names.compliance, "tangents")
         self._check_whole(curvature, names.curvature, "third derivatives")
         source, note, fingerprint = (self._texts(name) for name in TEXTS)
-        piece = ParsedTable(
-            wrench,
-            displacement,
-            uncertainty,
-            compliance.reshape(len(self._row), len(names.displacement), len(names.wrench)),
-            source,
-            note,
-            fingerprint,
-            row=self._row,
-            time=time,
-            curvature=curvature if any(curvature.strides) else None,
-        )
+        shape = len(self._row), len(names.displacement), len(names.wrench)
+        piece = {
+            "seq": self._row,
+            "wrench": wrench,
+            "displacement": displacement,
+            "compliance": compliance.reshape(shape),
+            "curvature": curvature if any(curvature.strides) else np.empty((len(self._row), 0)),
+            "uncertainty": uncertainty,
+            "source": np.array(source, dtype=str),
+            "fingerprint": np.array(fingerprint, dtype=str),
+            "space": options.space,
+            "note": note,
+            "time": time,
+        }
         return good_rows(piece, self._good, options, report)
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:
