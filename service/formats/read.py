@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.formats.arrow import read_parquet
-from wrenchbook.service.formats.columns import TEXTS
 from wrenchbook.service.formats.csv import read_csv
 from wrenchbook.service.formats.hdf5 import read_hdf5, read_mat
 from wrenchbook.service.formats.json import read_json
@@ -306,8 +305,9 @@ def _part(piece: ParsedTable) -> Part:
     arrays = {
         name: column for name, column in columns.items() if column.size and any(column.strides)
     }
-    texts = {name: list(getattr(piece, name)) for name in TEXTS}
-    texts["source"] = [source or MEASURED for source in texts["source"]]
+    source = np.where(piece.source == "", MEASURED, piece.source)
+    texts = {"source": source.tolist(), "fingerprint": piece.fingerprint.tolist()}
+    texts["note"] = list(piece.note)
     packed = {
         name: column[0] if len(set(column)) == 1 else column for name, column in texts.items()
     }

@@ -231,10 +231,10 @@ def _shift(wrench: Array, displacement: Array) -> Array:
     for first in range(0, displacement.shape[1], PER_INTERFACE):
         force, moved = (values[:, first : first + 3] for values in (wrench, displacement))
         for axis in range(3):
-            one, other = (axis + 1) % 3, (axis + 2) % 3
-            ahead, back = force[:, other] != 0.0, force[:, one] != 0.0
-            shift[ahead, first + 3 + axis] += moved[ahead, one] * force[ahead, other]
-            shift[back, first + 3 + axis] -= moved[back, other] * force[back, one]
+            a, b = (axis + 1) % 3, (axis + 2) % 3
+            ahead = np.where(force[:, b] != 0.0, moved[:, a] * force[:, b], 0.0)
+            back = np.where(force[:, a] != 0.0, moved[:, b] * force[:, a], 0.0)
+            shift[:, first + 3 + axis] = ahead - back
     return shift
 
 
