@@ -45,7 +45,6 @@ _BLOCK = 1 << 22  # bytes: 25,000 rows
 _MAX_HEAD = 200  # lines to find a header in
 _LONG_ZERO = b"0" * 290  # a number written without an exponent may be too small for a float
 
-_VANISHING = re.compile(rb"[eE]-\d{3}")  # may be too small for a float: 1e-400
 _SEPARATOR_LINE = re.compile(r'"?sep=(?P<mark>[,;\t|])"?[,;\t]*\s*', re.IGNORECASE)
 # A line with a spreadsheet's error value is a row with a mistake, not a comment.
 _SHEET_ERROR = re.compile(
@@ -168,8 +167,7 @@ class _Body:
 
         ascii_only = self._encoding == "utf-8-sig" or block.isascii()
         marked = b"\0" in block or (b"#" in block and b"\n#" in b"\n" + block)
-        vanishing = _VANISHING.search(block) or _LONG_ZERO in block
-        if marked or vanishing or not ascii_only or not self._numbers:
+        if marked or not ascii_only or not self._numbers:
             return None
         wanted = self._numbers + self._texts
         try:
@@ -197,18 +195,18 @@ class _Body:
         if table.num_rows != count:  # blank lines, carriage returns
             return None
         columns: list[Cells] = [()] * self._header.width
-        missing, whole = np.zeros((len(self._numbers), count), dtype=bool), False
-        for place, index in enumerate(self._numbers):
-            column = table.column(place)
-            columns[index] = values = column.to_numpy()
-            if np.isfinite(values).all():
-                whole = True
-                continue
-            missing[place] = np.isnan(values)
-            if np.isinf(values).any() or missing[place].sum() != column.null_count:
+        columns_of_numbers = table.columns[: len(self._numbers)]
+        numbers = np.stack([column.to_numpy() for column in columns_of_numbers])
+        if not np.isfinite(numbers).all():
+            missing = np.isnan(numbers)
+            nulls = sum(column.null_count for column in columns_of_numbers)
+            wrong = np.isinf(numbers).any() or missing.sum() != nulls  # "nan" is no empty cell
+            if wrong or missing[: self._needed].any() or missing.all(axis=0).any():
                 return None
-        if missing[: self._needed].any() or (not whole and missing.all(axis=0).any()):
+        if (numbers == 0.0).any() and _may_vanish(block):
             return None
+        for index, values in zip(self._numbers, numbers, strict=True):
+            columns[index] = values
         for index, column in zip(self._texts, table.columns[len(self._numbers) :], strict=True):
             columns[index] = words = column.to_pylist()
             if len(max(words, key=len)) > MAX_TEXT or (
@@ -216,6 +214,17 @@ class _Body:
             ):
                 return None
         return Piece(range(line, line + count), columns, count)
+
+
+def _may_vanish(block: bytes) -> bool:
+    """Return whether a number of a block may be too small for a float: 1e-400."""
+    codes = np.frombuffer(block + bytes(5), dtype=np.uint8)
+    letters = b"eE" if b"E" in block else b"e"
+    exponent = np.concatenate([np.flatnonzero(codes == letter) for letter in letters])
+    exponent = exponent[codes[exponent + 1] == ord("-")]
+    for step in (2, 3, 4):
+        exponent = exponent[codes[exponent + step] - ord("0") < 10]
+    return bool(len(exponent)) or _LONG_ZERO in block
 
 
 def csv_text(
