@@ -27,7 +27,7 @@ from wrenchbook.service.formats.rows import (
     ParsedTable,
     Problem,
     largest_loads,
-    parsed,
+    picked,
 )
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
@@ -181,7 +181,7 @@ def rigged(
         source = np.where(piece.source == "", MEASURED, piece.source)
         columns = {"wrench": loads - shift, "displacement": moved, "uncertainty": uncertainty}
         columns["source"] = np.char.add(source, f"{_MARK}{rig.name}")
-        yield parsed(vars(piece) | columns, good)
+        yield ParsedTable(**picked(vars(piece) | columns, good))
 
 
 def with_known_point(

@@ -51,11 +51,11 @@ class ParsedTable(Rows):
 
     def take(self, which: ArrayLike) -> ParsedTable:
         """Return the rows that an index array or a mask of shape (n,) picks."""
-        return parsed(vars(self), np.asarray(which))
+        return type(self)(**picked(vars(self), np.asarray(which)))
 
 
-def parsed(columns: Mapping[str, Any], which: Array) -> ParsedTable:
-    """Return the rows of a mask, (n,), or of indices, of the columns of a `ParsedTable`."""
+def picked(columns: Mapping[str, Any], which: Array) -> dict[str, Any]:
+    """Return the columns of a `ParsedTable` for the rows of a mask, (n,), or of indices."""
     columns = dict(columns)
     if which.dtype != bool or not which.all():
         index = np.flatnonzero(which) if which.dtype == bool else which
@@ -65,7 +65,7 @@ def parsed(columns: Mapping[str, Any], which: Array) -> ParsedTable:
                 shape = len(index), *column.shape[1:]
                 columns[name] = unknown_column(*shape) if is_unknown else column[index]
         columns["note"] = [columns["note"][at] for at in index.tolist()]
-    return ParsedTable(**columns)
+    return columns
 
 
 def number_word(count: int) -> str:
@@ -88,7 +88,7 @@ def good_rows(
     if not is_corrected(options):
         good = good & _within_limits(columns, options, report)
     report.mistakes.settle()
-    return parsed(columns, good)
+    return ParsedTable(**picked(columns, good))
 
 
 def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:

@@ -56,8 +56,9 @@ def import_files(
 
     if not refused and dry_run:
         named = [key for piece in pieces() for key in keys(piece)]
-        existing = ledger.known_rows(named)
-        inserted = len(named) - existing
+        distinct = set(named)  # a row that stands twice in the file is loaded once
+        known = ledger.known_rows(distinct)
+        inserted, existing = len(distinct - known), sum(key in known for key in named)
     elif not refused:
         findings = report["findings"]
         rows_of_findings = [row for finding in findings for row in finding["rows"]]
