@@ -27,7 +27,7 @@ DONE = {"id": 1, "status": "done"}
 PROBLEM = {"type": "urn:x", "title": "No such job", "status": 404, "detail": "there are 1 to 7"}
 CALLS = sorted(name for name in dir(Client) if not name.startswith("_"))
 ITERATORS = ("events", "fill_until")
-OWN = ("blocking", "run", "iterate")  # of the connection
+OWN = ("abandon",)  # of the connection
 
 
 @pytest.fixture
