@@ -293,7 +293,10 @@ class Solver:
         else:
             found = self._solve_nonlinear(whole, acting, progress, start)
         if not self._stays_elastic(acting):
-            found = self._as_it_yields(found)
+            words = yielding(self.component, self._system.body, found)
+            if words and self.component.analysis.on_yield == "fail":
+                raise yields(words)
+            found = replace(found, notes=(*found.notes, words)) if words else found
         if progress is not None:
             progress(1.0, "done")
         return replace(found, seconds=time.perf_counter() - started)
@@ -311,12 +314,6 @@ class Solver:
     @cached_property
     def _most_used(self) -> Array:
         return most_used(self.component, self.body, self.linear.fields)
-
-    def _as_it_yields(self, found: Solution) -> Solution:
-        words = yielding(self.component, self._system.body, found)
-        if words and self.component.analysis.on_yield == "fail":
-            raise yields(words)
-        return replace(found, notes=(*found.notes, words)) if words else found
 
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear
