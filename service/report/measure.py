@@ -184,7 +184,7 @@ def _tables(
     for method in METHODS:
         with suppress(UnknownMethodError):  # several interfaces have no axes
             answer = packed_of(surrogate).answer(wrenches[0].tolist(), None, method)
-            if answer.method != method:  # few rows have no kriging: the axes answer instead
+            if answer.method != method:  # few rows have no kriging: the default answers
                 continue
             figures = _method(surrogate, method, wrenches, references, scale)
             found.append({"method": method, **size, **figures})
