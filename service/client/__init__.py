@@ -28,10 +28,9 @@ from .recording import Envelope, Recording, RecordingCalls, Started
 from .replies import Displacement, Displacements
 from .scene import ComponentPlan, Scene, SceneError
 from .table import DownloadCalls, Table
-from .transport import Connection
 
 
-class Calls(
+class Client(
     DisplacementCalls,
     SurfaceCalls,
     JobCalls,
@@ -40,10 +39,6 @@ class Calls(
     RecordingCalls,
     EventCalls,
 ):
-    """The calls of both clients."""
-
-
-class Client(Calls, Connection):
     """A client of one server, for any number of threads.
 
     Parameters

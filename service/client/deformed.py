@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..contract import LOADS
 from ..messages import DeformedShape
 from .errors import InvalidArgument
-from .request import Call, Request, component_path, sync_and_async
+from .transport import Connection, component_path
 from .wrenches import one_wrench
 
 FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}
@@ -34,13 +34,12 @@ def deformed_format(file: str | Path) -> str:
     return FORMATS[suffix.lower()]
 
 
-class SurfaceCalls:
+class SurfaceCalls(Connection):
     """Deformed surfaces, as arrays and as files."""
 
-    @sync_and_async
     def deformed(
         self, name: str, force: ArrayLike, moment: ArrayLike | None = None
-    ) -> Call[DeformedShape]:
+    ) -> DeformedShape:
         """Return a component's deformed surface under one wrench.
 
         Parameters
@@ -60,22 +59,21 @@ class SurfaceCalls:
             If there is no such component (404); if no row of it has a surface, or the wrench is
             far beyond the load range (409): the message says what to do.
         """
-        return DeformedShape.read((yield Request("GET", _path(name, force, moment, "json"))).json())
+        return DeformedShape.read(self.call_json("GET", _path(name, force, moment, "json")))
 
-    @sync_and_async
     def deformed_file(
         self,
         name: str,
         force: ArrayLike,
         moment: ArrayLike | None = None,
         format: str = "gltf",  # noqa: A002 (the contract's word)
-    ) -> Call[bytes]:
+    ) -> bytes:
         """Return the same as the content of a file: ``gltf`` (.glb), ``vtu`` or ``json``.
 
         Parameters are those of `deformed`: force and moment of shape (3,), N and N·m. Lengths in
         the file are m.
         """
-        return (yield Request("GET", _path(name, force, moment, format))).content
+        return self.call("GET", _path(name, force, moment, format)).content
 
 
 def _path(name: str, force: ArrayLike, moment: ArrayLike | None, form: str) -> str:

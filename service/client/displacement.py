@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike
 from ..contract import OnThin
 from .errors import Document
 from .replies import Displacement, Displacements
-from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
-from .wrenches import Load, Tolerance, Vector, loads_body, many_wrenches, options, wrench_of
+from .transport import BINARY, Connection, component_path
+from .wrenches import Load, Tolerance, loads_body, many_wrenches, options, wrench_of
 
 BINARY_FROM = 1000  # wrenches from which a batch is sent as float64, if not given
 
 
-class DisplacementCalls:
+class DisplacementCalls(Connection):
     """Displacements under one wrench, under many, and from a finite-element solve.
 
     What the calls have in common:
@@ -47,7 +47,6 @@ class DisplacementCalls:
         it flagged and without a job, and ``wait`` and `solve` refuse it.
     """
 
-    @sync_and_async
     def displacement(
         self,
         name: str,
@@ -63,7 +62,7 @@ class DisplacementCalls:
         detail: bool = False,
         derivatives: bool = False,
         beyond_range: bool = False,
-    ) -> Call[Displacement]:
+    ) -> Displacement:
         """Return the displacement of a component's interface under one wrench, N and N·m.
 
         Parameters are those of `DisplacementCalls`; `detail`: ``raw["axes"]`` has each axis' rows.
@@ -91,9 +90,8 @@ class DisplacementCalls:
             derivatives=derivatives or None,
             beyond_range=beyond_range or None,
         )
-        return (yield from _one(name, "displacement", body, chosen))
+        return self._displacement(name, "displacement", body, chosen)
 
-    @sync_and_async
     def displacements(
         self,
         name: str,
@@ -106,7 +104,7 @@ class DisplacementCalls:
         derivatives: bool = False,
         beyond_range: bool = False,
         binary: bool | None = None,
-    ) -> Call[Displacements]:
+    ) -> Displacements:
         """Return the displacements under many wrenches, shape (n, inputs), SI, in one call.
 
         Parameters are those of `DisplacementCalls`, errors those of `displacement`; with
@@ -127,15 +125,15 @@ class DisplacementCalls:
             derivatives=derivatives or None,
             beyond_range=beyond_range or None,
         )
+        path, wait_s = component_path(name, "displacements"), _server_wait(chosen)
         if len(block) >= BINARY_FROM if binary is None else binary:
-            request = _binary_batch(name, block, chosen)
-            return Displacements.read_binary(name, block, (yield request))
+            tolerance_query = chosen.pop("tolerance", {})
+            query, content = chosen | tolerance_query, block.astype("<f8").tobytes()
+            reply = self.call("POST", path, content, kind=BINARY, query=query, wait_s=wait_s)
+            return Displacements.read_binary(name, block, reply)
         body = {"wrenches": block.tolist()} | chosen
-        path = component_path(name, "displacements")
-        reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen))
-        return Displacements.read(name, block, reply.json())
+        return Displacements.read(name, block, self.call_json("POST", path, body, wait_s=wait_s))
 
-    @sync_and_async
     def solve(
         self,
         name: str,
@@ -146,7 +144,7 @@ class DisplacementCalls:
         inputs: Mapping[str, float] | None = None,
         wait_s: float | None = None,
         beyond_range: bool = False,
-    ) -> Call[Displacement]:
+    ) -> Displacement:
         """Solve one wrench, N and N·m, with finite elements, whatever the table says.
 
         Parameters are those of `DisplacementCalls`.
@@ -169,27 +167,15 @@ class DisplacementCalls:
         """
         body = loads_body(force, moment, loads, inputs)
         chosen = options(wait_s=wait_s, beyond_range=beyond_range or None)
-        return (yield from _one(name, "solve", body, chosen))
+        return self._displacement(name, "solve", body, chosen)
 
-
-def _one(name: str, call: str, loads: Document, chosen: Document) -> Call[Displacement]:
-    """Send the loads that `loads_body` returns."""
-    path, body = component_path(name, call), loads | chosen
-    reply = yield json_request("POST", path, body, wait_s=_server_wait(chosen))
-    return Displacement.read(name, wrench_of(loads), reply.json(), loads.get("loads"))
-
-
-def _binary_batch(name: str, block: Vector, chosen: Document) -> Request:
-    """Return the request of a batch, shape (n, inputs), SI, in its binary form."""
-    tolerance = chosen.pop("tolerance", {})
-    return Request(
-        "POST",
-        component_path(name, "displacements"),
-        block.astype("<f8").tobytes(),
-        BINARY,
-        chosen | tolerance,
-        wait_s=_server_wait(chosen),
-    )
+    def _displacement(
+        self, name: str, call: str, loads: Document, chosen: Document
+    ) -> Displacement:
+        """Send the loads that `loads_body` returns."""
+        path, body = component_path(name, call), loads | chosen
+        reply = self.call_json("POST", path, body, wait_s=_server_wait(chosen))
+        return Displacement.read(name, wrench_of(loads), reply, loads.get("loads"))
 
 
 def _server_wait(chosen: Document) -> float:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import http.client
 import json
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from .errors import Document, ProblemError, ServerUnreachable
-from .request import Item, Items, Listen, NextLine, Pause, sync_and_async_iterator
+from .transport import Connection
 
 SILENCE_S = 45.0  # three heartbeats: a connection without one is dead
 AGAIN_S = (0.2, 5.0)  # between attempts while the server is away: doubled from, up to
@@ -34,17 +35,16 @@ class Event:
     id: str = ""
 
 
-class EventCalls:
+class EventCalls(Connection):
     """Events of the server."""
 
-    @sync_and_async_iterator
     def events(
         self,
         component: str | None = None,
         *,
         after: str | None = None,
         timeout_s: float | None = None,
-    ) -> Items[Event]:
+    ) -> Iterator[Event]:
         """Iterate over the events of one component, or of all; heartbeats are no events.
 
         While the server is away it is tried again and again. The iteration then goes on after the
@@ -70,50 +70,37 @@ class EventCalls:
         ServerUnreachable
             If nothing answers at the first attempt.
         """
-        yield from _events(component, after, timeout_s)
-
-
-def _events(component: str | None, after: str | None, timeout_s: float | None) -> Items[Event]:
-    """Yield the events of one connection after another."""
-    last, wait, first = after, AGAIN_S[0], True
-    newest = time.monotonic()  # when the last event came
-    while True:
-        left = _left(timeout_s, newest)
-        if left <= 0:
-            return
-        try:
-            stream = yield _listen(component, last, left)
+        last, wait, first = after, AGAIN_S[0], True
+        limit = float("inf") if timeout_s is None else timeout_s
+        newest = time.monotonic()  # when the last event came
+        while True:
+            if (left := newest + limit - time.monotonic()) <= 0:
+                return
+            headers = {"Accept": "text/event-stream", **({"Last-Event-ID": last} if last else {})}
             try:
-                parser = EventParser()
-                while line := (yield NextLine(stream)):
-                    event = parser.feed(line)
-                    if event is not None:
-                        last, wait = event.id or last, AGAIN_S[0]
-                        yield Item(event)
-                        newest = time.monotonic()
-                    elif _left(timeout_s, newest) <= 0:
-                        return
-            finally:
-                stream.close()
-        except ProblemError as error:
-            if first or error.status < 500:
-                raise
-        except (ServerUnreachable, http.client.HTTPException, EOFError, OSError) as error:
-            if first and not isinstance(error, TimeoutError):
-                raise
-        first = False
-        yield Pause(max(min(wait, _left(timeout_s, newest)), 0.0))
-        wait = min(2 * wait, AGAIN_S[1])
-
-
-def _listen(component: str | None, last: str | None, left: float) -> Listen:
-    headers = {"Accept": "text/event-stream", **({"Last-Event-ID": last} if last else {})}
-    return Listen("/v1/events", {"component": component}, headers, min(SILENCE_S, left))
-
-
-def _left(timeout_s: float | None, newest: float) -> float:
-    """Return the seconds in which the next event has to come."""
-    return float("inf") if timeout_s is None else newest + timeout_s - time.monotonic()
+                query = {"component": component}
+                stream = self._listen("/v1/events", query, headers, min(SILENCE_S, left))
+                try:
+                    parser = EventParser()
+                    while line := stream.readline():
+                        event = parser.feed(line)
+                        if event is not None:
+                            last, wait = event.id or last, AGAIN_S[0]
+                            yield event
+                            newest = time.monotonic()
+                        elif newest + limit <= time.monotonic():
+                            return
+                finally:
+                    stream.close()
+            except ProblemError as error:
+                if first or error.status < 500:
+                    raise
+            except (ServerUnreachable, http.client.HTTPException, EOFError, OSError) as error:
+                if first and not isinstance(error, TimeoutError):
+                    raise
+            first = False
+            time.sleep(max(min(wait, newest + limit - time.monotonic()), 0.0))
+            wait = min(2 * wait, AGAIN_S[1])
 
 
 class EventParser:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import Document, InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
-from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
+from .transport import BINARY, Connection, component_path
 
 _FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed")
 _TEXTS = ("csv", "json")
@@ -66,22 +66,20 @@ def check_readable(file: str | Path) -> None:
 _IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
 
 
-class LibraryCalls:
+class LibraryCalls(Connection):
     """Components, and their tables as files."""
 
-    @sync_and_async
-    def components(self) -> Call[list[Document]]:
+    def components(self) -> list[Document]:
         """Return the library: per component its name, title, range, rows, table version."""
-        found: list[Document] = []
+        components: list[Document] = []
         next_page = "/v1/components"
         while next_page:
-            page = (yield Request("GET", next_page)).json()
-            found += page["components"]
+            page = self.call_json("GET", next_page)
+            components += page["components"]
             next_page = page.get("next")
-        return found
+        return components
 
-    @sync_and_async
-    def component(self, name: str) -> Call[Document]:
+    def component(self, name: str) -> Document:
         """Return a component: its wrench contract, load range, rows and coverage.
 
         Raises
@@ -89,10 +87,9 @@ class LibraryCalls:
         ProblemError
             If there is no such component (404).
         """
-        return (yield Request("GET", component_path(name))).json()
+        return self.call_json("GET", component_path(name))
 
-    @sync_and_async
-    def compliance(self, name: str) -> Call[Document]:
+    def compliance(self, name: str) -> Document:
         """Return a component's 6x6 compliance and checks of its rows against physics.
 
         Returns
@@ -107,10 +104,9 @@ class LibraryCalls:
         ProblemError
             If there is no such component (404).
         """
-        return (yield Request("GET", component_path(name, "compliance"))).json()
+        return self.call_json("GET", component_path(name, "compliance"))
 
-    @sync_and_async
-    def add_component(self, component: str | Path | Mapping[str, Json]) -> Call[Document]:
+    def add_component(self, component: str | Path | Mapping[str, Json]) -> Document:
         """Add a component.
 
         Parameters
@@ -134,8 +130,7 @@ class LibraryCalls:
         """
         path = "/v1/components"
         if isinstance(component, Mapping):
-            request = json_request("POST", path, dict(component), repeatable=False)
-            return (yield request).json()
+            return self.call_json("POST", path, dict(component), repeatable=False)
         bundle = Path(component)
         if not bundle.is_dir():
             archive = bundle.read_bytes()
@@ -150,9 +145,8 @@ class LibraryCalls:
                         packed.write(source, inside.as_posix())  # hidden files stay behind
             archive = buffer.getvalue()
         kind, content = _form({"bundle": (f"{bundle.stem}.zip", archive)})
-        return (yield Request("POST", path, content, kind, repeatable=False)).json()
+        return self.call("POST", path, content, kind=kind, repeatable=False).json()
 
-    @sync_and_async
     def import_table(
         self,
         name: str,
@@ -163,7 +157,7 @@ class LibraryCalls:
         *,
         displacements: str | Path | None = None,
         **columns: Json,
-    ) -> Call[Document]:
+    ) -> Document:
         """Load a table from outside: all its rows, or none; with ``partial=True`` the good ones.
 
         Parameters
@@ -198,16 +192,15 @@ class LibraryCalls:
         kind, content, filename = _table_body(table, displacements)
         query = _import_query(format, dry_run, decimal, filename, columns)
         path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
-        return (yield Request("POST", path, content, kind, query, wait_s=wait_s)).json()
+        return self.call("POST", path, content, kind=kind, query=query, wait_s=wait_s).json()
 
-    @sync_and_async
     def export_table(
         self,
         name: str,
         format: str = "csv",  # noqa: A002 (the contract's word)
         units: Mapping[str, str] | None = None,
         table_version: int | None = None,
-    ) -> Call[Json]:
+    ) -> Json:
         """Return a component's table.
 
         Parameters
@@ -229,11 +222,10 @@ class LibraryCalls:
         """
         chosen = _known(format)
         query = {"format": chosen, "table_version": table_version, **(units or {})}
-        content = (yield Request("GET", component_path(name, "table"), query=query)).content
+        content = self.call("GET", component_path(name, "table"), query=query).content
         return content.decode() if chosen in _TEXTS else content
 
-    @sync_and_async
-    def invalidate_row(self, name: str, row: int) -> Call[None]:
+    def invalidate_row(self, name: str, row: int) -> None:
         """Take a row out of a component's table; it stays in the ledger, see `restore_row`.
 
         Parameters
@@ -248,17 +240,15 @@ class LibraryCalls:
         ProblemError
             If there is no such component or row (404).
         """
-        yield Request("DELETE", component_path(name, f"table/{int(row)}"))
+        self.call("DELETE", component_path(name, f"table/{int(row)}"))
 
-    @sync_and_async
-    def restore_row(self, name: str, row: int) -> Call[None]:
+    def restore_row(self, name: str, row: int) -> None:
         """Take a row back into a component's table; parameters and errors as `invalidate_row`."""
-        yield Request("POST", component_path(name, f"table/{int(row)}/restore"))
+        self.call("POST", component_path(name, f"table/{int(row)}/restore"))
 
-    @sync_and_async
     def withdraw_import(
         self, name: str, number: int, finding: str | None = None, *, restore: bool = False
-    ) -> Call[Document]:
+    ) -> Document:
         """Withdraw the rows of an import, or those that one of its findings names.
 
         The rows stay in the ledger. Rows that are withdrawn already do not change.
@@ -285,10 +275,9 @@ class LibraryCalls:
         """
         path = component_path(name, f"imports/{int(number)}{'/restore' if restore else ''}")
         query = {"finding": finding}
-        return (yield Request("POST" if restore else "DELETE", path, query=query)).json()
+        return self.call("POST" if restore else "DELETE", path, query=query).json()
 
-    @sync_and_async
-    def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Call[Document]:
+    def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Document:
         """Start making a report of error against run time; it takes minutes.
 
         Parameters
@@ -308,16 +297,14 @@ class LibraryCalls:
         """
         query = {"wrenches": wrenches, "seed": seed}
         path = component_path(name, "report")
-        return (yield Request("POST", path, query=query, repeatable=False)).json()
+        return self.call("POST", path, query=query, repeatable=False).json()
 
-    @sync_and_async
-    def report_state(self, name: str) -> Call[Document]:
+    def report_state(self, name: str) -> Document:
         """Return ``state`` (none, running, done, failed), ``fraction`` and ``message``."""
         query = {"format": "state"}
-        return (yield Request("GET", component_path(name, "report"), query=query)).json()
+        return self.call_json("GET", component_path(name, "report"), query=query)
 
-    @sync_and_async
-    def report(self, name: str, format: str = "json") -> Call[bytes]:  # noqa: A002 (the contract's word)
+    def report(self, name: str, format: str = "json") -> bytes:  # noqa: A002 (the contract's word)
         """Return the latest report as ``json``, ``md`` or ``html``.
 
         Raises
@@ -326,10 +313,9 @@ class LibraryCalls:
             If there is none yet (404).
         """
         query = {"format": format}
-        return (yield Request("GET", component_path(name, "report"), query=query)).content
+        return self.call("GET", component_path(name, "report"), query=query).content
 
-    @sync_and_async
-    def health(self) -> Call[Document]:
+    def health(self) -> Document:
         """Return the server's readiness: ``status`` and, if it is not ready, its ``faults``.
 
         Raises
@@ -338,17 +324,16 @@ class LibraryCalls:
             If nothing answers.
         """
         try:
-            return (yield Request("GET", "/health/ready", retry=False)).json()
+            return self.call_json("GET", "/health/ready", retry=False)
         except ProblemError as error:
             if error.status == 503 and error.body:
                 return error.body
             raise
 
-    @sync_and_async
-    def is_ready(self) -> Call[bool]:
+    def is_ready(self) -> bool:
         """Return whether a server answers and is ready."""
         try:
-            yield Request("GET", "/health/ready", retry=False)
+            self.call("GET", "/health/ready", retry=False)
         except (ServerUnreachable, ServerTimeout, ProblemError):
             return False
         return True

@@ -6,15 +6,18 @@ import json
 import tomllib
 from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, overload
+from typing import TYPE_CHECKING, Any, Self, overload
 
 import numpy as np
 
 from ..contract import OUTPUTS
 from ..messages import Plan
 from .errors import Document, InvalidArgument, Json
-from .request import AsyncRunner, BlockingRunner, Call, json_request
+from .transport import Connection
 from .wrenches import tolerance_body
+
+if TYPE_CHECKING:
+    from .async_client import AsyncClient
 
 _FIELDS = ("force", "moment", "loads", "inputs", "outputs", "tolerance")
 
@@ -114,10 +117,10 @@ class Scene:
         return self.components[name]
 
     @overload
-    def plan(self, client: BlockingRunner) -> dict[str, ComponentPlan]: ...
+    def plan(self, client: Connection) -> dict[str, ComponentPlan]: ...
     @overload
-    def plan(self, client: AsyncRunner) -> Coroutine[Any, Any, dict[str, ComponentPlan]]: ...
-    def plan(self, client: Any) -> Any:
+    def plan(self, client: AsyncClient) -> Coroutine[Any, Any, dict[str, ComponentPlan]]: ...
+    def plan(self, client: Connection | AsyncClient) -> object:
         """Return what the scene needs of each component, and what that saves.
 
         The call of an `AsyncClient` is awaited.
@@ -129,13 +132,13 @@ class Scene:
         ServerUnreachable, ServerTimeout
             See `Connection.call`.
         """
-        return client.run(self._plan())
+        return self._plan(client) if isinstance(client, Connection) else client.run(self._plan)
 
-    def _plan(self) -> Call[dict[str, ComponentPlan]]:
-        reply = yield json_request("POST", "/v1/scenes/plan", {"components": self.components})
-        plans = reply.json()["components"]
+    def _plan(self, client: Connection) -> dict[str, ComponentPlan]:
+        reply = client.call_json("POST", "/v1/scenes/plan", {"components": self.components})
         return {
-            name: ComponentPlan.read({**plan, "component": name}) for name, plan in plans.items()
+            name: ComponentPlan.read({**plan, "component": name})
+            for name, plan in reply["components"].items()
         }
 
     def query(self, name: str) -> str:

@@ -4,6 +4,7 @@ import math
 import struct
 from collections.abc import Iterable, Sequence
 from hashlib import blake2b
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -36,9 +37,7 @@ def unpack_vector(packed: bytes) -> Vector:
 
 def packed(wrenches: np.ndarray) -> list[bytes]:
     """Return each wrench (n, inputs), N and N·m, as the ledger packs it; NaN is one NaN."""
-    plain = np.where(np.isnan(wrenches), _NAN, np.asarray(wrenches) + 0.0).astype("<f8")
-    block, width = plain.tobytes(), 8 * plain.shape[1]
-    return [block[start : start + width] for start in range(0, len(block), width)]
+    return _bytes(_plain(wrenches)).tolist()
 
 
 def unpacked(wrenches: Iterable[bytes], inputs: int = MIN_NUMBERS) -> np.ndarray:
@@ -79,50 +78,63 @@ def row_records(
 ) -> list[tuple[Any, ...]]:
     """Return rows as the columns `rows.CONTENT`; raises ValueError for an infinite tangent.
 
-    One by one a million rows would take a minute; by columns they take 10 s.
+    By columns a million rows take 1.2 s of processor time, 0.7 s of it in blake2b.
     """
     rows = block.rows
     if np.isinf(rows.compliance).any():
         raise ValueError("compliance must be finite, or NaN where it is not known")
-    wrenches, displacements = packed(rows.wrench), packed(rows.displacement)
     # An output whose uncertainty is not known is NaN, which is not 0: exact.
     uncertainties = _known(rows.uncertainty, np.any(np.isfinite(rows.uncertainty), axis=1))
-    tangents = _complete(rows.compliance)
-    thirds = _complete(rows.curvature)
-    sources, fingerprints = rows.source.tolist(), rows.fingerprint.tolist()
+    tangents, thirds = _complete(rows.compliance), _complete(rows.curvature)
+    setups, sources, notes = rows.fingerprint.tolist(), rows.source.tolist(), block.note
+    # The bytes of `row_key`: texts, then the numbers behind their lengths, joined by columns.
+    texts = {text: _part(text.encode()) for text in {*setups, *sources, *notes}}
     name = _part(component.encode())
-    notes = block.note
-    texts = {text: _part(text.encode()) for text in {*sources, *fingerprints, *notes}}
-    of_load, of_move = (_length(8 * shape.shape[1]) for shape in (rows.wrench, rows.displacement))
-    unknown, of_key, records = _part(b""), _length(_KEY_BYTES), []
-    for load, move, uncertainty, tangent, third, source, fingerprint, note in zip(
-        wrenches,
-        displacements,
-        uncertainties,
-        tangents,
-        thirds,
-        sources,
-        fingerprints,
-        notes,
-        strict=True,
-    ):
-        # The bytes of `row_key` and `seal`, joined once.
-        parts = name + texts[fingerprint] + texts[source] + of_load + load + of_move + move
-        parts += of_move + uncertainty if uncertainty else unknown
-        key = blake2b(parts, digest_size=_KEY_BYTES).digest()
-        if tangent is None and third is None:
-            parts = of_key + key + unknown + texts[note]
-            mark = blake2b(parts, digest_size=_KEY_BYTES).digest()
-        else:
-            mark = seal(key, tangent, note, third)
-        content = component, fingerprint, source, load, move, tangent, third, uncertainty
-        records.append((*content, job, now, note, key, mark))
-    return records
+    heads = {(a, b): name + texts[a] + texts[b] for a, b in set(zip(setups, sources, strict=True))}
+    loads, moves = _plain(rows.wrench), _plain(rows.displacement)
+    sizes = [8 * column.shape[1] for column in (loads, moves)]
+    numbers = np.empty(
+        len(rows),
+        [("a", "<u4"), ("load", f"V{sizes[0]}"), ("b", "<u4"), ("move", f"V{sizes[1]}")],
+    )
+    numbers["a"], numbers["b"] = sizes
+    numbers["load"], numbers["move"] = _bytes(loads), _bytes(moves)
+    of_move, unknown = _length(sizes[1]), _part(b"")
+    keys = [
+        blake2b(
+            heads[setup, source] + content + (of_move + bounds if bounds else unknown),
+            digest_size=_KEY_BYTES,
+        ).digest()
+        for setup, source, content, bounds in zip(
+            setups, sources, _bytes(numbers).tolist(), uncertainties, strict=True
+        )
+    ]
+    of_key, rest = _length(_KEY_BYTES), {note: unknown + texts[note] for note in set(notes)}
+    seals = [
+        blake2b(of_key + key + rest[note], digest_size=_KEY_BYTES).digest()
+        if tangent is None and third is None
+        else seal(key, tangent, note, third)
+        for key, tangent, note, third in zip(keys, tangents, notes, thirds, strict=True)
+    ]
+    columns = setups, sources, _bytes(loads).tolist(), _bytes(moves).tolist(), tangents, thirds
+    facts = repeat(job), repeat(now), notes, keys, seals
+    return list(zip(repeat(component), *columns, uncertainties, *facts))
 
 
 def row_keys(component: str, block: NotedRows) -> list[bytes]:
     """Return the content key of each row."""
     return [record[-2] for record in row_records(component, block, 0.0)]
+
+
+def _plain(numbers: np.ndarray) -> np.ndarray:
+    """Return numbers (n, k) as float64 in C order, with one NaN and no minus zero."""
+    return np.where(np.isnan(numbers), _NAN, np.asarray(numbers) + 0.0).astype("<f8", "C")
+
+
+def _bytes(lines: np.ndarray) -> np.ndarray:
+    """Return the lines of an array in C order as opaque bytes, shape (n,)."""
+    size = lines.dtype.itemsize * math.prod(lines.shape[1:])
+    return lines.view(f"V{size}").reshape(len(lines)) if size else np.zeros(len(lines), "V1")
 
 
 def _part(content: bytes) -> bytes:
