@@ -4,11 +4,10 @@ No HTTP, no ledger. The columns of a file are described in `header` (CSV, XLSX, 
 `json` and `arrow`, its units in `units`, the limits of a row in `rows`.
 """
 
-from wrenchbook.service.formats.arrow import write_parquet
 from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.columnar import write_hdf5, write_parquet
 from wrenchbook.service.formats.columns import Layout, layout
 from wrenchbook.service.formats.csv import csv_text
-from wrenchbook.service.formats.hdf5 import write_hdf5
 from wrenchbook.service.formats.json import json_text
 from wrenchbook.service.formats.options import MAX_ZERO_ROWS, Options
 from wrenchbook.service.formats.read import MAX_PREVIEW, ReadResult, read_untrusted

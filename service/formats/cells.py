@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 import re
 from datetime import UTC, datetime
+from decimal import Decimal
+from typing import Any
 
+MAX_TEXT = 131_072  # characters of one text: as the csv module
 _QUOTED = 40  # characters of a cell in a message
 NO_VALUE = "#NO VALUE: "
 """Stands before the place of a formula that a program wrote without its value."""
@@ -159,3 +162,15 @@ def text_problem(text: str) -> str | None:
     except UnicodeEncodeError:
         return "holds half a character (a lone surrogate); remove it"
     return None
+
+
+def cell_text(value: Any) -> str:
+    """Return a stored value as the text of a cell, empty for none."""
+    if value is None or value != value:
+        return ""
+    if isinstance(value, Decimal):
+        return Digits(value)
+    text = value.isoformat() if hasattr(value, "isoformat") else str(value)
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"a text is longer than {MAX_TEXT:,} characters")
+    return text

@@ -18,13 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.arrow import read_parquet
+from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet
 from wrenchbook.service.formats.csv import read_csv
-from wrenchbook.service.formats.hdf5 import read_hdf5, read_mat
 from wrenchbook.service.formats.json import read_json
-from wrenchbook.service.formats.logs import joined_loads, with_loads, zeroed
 from wrenchbook.service.formats.options import Format, Options, ReadReport
-from wrenchbook.service.formats.rig import rigged, with_known_point
+from wrenchbook.service.formats.rig import (
+    joined_loads,
+    rigged,
+    with_known_point,
+    with_loads,
+    zeroed,
+)
 from wrenchbook.service.formats.rows import (
     MEASURED,
     ParsedTable,

@@ -7,15 +7,17 @@ float64, NaN where empty, or its cells as text. Only CSV, XLSX and JSON bring nu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
+from typing import Any
 
 import numpy as np
 
 from wrenchbook.service.formats.cells import (
     EITHER_MARK,
     Digits,
+    cell_text,
     decimal_mark,
     number_problem,
     number_text,
@@ -85,11 +87,14 @@ def read_records(
 
 
 def read_columns(
-    pieces: Iterator[tuple[Sequence[str], Sequence[Cells]]], options: Options, report: ReadReport
+    typed: Iterable[tuple[Sequence[str], Sequence[Any]]], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
-    """Yield the good rows of columns with labels, all labels with each piece."""
-    empty: tuple[Sequence[str], Sequence[Cells]] = ((), ())
-    labels, first = next(pieces, empty)
+    """Yield the good rows of columns with labels, all labels with each piece.
+
+    Arrays of numbers are taken as they are, other values as text, empty for none.
+    """
+    pieces = ((labels, [_cells(column) for column in columns]) for labels, columns in typed)
+    labels, first = next(pieces, ((), ()))
     columns = [column for column in first if len(column)]
     row = [Digits(c[0]) if isinstance(c, np.ndarray) else c[0] for c in columns]
     records: list[Record] = [(0, list(labels)), (1, row)]
@@ -104,6 +109,13 @@ def read_columns(
             yield Piece(range(start + skip + 1, end + 1), [c[skip:] for c in columns], end - start)
 
     yield from read_pieces(header, numbered() if row else iter(()), options, report)
+
+
+def _cells(column: Any) -> Cells:
+    if isinstance(column, np.ndarray) and column.dtype.kind in "iuf":
+        return column.astype(np.float64)
+    values = column.tolist() if isinstance(column, np.ndarray) else column
+    return [cell_text(value) for value in values]
 
 
 def read_pieces(
