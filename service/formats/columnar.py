@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, whosmat
 
-from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.formats.columns import TEXTS, Columns, Layout, WritableRows
+from wrenchbook.service.formats.columns import ARRAYS, Columns, Layout, WritableRows
+from wrenchbook.service.formats.header import array_header
 from wrenchbook.service.formats.options import MAX_ROWS, Options, ReadReport
-from wrenchbook.service.formats.rows import Array, ParsedTable, Problem, good_rows
-from wrenchbook.service.formats.text import PIECE, read_columns
+from wrenchbook.service.formats.rows import Array, ParsedTable
+from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
 from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
-from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.rows import Rows, unknown_column
 
 MAX_UNPACKED = 1024 * 1024 * 1024
 
@@ -115,31 +115,31 @@ def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         if not is_table(path):
             yield from read_columns(foreign_columns(path), options, report)
             return
-        for rows, notes in foreign_tables(path):
-            if rows.space != columns.space:
-                names = ", ".join((*columns.wrench, *columns.displacement))
-                message = f"is a table of another component's inputs, outputs or units, not {names}"
-                report.mistakes.ruin(0, "file", message)
-                return
-            piece = vars(rows) | {
-                "seq": np.arange(1, len(rows) + 1) + report.read,
-                "source": np.strings.strip(rows.source),
-                "fingerprint": np.strings.strip(rows.fingerprint),
-                "note": [note.strip() for note in notes],
-            }
-            good = np.ones(len(rows), dtype=bool)
-            for at, key, message in _store_problems(piece, columns):
-                good[at] = False
-                report.mistakes.add(int(piece["seq"][at]), key, message)
-            yield good_rows(piece, good, options, report)
-            report.read += len(rows)
-            if report.is_beyond_limits():
-                return
+        header, pieces = array_header(columns), _stored_pieces(path, columns)
+        yield from read_pieces(header, pieces, options, report, CellFormat())
     except (ValueError, RuntimeError, OSError) as error:
         report.mistakes.ruin(0, "file", str(error))
-        return
-    if not report.read:
-        report.mistakes.ruin(0, "file", "there is no row")
+
+
+def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
+    """Yield the rows of the store's own tables in the order of `array_header`."""
+    read = 0
+    for rows, notes in foreign_tables(path):
+        if rows.space != columns.space:
+            names = ", ".join((*columns.wrench, *columns.displacement))
+            raise ValueError(
+                f"is a table of another component's inputs, outputs or units, not {names}"
+            )
+        n, cells = len(rows), []
+        for key in ARRAYS:
+            block, width = getattr(rows, key), len(getattr(columns, key))
+            cells += [*(block.reshape(n, width) if block.size else unknown_column(n, width)).T]
+        yield Piece(
+            range(read + 1, read + n + 1),
+            [*cells, rows.source.tolist(), notes, rows.fingerprint.tolist()],
+            n,
+        )
+        read += n
 
 
 def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -190,21 +190,3 @@ def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> byte
         path = Path(folder) / "table.h5"
         write_table(path, rows, meta, notes=[str(note) for note in getattr(table, "note", ())])
         return path.read_bytes()
-
-
-def _store_problems(piece: Mapping[str, Any], columns: Columns) -> Iterator[Problem]:
-    """Yield wrong uncertainties, incomplete tangents and texts that cannot be stored."""
-    bounds, count = piece["uncertainty"], len(columns.compliance)
-    for at, output in np.argwhere(np.isinf(bounds) | (bounds < 0.0)).tolist():
-        name = columns.displacement[output]
-        message = f"{bounds[at, output]}: an uncertainty of {name} is 0 or more"
-        yield at, f"uncertainty[{output}]", message
-    tangents: Array = piece["compliance"].reshape(-1, count)
-    broken = ~np.isfinite(tangents).all(axis=1) & ~np.isnan(tangents).all(axis=1)
-    for at in np.flatnonzero(broken).tolist():
-        message = f"is not {count} finite numbers; a row has all {count} tangents or none (NaN)"
-        yield at, "compliance", message
-    for key in TEXTS:
-        for at, text in enumerate(piece[key]):
-            if problem := text_problem(text):
-                yield at, key, problem

@@ -34,6 +34,7 @@ from wrenchbook.surrogate.table.space import DEFAULT, LOADS, OUTPUTS, Space
 
 WRENCH, DISPLACEMENT = LOADS, OUTPUTS
 TEXTS = ("source", "note", "fingerprint")
+ARRAYS = ("wrench", "displacement", "uncertainty", "compliance", "curvature")  # of `Columns`
 TIME_COLUMN = "time"
 MAX_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
 MAX_LABEL = 200  # characters; a longer label is a title, and takes seconds to read

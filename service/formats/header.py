@@ -31,6 +31,7 @@ from itertools import chain, islice
 
 from wrenchbook.service.formats.cells import is_number
 from wrenchbook.service.formats.columns import (
+    ARRAYS,
     MAX_LABEL,
     ORIGIN,
     TEXTS,
@@ -231,6 +232,20 @@ class Header:
     preamble: Preamble = field(default_factory=Preamble)
     unnamed: list[int] = field(default_factory=list)
     titles: list[str] = field(default_factory=list)
+    named: bool = True  # by the file, which then has labels and units
+
+
+def array_header(columns: Columns) -> Header:
+    """Return the header of rows as arrays in SI: ``wrench[0]``, ``compliance[1][2]``."""
+    header, inputs = Header(0, named=False), len(columns.wrench)
+    for key in ARRAYS:
+        for at, name in enumerate(getattr(columns, key)):
+            place = f"[{at // inputs}][{at % inputs}]" if key == "compliance" else f"[{at}]"
+            header.columns[name] = HeaderColumn(len(header.columns), f"{key}{place}", name)
+    for name in TEXTS:
+        header.columns[name] = HeaderColumn(len(header.columns), name, name)
+    header.width = len(header.columns)
+    return header
 
 
 def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iterator[Record]]:

@@ -17,36 +17,28 @@ from __future__ import annotations
 import json
 import math
 import re
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import Digits, text_problem
-from wrenchbook.service.formats.columns import ORIGIN, TEXTS, Columns, WritableRows
-from wrenchbook.service.formats.header import Record
-from wrenchbook.service.formats.options import MAX_LISTED, Options, ReadReport
-from wrenchbook.service.formats.rows import (
-    Array,
-    ParsedTable,
-    good_rows,
-    number_word,
-)
-from wrenchbook.service.formats.text import PIECE, read_records
-from wrenchbook.service.formats.units import vanished
-from wrenchbook.surrogate.table.rows import curvature_column, unknown_column
+from wrenchbook.service.formats.cells import Digits
+from wrenchbook.service.formats.columns import ARRAYS, ORIGIN, TEXTS, Columns, WritableRows
+from wrenchbook.service.formats.header import Record, array_header
+from wrenchbook.service.formats.options import Options, ReadReport
+from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_pieces, read_records
+from wrenchbook.surrogate.table.space import PER_INTERFACE
 
 MAX_BYTES = 112 * 1024 * 1024
 """Decoded rows take seven times their text: 450,000 rows are 800 MB."""
 
-_MAX_FLOAT = sys.float_info.max
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
-_NUMBERS = ("wrench", "displacement", "uncertainty", "compliance", "curvature")
-_ROW_KEYS = (*_NUMBERS, *TEXTS, *ORIGIN)
+_REQUIRED = ("wrench", "displacement")
+_ROW_KEYS = (*ARRAYS, *TEXTS, *ORIGIN)
 _RECORDS = re.compile(rf'\s*(\[\s*\{{|\{{\s*"(?!({"|".join((*_TABLE_KEYS, *_SPACE_KEYS))})"))')
 _BLANKS = re.compile(r"[ \t\n\r]*")
 
@@ -68,24 +60,23 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         except UnicodeDecodeError as error:
             raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
         if _RECORDS.match(text):
-            # Numbers stay text, so that their digits and units are read as those of a CSV.
-            values = _values(text, Digits, Digits)
-            yield from read_records(_records(values), options, report)
+            yield from read_records(_records(_values(text)), options, report)
             return
-        values = list(islice(_values(text, _parsed_float, int), 2))
+        values = list(islice(_values(text), 2))
         if len(values) != 1:
             reason = "there is more behind its end" if values else "it is empty"
             raise JsonError(f"is not JSON: {reason}")
-        yield from _pieces(values[0], options, report)
+        yield from _read_table(values[0], options, report)
     except ValueError as error:
         report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
 
 
-def _values(text: str, parse_float: Any, parse_int: Any) -> Iterator[Any]:
-    """Yield the values of a text, one behind the other; JsonError."""
-    decoder = json.JSONDecoder(
-        parse_float=parse_float, parse_int=parse_int, object_pairs_hook=_unique
-    )
+def _values(text: str) -> Iterator[Any]:
+    """Yield the values of a text, one behind the other; JsonError.
+
+    Numbers stay text, so that their digits and units are read as those of a CSV.
+    """
+    decoder = json.JSONDecoder(parse_float=Digits, parse_int=Digits, object_pairs_hook=_unique)
     at = 0
     while True:
         blanks = _BLANKS.match(text, at)
@@ -153,28 +144,31 @@ def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Itera
     yield "]}"
 
 
-def _pieces(table: Any, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    columns = options.columns
+def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a table: an object with rows of arrays in SI."""
+    columns, mistakes = options.columns, report.mistakes
     if not isinstance(table, dict) or "rows" not in table:
-        report.mistakes.ruin(0, "rows", _no_table(columns))
+        mistakes.ruin(0, "rows", _no_table(columns))
         return
     for key, value in table.items():
         if problem := _key_problem(key, value, columns):
-            report.mistakes.ruin(0, key, problem)
+            mistakes.ruin(0, key, problem)
             return
-    if not table["rows"]:
-        report.mistakes.ruin(0, "rows", "there is no row")
-    piece = _JsonRows(columns)
-    for value in table["rows"]:
-        report.read += 1
-        piece.add(report.read, value)
-        if report.read % PIECE == 0 or len(piece.mistakes) > MAX_LISTED:
-            yield piece.table(options, report)
-            if report.is_beyond_limits():
-                return
-            piece = _JsonRows(columns)
-    yield piece.table(options, report)
-    report.is_beyond_limits()
+
+    def pieces() -> Iterator[Piece]:
+        rows = enumerate(table["rows"], 1)
+        while some := list(islice(rows, PIECE)):
+            good: list[int] = []
+            cells: list[list[str]] = []
+            for number, row in some:
+                try:
+                    cells.append(_row_cells(row, columns))
+                    good.append(number)
+                except _BadRowError as error:
+                    mistakes.add(number, error.key, str(error))
+            yield Piece(good, list(zip(*cells, strict=True)), len(some))
+
+    yield from read_pieces(array_header(columns), pieces(), options, report, CellFormat())
 
 
 def _no_table(columns: Columns) -> str:
@@ -197,156 +191,73 @@ def _key_problem(key: str, value: Any, columns: Columns) -> str:
     return ""
 
 
-class _JsonRows:
-    """Rows without mistakes, and the mistakes of the others (row, key, message)."""
+class _BadRowError(ValueError):
+    """A row is not of the form of a row; the key and what to do."""
 
-    def __init__(self, columns: Columns) -> None:
-        self.mistakes: list[tuple[int, str, str]] = []
-        self._columns = columns
-        self._row: list[int] = []
-        self._numbers: list[list[float]] = []  # as many a row as `Columns.numbers`
-        self._curvatures: list[list[float] | None] = []
-        self._texts: list[list[str]] = []
-        self._at = 0
-
-    def add(self, at: int, row: Any) -> None:
-        """Add the row of number `at`, or its mistakes."""
-        self._at, before = at, len(self.mistakes)
-        if not isinstance(row, dict):
-            self._refuse("row", 'is not a row; write {"wrench": [...], "displacement": [...]}')
-            return
-        for key in row:
-            if key not in _ROW_KEYS:
-                self._refuse(key, f"is not a key of a row; there are {', '.join(_ROW_KEYS)}")
-        numbers = self._required(row, "wrench", self._columns.wrench)
-        numbers += self._required(row, "displacement", self._columns.displacement)
-        numbers += self._uncertainty(row.get("uncertainty"))
-        numbers += self._tangent(row.get("compliance"))
-        curvature, count = row.get("curvature"), len(self._columns.curvature)
-        if curvature is not None and not _are(curvature, count):
-            self._refuse("curvature", f"is not a list of {count} numbers; a row has all or none")
-        elif curvature is not None:
-            curvature = self._finite("curvature", curvature)
-        texts = [self._text(row.get(key), key) for key in TEXTS]
-        if len(self.mistakes) == before:
-            self._row.append(at)
-            self._numbers.append(numbers)
-            self._curvatures.append(curvature)
-            self._texts.append(texts)
-
-    def table(self, options: Options, report: ReadReport) -> ParsedTable:
-        """Return the rows within all limits; `report` gets the mistakes."""
-        for mistake in self.mistakes:
-            report.mistakes.add(*mistake)
-        n, m = len(self._columns.wrench), len(self._columns.displacement)
-        block: Array = np.array(self._numbers, dtype=float).reshape(-1, n + 2 * m + m * n)
-        source, note, fingerprint = zip(*self._texts, strict=True) if self._texts else ((), (), ())
-        uncertainty, tangents = block[:, n + m : n + 2 * m], block[:, n + 2 * m :].reshape(-1, m, n)
-        piece = {
-            "seq": np.array(self._row, dtype=np.int64),
-            "wrench": block[:, :n],
-            "displacement": block[:, n : n + m],
-            "compliance": _known_column(tangents),
-            "curvature": curvature_column(self._curvatures, self._columns.space),
-            "uncertainty": _known_column(uncertainty),
-            "source": np.array(source, dtype=str),
-            "fingerprint": np.array(fingerprint, dtype=str),
-            "space": self._columns.space,
-            "note": note,
-        }
-        return good_rows(piece, np.ones(len(block), dtype=bool), options, report)
-
-    def _refuse(self, key: str, message: str) -> None:
-        self.mistakes.append((self._at, key, message))
-
-    def _required(self, row: dict[str, Any], key: str, names: Sequence[str]) -> list[float]:
-        """Return finite numbers, one a name, NaN for a displacement that is null."""
-        values, partial = row.get(key), key == "displacement"
-        if not _are(values, len(names)):
-            count = number_word(len(names))
-            problem = "is missing" if values is None else f"is not a list of {count} numbers"
-            self._refuse(key, f"{problem}; write [{', '.join(names)}] in SI")
-            return []
-        if partial and all(value is None for value in values):
-            self._refuse(key, "is all null; a row needs at least one number")
-        return self._finite(key, values, nulls=partial)
-
-    def _uncertainty(self, values: Any) -> list[float]:
-        count = len(self._columns.displacement)
-        if values is None:
-            return [math.nan] * count
-        if not _are(values, count):
-            message = f"is not a list of {number_word(count)} numbers (null where unknown)"
-            self._refuse("uncertainty", message)
-            return []
-        bounds = self._finite("uncertainty", values, nulls=True)
-        for index, bound in enumerate(bounds):
-            if bound < 0.0:
-                self._refuse(f"uncertainty[{index}]", f"{bound}: an uncertainty is not negative")
-        return bounds
-
-    def _tangent(self, lines: Any) -> list[float]:
-        """Return the tangents by lines, NaN where the row has none."""
-        n, m = len(self._columns.wrench), len(self._columns.displacement)
-        if lines is None:
-            return [math.nan] * (m * n)
-        if not _are(lines, m) or not all(_are(line, n) for line in lines):
-            message = (
-                f"is not {number_word(m)} lists of {number_word(n)} numbers; a row has all "
-                f"{m * n} tangents or none"
-            )
-            self._refuse("compliance", message)
-            return []
-        numbers = (self._finite(f"compliance[{at}]", line) for at, line in enumerate(lines))
-        return [number for line in numbers for number in line]
-
-    def _finite(self, key: str, values: list[Any], nulls: bool = False) -> list[float]:
-        """Return finite numbers, NaN for null where that is allowed, zero and a mistake else."""
-        numbers = []
-        for index, value in enumerate(values):
-            problem, number = "", 0.0
-            if nulls and value is None:
-                number = math.nan
-            elif isinstance(value, _Vanished):
-                problem = "is too small a number and would become 0; write 0"
-            elif type(value) is not float and type(value) is not int:  # a bool is an int to Python
-                problem = f"{json.dumps(value)[:40]} is not a number"
-            elif not abs(value) <= _MAX_FLOAT:
-                problem = "is not finite; leave the row out"
-            else:
-                number = float(value)
-            if problem:
-                self._refuse(f"{key}[{index}]", problem)
-            numbers.append(number)
-        return numbers
-
-    def _text(self, value: Any, key: str) -> str:
-        if value is None:
-            return ""
-        if not isinstance(value, str):
-            self._refuse(key, "is not a text")
-            return ""
-        if problem := text_problem(value):
-            self._refuse(key, problem)
-        return value.strip()
+    def __init__(self, key: str, message: str) -> None:
+        super().__init__(message)
+        self.key = key
 
 
-def _known_column(column: Array) -> Array:
-    """Return a column, (n, ...), m and rad; without memory if all of it is unknown."""
-    return unknown_column(*column.shape) if np.isnan(column).all() else column
+def _row_cells(row: Any, columns: Columns) -> list[str]:
+    """Return the numbers and texts of a row in the order of `array_header`; _BadRowError."""
+    if not isinstance(row, dict):
+        raise _BadRowError("row", 'is not a row; write {"wrench": [...], "displacement": [...]}')
+    for key in row:
+        if key not in _ROW_KEYS:
+            message = f"is not a key of a row; there are {', '.join(_ROW_KEYS)}"
+            raise _BadRowError(key, message)
+    cells: list[str] = []
+    for key in ARRAYS:
+        names, values = getattr(columns, key), row.get(key)
+        if values is None and key not in _REQUIRED:
+            cells += [""] * len(names)
+            continue
+        width = len(columns.wrench) if key == "compliance" else len(names)
+        lines = values if key == "compliance" else [values]
+        count = len(names) // width
+        are_lists = isinstance(lines, list) and all(isinstance(line, list) for line in lines)
+        if not are_lists or [*map(len, lines)] != [width] * count:
+            raise _BadRowError(key, _form(key, names, width, is_missing=values is None))
+        for at, line in enumerate(lines):
+            label = f"{key}[{at}]" if key == "compliance" else key
+            cells += line if {*map(type, line)} == {Digits} else _number_cells(label, line)
+    for key in TEXTS:
+        text = row.get(key)
+        if not (text is None or type(text) is str):
+            raise _BadRowError(key, "is not a text")
+        cells.append(text or "")
+    return cells
 
 
-def _are(values: Any, count: int) -> TypeGuard[list[Any]]:
-    return isinstance(values, list) and len(values) == count
+def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> str:
+    """Return what is wrong with the value of a key, and what to write."""
+    lines, numbers = (
+        "six" if count == PER_INTERFACE else str(count) for count in (len(names) // width, width)
+    )
+    if key == "compliance":
+        whole = f"a row has all {len(names)} tangents or none"
+        return f"is not {lines} lists of {numbers} numbers; {whole}"
+    remedy = {
+        "uncertainty": " (null where unknown)",
+        "curvature": "; a row has all or none",
+    }.get(key, f"; write [{', '.join(names)}] in SI")
+    return ("is missing" if is_missing else f"is not a list of {numbers} numbers") + remedy
 
 
-class _Vanished(float):
-    """A number of the file that is not zero and its float is."""
-
-
-def _parsed_float(text: str) -> float:
-    number = float(text)
-    return _Vanished(number) if number == 0.0 and vanished(text) else number
+def _number_cells(key: str, line: list[Any]) -> list[str]:
+    """Return the cells of numbers, empty for null where that is allowed; _BadRowError."""
+    cells = []
+    for index, value in enumerate(line):
+        if value is None and key in ("displacement", "uncertainty"):
+            cells.append("")
+        elif isinstance(value, float):  # NaN and infinity have no digits
+            cells.append(str(value))
+        elif type(value) is Digits:
+            cells.append(value)
+        else:
+            raise _BadRowError(f"{key}[{index}]", f"{json.dumps(value)[:40]} is not a number")
+    return cells
 
 
 def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:

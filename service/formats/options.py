@@ -187,17 +187,18 @@ class MistakeCause:
 class ReadReport:
     """Report on reading a file; it is complete after the last piece.
 
-    `columns` are label, name and unit of those that are read, `ignored` the labels of the others,
-    `titles` lines above the header. `converted`: some numbers are not in the units of arrays.
-    `clock`, of two logs: the seconds added to the displacements' times, and the lag that the logs
-    show. `read`, `zeroed` and `unmatched` count the rows of the file, those in the mean of the zero
-    offset, and those with no load at their time.
+    `columns` are label, name and unit of those that are read, `labels` how messages call each name,
+    `ignored` the labels of the others, `titles` lines above the header. `converted`: some numbers
+    are not in the units of arrays. `clock`, of two logs: the seconds added to the displacements'
+    times, and the lag that the logs show. `read`, `zeroed` and `unmatched` count the rows of the
+    file, those in the mean of the zero offset, and those with no load at their time.
     """
 
     mistakes: Mistakes = field(default_factory=Mistakes)
     format: str = ""
     gzip: bool = False
     columns: list[tuple[str, str, str]] = field(default_factory=list)
+    labels: dict[str, str] = field(default_factory=dict)
     converted: bool = False
     ignored: list[str] = field(default_factory=list)
     titles: list[str] = field(default_factory=list)
@@ -216,15 +217,6 @@ class ReadReport:
         elif self.mistakes.count > MAX_MISTAKES:
             self.mistakes.whole = True
         return self.mistakes.whole
-
-    def label(self, name: str, columns: Columns) -> str:
-        """Return the label of a column in the file: ``Fz [kN]``; ``wrench[2]`` in JSON and HDF5."""
-        if self.columns or self.format not in ("json", "hdf5"):
-            return next((label for label, own, _ in self.columns if own == name), name)
-        keys = ("wrench", "displacement", "uncertainty")
-        named = ((key, getattr(columns, key)) for key in keys)
-        found = (f"{key}[{names.index(name)}]" for key, names in named if name in names)
-        return next(found, name)
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the report as in the HTTP reply, with the number of good rows and a preview."""

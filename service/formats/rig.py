@@ -183,8 +183,7 @@ def rigged(
         good = np.ones(len(piece), dtype=bool)
         for at, name, message in _problems(piece, rig, moved, shift, names):
             good[at] = False
-            label = report.label(name, options.columns) if name in names else name
-            report.mistakes.add(int(piece.seq[at]), label, message)
+            report.mistakes.add(int(piece.seq[at]), report.labels.get(name, name), message)
         source = np.where(piece.source == "", MEASURED, piece.source)
         columns = {"wrench": loads - shift, "displacement": moved, "uncertainty": uncertainty}
         columns["source"] = np.char.add(source, f"{_MARK}{rig.name}")

@@ -68,43 +68,25 @@ def picked(columns: Mapping[str, Any], which: Array) -> dict[str, Any]:
     return columns
 
 
-def number_word(count: int) -> str:
-    """Return a number as a message has it: six, 12."""
-    return "six" if count == PER_INTERFACE else str(count)
-
-
 def is_corrected(options: Options) -> bool:
     """Return whether readings are joined or corrected: rows of the interface have limits."""
     return bool(options.zero_rows or options.rig or options.role != "table")
 
 
-def good_rows(
-    columns: Mapping[str, Any], good: Array, options: Options, report: ReadReport
-) -> ParsedTable:
-    """Return the rows of a mask, (n,), of the columns of a `ParsedTable`, within the limits.
-
-    Readings that are to be corrected have no limits yet.
-    """
-    if not is_corrected(options):
-        good = good & _within_limits(columns, options, report)
-    report.mistakes.settle()
-    return ParsedTable(**picked(columns, good))
-
-
 def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
     """Return the rows within all limits; the others become mistakes."""
-    good = _within_limits(vars(piece), options, report)
+    good = is_within_limits(vars(piece), options, report)
     report.mistakes.settle()
     return piece.take(good)
 
 
-def _within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
+def is_within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
+    """Return which rows of the columns of a `ParsedTable` are within all limits, (n,)."""
     good = np.ones(len(columns["seq"]), dtype=bool)
     numbers = (columns[name] for name in ("wrench", "displacement", "uncertainty"))
     for at, name, message in _excesses(*numbers, options):
         good[at] = False
-        label = report.label(name, options.columns)
-        report.mistakes.add(int(columns["seq"][at]), label, message)
+        report.mistakes.add(int(columns["seq"][at]), report.labels.get(name, name), message)
     return good
 
 
@@ -202,6 +184,6 @@ def _foreign_rows(piece: ParsedTable, own: str) -> Iterator[Problem]:
             )
             yield at, "fingerprint", message
         elif source == FEA and np.isnan(piece.displacement[at]).any():
-            count = number_word(piece.displacement.shape[1])
+            count = piece.displacement.shape[1]
             message = f"a solve knows all {count} outputs; write them, or another source than fea"
             yield at, "source", message

@@ -29,7 +29,13 @@ from wrenchbook.service.formats.cells import (
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import Header, HeaderColumn, Record, read_head
 from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
-from wrenchbook.service.formats.rows import Array, ParsedTable, good_rows
+from wrenchbook.service.formats.rows import (
+    Array,
+    ParsedTable,
+    is_corrected,
+    is_within_limits,
+    picked,
+)
 from wrenchbook.service.formats.units import scaled, vanished
 from wrenchbook.surrogate.table.rows import unknown_column
 
@@ -131,7 +137,9 @@ def read_pieces(
     """
     mistakes = report.mistakes
     columns = header.columns.values()
-    report.columns += [(column.label, column.name, column.unit) for column in columns]
+    report.labels |= {column.name: column.label for column in columns}
+    if header.named:
+        report.columns += [(column.label, column.name, column.unit) for column in columns]
     report.converted |= any(column.factor != 1.0 or column.zero for column in columns)
     report.ignored += header.ignored
     report.titles += header.titles
@@ -151,7 +159,8 @@ def read_pieces(
         if report.is_beyond_limits():
             return
     if not report.read and not mistakes:
-        mistakes.ruin(0, "file", "there is a header but no row below it")
+        message = "there is a header but no row below it" if header.named else "there is no row"
+        mistakes.ruin(0, "file" if header.named else "rows", message)
 
 
 def _ambiguity(cell: str) -> str:
@@ -275,8 +284,6 @@ class _Conversion:
         displacement = self._block(names.displacement, missing=np.nan)
         uncertainty, compliance, curvature = (
             self._block(block, missing=np.nan)
-            if any(name in columns for name in block)
-            else unknown_column(len(self._row), len(block))
             for block in (names.uncertainty, names.compliance, names.curvature)
         )
         time = self._times() if options.role != "table" else None
@@ -306,14 +313,22 @@ class _Conversion:
             "note": note.tolist(),
             "time": time,
         }
-        return good_rows(piece, self._good, options, report)
+        if not is_corrected(options):
+            self._good &= is_within_limits(piece, options, report)
+        report.mistakes.settle()
+        return ParsedTable(**picked(piece, self._good))
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:
-        """Return columns that belong together, shape (n, k), SI."""
-        block = np.full((len(self._row), len(names)), missing)
-        for index, name in enumerate(names):
-            if name in self._header.columns:
-                block[:, index] = self._numbers(self._header.columns[name])
+        """Return columns that belong together, shape (n, k), SI; without memory if all are NaN."""
+        shape = len(self._row), len(names)
+        columns = [self._header.columns.get(name) for name in names]
+        numbers = [column and self._numbers(column) for column in columns]
+        if np.isnan(missing) and all(n is None or np.isnan(n).all() for n in numbers):
+            return unknown_column(*shape)
+        block = np.full(shape, missing)
+        for index, values in enumerate(numbers):
+            if values is not None:
+                block[:, index] = values
         return block
 
     def _numbers(self, column: HeaderColumn) -> Array:
@@ -414,7 +429,8 @@ class _Conversion:
         for at in np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1)).tolist():
             if self._good[at]:
                 name = names[int(np.argmax(missing[at]))]
-                self._refuse(at, name, f"is missing; a row has all {len(names)} {kind} or none")
+                label = name if self._header.named else self._header.columns[name].label
+                self._refuse(at, label, f"is missing; a row has all {len(names)} {kind} or none")
 
     def _texts(self, name: str) -> Array:
         """Return a column of texts, shape (n,); empty ones if the file has none."""
@@ -439,13 +455,14 @@ class _Conversion:
 
 
 def _floats(cells: Sequence[str], comma: bool) -> Array | None:
-    """Return a column of finite numbers, shape (n,); None if a cell is anything else."""
+    """Return a column, shape (n,), NaN where a cell is empty; None if one is no finite number."""
     joined = "".join(cells)
     if "_" in joined or not joined.isascii() or (comma and "." in joined):
         return None
     texts = [cell.replace(",", ".") for cell in cells] if comma else cells
     try:
-        values = np.fromiter(map(float, texts), dtype=float, count=len(texts))
+        values = np.fromiter((float(text or "nan") for text in texts), float, len(texts))
     except ValueError:
         return None
-    return values if np.isfinite(values).all() else None
+    finite = np.isfinite(values).sum()
+    return values if finite + texts.count("") == len(texts) else None
