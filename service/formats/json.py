@@ -27,7 +27,7 @@ import numpy as np
 from wrenchbook.service.formats.cells import Digits
 from wrenchbook.service.formats.columns import ARRAYS, ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.header import Record, array_header
-from wrenchbook.service.formats.options import Options, ReadReport
+from wrenchbook.service.formats.options import MAX_MISTAKES, Options, ReadReport
 from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_pieces, read_records
 from wrenchbook.surrogate.table.space import PER_INTERFACE
@@ -37,6 +37,7 @@ MAX_BYTES = 112 * 1024 * 1024
 
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
+_MAX_UNKNOWN = 10  # keys of a row that are named
 _REQUIRED = ("wrench", "displacement")
 _ROW_KEYS = (*ARRAYS, *TEXTS, *ORIGIN)
 _RECORDS = re.compile(rf'\s*(\[\s*\{{|\{{\s*"(?!({"|".join((*_TABLE_KEYS, *_SPACE_KEYS))})"))')
@@ -156,17 +157,20 @@ def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[Pa
             return
 
     def pieces() -> Iterator[Piece]:
-        rows = enumerate(table["rows"], 1)
+        rows, end = enumerate(table["rows"], 1), 0
         while some := list(islice(rows, PIECE)):
-            good: list[int] = []
+            start, good = end, []
             cells: list[list[str]] = []
-            for number, row in some:
-                try:
-                    cells.append(_row_cells(row, columns))
-                    good.append(number)
-                except _BadRowError as error:
-                    mistakes.add(number, error.key, str(error))
-            yield Piece(good, list(zip(*cells, strict=True)), len(some))
+            for end, row in some:
+                line, problems = _row_cells(row, columns)
+                for key, message in problems:
+                    mistakes.add(end, key, message)
+                if not problems:
+                    good.append(end)
+                    cells.append(line)
+                if mistakes.count > MAX_MISTAKES:
+                    break
+            yield Piece(good, list(zip(*cells, strict=True)), end - start)
 
     yield from read_pieces(array_header(columns), pieces(), options, report, CellFormat())
 
@@ -191,23 +195,14 @@ def _key_problem(key: str, value: Any, columns: Columns) -> str:
     return ""
 
 
-class _BadRowError(ValueError):
-    """A row is not of the form of a row; the key and what to do."""
-
-    def __init__(self, key: str, message: str) -> None:
-        super().__init__(message)
-        self.key = key
-
-
-def _row_cells(row: Any, columns: Columns) -> list[str]:
-    """Return the numbers and texts of a row in the order of `array_header`; _BadRowError."""
+def _row_cells(row: Any, columns: Columns) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return a row's cells in the order of `array_header`, and key and message of each mistake."""
     if not isinstance(row, dict):
-        raise _BadRowError("row", 'is not a row; write {"wrench": [...], "displacement": [...]}')
-    for key in row:
-        if key not in _ROW_KEYS:
-            message = f"is not a key of a row; there are {', '.join(_ROW_KEYS)}"
-            raise _BadRowError(key, message)
+        return [], [("row", 'is not a row; write {"wrench": [...], "displacement": [...]}')]
+    unknown = islice((key for key in row if key not in _ROW_KEYS), _MAX_UNKNOWN)
+    message = f"is not a key of a row; there are {', '.join(_ROW_KEYS)}"
     cells: list[str] = []
+    problems = [(key, message) for key in unknown]
     for key in ARRAYS:
         names, values = getattr(columns, key), row.get(key)
         if values is None and key not in _REQUIRED:
@@ -215,19 +210,21 @@ def _row_cells(row: Any, columns: Columns) -> list[str]:
             continue
         width = len(columns.wrench) if key == "compliance" else len(names)
         lines = values if key == "compliance" else [values]
-        count = len(names) // width
         are_lists = isinstance(lines, list) and all(isinstance(line, list) for line in lines)
-        if not are_lists or [*map(len, lines)] != [width] * count:
-            raise _BadRowError(key, _form(key, names, width, is_missing=values is None))
+        if not are_lists or [*map(len, lines)] != [width] * (len(names) // width):
+            problems.append((key, _form(key, names, width, is_missing=values is None)))
+            continue
         for at, line in enumerate(lines):
-            label = f"{key}[{at}]" if key == "compliance" else key
-            cells += line if {*map(type, line)} == {Digits} else _number_cells(label, line)
+            cells += line
+            if {*map(type, line)} != {Digits}:
+                label = f"{key}[{at}]" if key == "compliance" else key
+                cells[-width:] = _number_cells(label, line, problems)
     for key in TEXTS:
         text = row.get(key)
         if not (text is None or type(text) is str):
-            raise _BadRowError(key, "is not a text")
+            problems.append((key, "is not a text"))
         cells.append(text or "")
-    return cells
+    return cells, problems
 
 
 def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> str:
@@ -245,18 +242,14 @@ def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> st
     return ("is missing" if is_missing else f"is not a list of {numbers} numbers") + remedy
 
 
-def _number_cells(key: str, line: list[Any]) -> list[str]:
-    """Return the cells of numbers, empty for null where that is allowed; _BadRowError."""
+def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) -> list[str]:
+    """Return the cells of numbers, empty for null where that is allowed; else it is a mistake."""
     cells = []
     for index, value in enumerate(line):
-        if value is None and key in ("displacement", "uncertainty"):
-            cells.append("")
-        elif isinstance(value, float):  # NaN and infinity have no digits
-            cells.append(str(value))
-        elif type(value) is Digits:
-            cells.append(value)
-        else:
-            raise _BadRowError(f"{key}[{index}]", f"{json.dumps(value)[:40]} is not a number")
+        is_null = value is None and key in ("displacement", "uncertainty")
+        if not (is_null or type(value) in (Digits, float)):
+            problems.append((f"{key}[{index}]", f"{json.dumps(value)[:40]} is not a number"))
+        cells.append("" if is_null else str(value))  # NaN and infinity have no digits
     return cells
 
 
