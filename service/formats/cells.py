@@ -51,11 +51,7 @@ _DECIMAL_MARK = re.compile(r"[+-]?\d*([.,])\d*(?:[eE][+-]?\d+)?")
 
 
 def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
-    """Return the text of a number with a decimal point, as `float` reads it; None if it is none.
-
-    Marks between thousands are left out. If the sender declared the mark, 1,234 beside a decimal
-    point is 1234; otherwise it may also be a wrong decimal mark.
-    """
+    """Return a number's text for `float`, or None; with a declared point 1,234 is 1234."""
     grouped, mark = _GROUPED.fullmatch(cell), "," if comma else "."
     # 915.009 has the form of thousands, and the point is the decimal mark.
     if grouped and grouped["gap"] == mark and not (grouped["mark"] or grouped["more"]):
@@ -140,11 +136,7 @@ def time_seconds(cell: str, comma: bool, factor: float | None) -> float:
 
 
 def guard_formula(text: str) -> str:
-    """Return the text with a ``'`` before it if a spreadsheet would run it as a formula.
-
-    A text that begins with ``'`` and a sign of a formula gets one more, so `unguard_formula`
-    restores every text.
-    """
+    """Return the text with a ``'`` before it if a spreadsheet or an import would change it."""
     return f"'{text}" if _FORMULA.match(text) else text
 
 

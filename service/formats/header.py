@@ -1,23 +1,13 @@
-"""The header of a table of columns, the lines above it, and which column is which in which unit.
+"""The header of a table of columns: lines above it, and which column is which in which unit.
 
-Columns, in the spellings of `columns`: ``fx fy fz mx my mz`` (a missing one is a mistake unless the
-sender declares it zero), ``ux uy uz rx ry rz`` (at least one; a missing one, or an empty field, was
-not measured), ``ux_err`` ... ``rz_err`` (95 % half width; ``ux_std`` is half of it), ``dux/dfx
-[m/N]`` ... ``drz/dmz [rad/(N*m)]`` (the 36 tangents of a solve, all or none) and ``source``,
-``note``, ``fingerprint`` (text, no unit; the fingerprint names the setup of a solve). Every number
-column names its unit, in its label, in a row of units below, or in the preamble: a rotation without
-one may be radians or degrees. An unknown column is a mistake unless the sender leaves it out,
-because a misspelt load would count as zero.
+Names and spellings are those of `columns`. A number column names its unit in its label, in a row of
+units below or in the preamble. An unknown column is a mistake unless the sender leaves it out: a
+misspelt load would count as zero. The first of 31 lines that names two columns is the header;
+without one the first line is read as the header, and its mistakes are reported.
 
-ATI's Net F/T demo logs counts: a line each of ``Start Time``, ``RDT Sample Rate``, ``Force Units``,
-``Counts per Unit Force``, ``Torque Units``, ``Counts per Unit Torque`` (two of them on one line in
-some versions), then ``Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time``. A
-value is the counts over the counts per unit; the elapsed time is the RDT sequence over the sample
-rate (ATI manual 9620-05-Ethernet Axia, 7.4, and 9620-05-Net FT, 5).
-
-Titles, dates and names of a rig may stand above the header too. The first of 31 lines that names
-two columns is the header. If no line does, or a row of numbers comes first, the first line is read
-as the header, and its mistakes are reported.
+ATI's Net F/T demo logs counts below lines such as ``Counts per Unit Force``. A value is the counts
+over the counts per unit; the elapsed time is the RDT sequence over the sample rate (ATI manual
+9620-05-Ethernet Axia, 7.4, and 9620-05-Net FT, 5).
 """
 
 from __future__ import annotations
@@ -145,10 +135,7 @@ def _positive(value: str) -> float:
 def _split_titles(
     first: Record, rest: Iterator[Record], mapping: Mapping[str, str], columns: Columns
 ) -> tuple[list[str], Record, Iterator[Record]]:
-    """Return the titles, the header and the records below it.
-
-    `first` is the first record of the file with text; the keys of `mapping` count as names.
-    """
+    """Return the titles, the header and the records below it; keys of `mapping` count as names."""
 
     def is_row(cells: list[str]) -> bool:
         filled = [cell for cell in cells if cell.strip()]

@@ -21,20 +21,22 @@ import numpy as np
 from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet
 from wrenchbook.service.formats.csv import read_csv
 from wrenchbook.service.formats.json import read_json
-from wrenchbook.service.formats.options import Format, Options, ReadReport
+from wrenchbook.service.formats.options import (
+    MEASURED,
+    Format,
+    Options,
+    ParsedTable,
+    ReadReport,
+    is_corrected,
+    with_own_setup,
+    within_limits,
+)
 from wrenchbook.service.formats.rig import (
     joined_loads,
     rigged,
     with_known_point,
     with_loads,
     zeroed,
-)
-from wrenchbook.service.formats.rows import (
-    MEASURED,
-    ParsedTable,
-    is_corrected,
-    with_own_setup,
-    within_limits,
 )
 from wrenchbook.service.formats.units import FORCE, si_factor
 from wrenchbook.service.formats.xlsx import read_xlsx
@@ -91,10 +93,7 @@ class ReadResult:
 
 
 def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) -> ReadResult:
-    """Read a table file, or two logs to be joined by time, in a child process with limits.
-
-    Raises SandboxBusyError if no child is free for a minute, OSError if the disk is full.
-    """
+    """Read a table, or two logs, in a child with limits; SandboxBusyError, OSError."""
     arguments = {
         "second": str(files[1]) if len(files) > 1 else None,
         "options": options.as_json(),
@@ -117,10 +116,7 @@ def warm_up() -> None:
 def table_parts(
     file: Path, second: str | None, options: Mapping[str, Any], preview: int
 ) -> Iterator[Part]:
-    """Read a file, or the logs of loads and displacements, and yield its pieces, then the report.
-
-    `options` are those of `Options.as_json`, `preview` the first good rows in the report.
-    """
+    """Yield the pieces of a file, or of two logs, as parts, then the report with `preview` rows."""
     own, report, good = Options.from_json(options), ReadReport(), 0
     shown: list[dict[str, Any]] = []
     if second is None:
@@ -175,10 +171,7 @@ class FindingsSample:
 
 
 def read_table_file(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the rows of a table file that may be loaded; `report` is complete after the last piece.
-
-    A gzipped file is unpacked next to it.
-    """
+    """Yield the rows of a file that may be loaded; `report` is complete after the last piece."""
     yield from _corrected(_columns(path, options, report), options, report)
 
 

@@ -76,11 +76,7 @@ _PINT = Context(prec=50)  # pi as pint writes it
 
 @cache
 def si_factor(unit: str, quantity: Quantity) -> float:
-    """Return the factor from a unit such as `lbf` or `N*mm` to that of arrays; UnitError.
-
-    A unit is letters, or such joined by ``*``, ``·``, ``-``, ``.`` or a space; upper and lower case
-    differ.
-    """
+    """Return the factor from a unit such as `lbf` or `N*mm` to that of arrays; UnitError."""
     words = _words(unit)
     if quantity.scales:
         known = next((factor for name, factor, _ in quantity.scales if name == unit), None)
@@ -179,10 +175,7 @@ def scaled(values: np.ndarray, factor: float) -> np.ndarray:
 
 
 def in_unit(value: float, factor: float) -> str:
-    """Return the digits of an SI value in a unit; read back they agree to rounding.
-
-    15 digits restore what a person wrote; 17 are written where 15 lose more than rounding.
-    """
+    """Return the digits of an SI value in a unit: 15 if they lose only rounding, else 17."""
     if factor == 1.0:
         return repr(value)
     inverse = float(round(1.0 / factor))
