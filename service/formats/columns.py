@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wrenchbook.service.formats.units import (
+from wrenchbook.service.formats.cells import (
     FORCE,
     MOMENT,
     ROTATION,

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from wrenchbook.service.formats.cells import FORCE, si_factor
 from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet
 from wrenchbook.service.formats.csv import read_csv
 from wrenchbook.service.formats.json import read_json
@@ -38,7 +39,6 @@ from wrenchbook.service.formats.rig import (
     with_loads,
     zeroed,
 )
-from wrenchbook.service.formats.units import FORCE, si_factor
 from wrenchbook.service.formats.xlsx import read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MOST, find
@@ -89,7 +89,19 @@ class ReadResult:
 
     def pieces(self) -> Iterator[ParsedTable]:
         """Yield the rows in pieces."""
-        return (_piece(part, self.space) for part in self.parts)
+        inputs, outputs = len(self.space.inputs), len(self.space.outputs)
+        for part in self.parts:
+            n, note = len(part.arrays["seq"]), part.fields["note"]
+            columns: dict[str, Any] = {
+                "uncertainty": unknown_column(n, outputs),
+                "compliance": unknown_column(n, outputs, inputs),
+                "curvature": np.empty((n, 0)),
+                "note": [note] * n if isinstance(note, str) else note,
+            }
+            for name in ("source", "fingerprint"):
+                text = part.fields[name]
+                columns[name] = np.full(n, text) if isinstance(text, str) else np.array(text)
+            yield ParsedTable(**columns | dict(part.arrays), space=self.space)
 
 
 def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) -> ReadResult:
@@ -309,21 +321,3 @@ def _part(piece: ParsedTable) -> Part:
         name: column[0] if len(set(column)) == 1 else column for name, column in texts.items()
     }
     return Part(packed, arrays)
-
-
-def _piece(part: Part, space: Space) -> ParsedTable:
-    n, outputs, inputs = len(part.arrays["seq"]), len(space.outputs), len(space.inputs)
-    texts = {
-        name: np.full(n, part.fields[name])
-        if isinstance(part.fields[name], str)
-        else np.array(part.fields[name])
-        for name in ("source", "fingerprint")
-    }
-    note = part.fields["note"]
-    blank = {
-        "uncertainty": unknown_column(n, outputs),
-        "compliance": unknown_column(n, outputs, inputs),
-        "curvature": np.empty((n, 0)),
-        "note": [note] * n if isinstance(note, str) else note,
-    }
-    return ParsedTable(**blank | texts | dict(part.arrays), space=space)

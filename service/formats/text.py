@@ -22,9 +22,11 @@ from wrenchbook.service.formats.cells import (
     number_problem,
     number_text,
     quoted,
+    scaled,
     text_problem,
     time_seconds,
     unguard_formula,
+    vanished,
 )
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import Header, HeaderColumn, Record, read_head
@@ -38,7 +40,6 @@ from wrenchbook.service.formats.options import (
     is_within_limits,
     picked,
 )
-from wrenchbook.service.formats.units import scaled, vanished
 from wrenchbook.surrogate.table.rows import unknown_column
 
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
