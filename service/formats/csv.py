@@ -164,6 +164,7 @@ class _Body:
 
         ascii_only = self._encoding == "utf-8-sig" or block.isascii()
         marked = b"\0" in block or (b"#" in block and b"\n#" in b"\n" + block)
+        marked |= b"\r" in block and block.count(b"\r") != block.count(b"\r\n")
         if marked or not ascii_only or not self._numbers:
             return None
         wanted = self._numbers + self._texts
