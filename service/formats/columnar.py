@@ -14,8 +14,7 @@ from scipy.io import loadmat, whosmat
 
 from wrenchbook.service.formats.columns import ARRAYS, Columns, Layout, WritableRows
 from wrenchbook.service.formats.header import array_header
-from wrenchbook.service.formats.options import MAX_ROWS, Options, ReadReport
-from wrenchbook.service.formats.rows import Array, ParsedTable
+from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
 from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
@@ -70,10 +69,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
 def write_parquet(
     path: Path, pieces: Iterable[WritableRows], layout: Layout, about: Mapping[str, str]
 ) -> None:
-    """Write pieces of a table as row groups of float64 in SI; `about` becomes the metadata.
-
-    The unit of each column is in its name and in its metadata.
-    """
+    """Write pieces of a table as row groups of float64 in SI; `about` becomes the metadata."""
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wrenchbook.service.formats.units import (
+from wrenchbook.service.formats.cells import (
     FORCE,
     MOMENT,
     ROTATION,
@@ -224,11 +224,7 @@ def _columns(name: str) -> set[tuple[str, float]]:
 
 
 class WritableRows(Protocol):
-    """Rows that can be written: a `ParsedTable`, the rows of a surrogate, any of this form.
-
-    Arrays are as in `ParsedTable`. ``curvature``, and ``note``, ``fingerprint``, ``seq``, ``when``
-    and ``who`` of each row, are optional.
-    """
+    """Rows to write; also with `curvature`, `note`, `fingerprint`, `seq`, `when`, `who`."""
 
     @property
     def wrench(self) -> np.ndarray: ...  # noqa: D102

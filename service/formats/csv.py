@@ -1,10 +1,8 @@
 """CSV tables: encodings, delimiters, decimal marks, comments, and mistakes by line and column.
 
 Fields are parted by ``,``, ``;``, tab or ``|``, with the latter three the decimal mark may be a
-comma. Marks between thousands are left out (``1,234.5``, ``1 234``, ``1.234.567``). If all marks in
-the numbers may part thousands (``1,234``), the file is refused: a guess would be wrong by a factor
-of 1000. Lines that begin with ``#`` are comments. Blank lines count in
-the numbers of lines.
+comma. If all marks in the numbers may part thousands (``1,234``), the file is refused: a guess
+would be wrong by a factor of 1000. Blank lines and comments (``#``) count in the numbers of lines.
 """
 
 from __future__ import annotations
@@ -24,8 +22,7 @@ import numpy as np
 from wrenchbook.service.formats.cells import guard_formula, number_text
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN, Layout, WritableRows
 from wrenchbook.service.formats.header import Header, Preamble, Record, delimiter_in, read_head
-from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
-from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.options import Mistakes, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import (
     BrokenLineError,
     CellFormat,
@@ -167,6 +164,7 @@ class _Body:
 
         ascii_only = self._encoding == "utf-8-sig" or block.isascii()
         marked = b"\0" in block or (b"#" in block and b"\n#" in b"\n" + block)
+        marked |= b"\r" in block and block.count(b"\r") != block.count(b"\r\n")
         if marked or not ascii_only or not self._numbers:
             return None
         wanted = self._numbers + self._texts
@@ -230,10 +228,7 @@ def _may_vanish(block: bytes) -> bool:
 def csv_text(
     pieces: Iterable[WritableRows], layout: Layout, comments: Iterable[str] = ()
 ) -> Iterator[str]:
-    """Yield the text of a CSV: comments, header, and the rows of each piece.
-
-    A text that a spreadsheet would run as a formula has a ``'`` before it; an import removes it.
-    """
+    """Yield the text of a CSV: comments, header and rows; formulas get a ``'`` before them."""
     for comment in comments:
         yield "# " + " ".join(comment.split()) + "\n"
     out = _Lines()
@@ -264,10 +259,7 @@ class _Lines(list[str]):
 
 
 def _encoding(path: Path) -> str:
-    """Return UTF-8 with or without mark, UTF-16 with mark, or Windows-1252.
-
-    UnreadableFileError if the file is a spreadsheet or in another encoding.
-    """
+    """Return utf-8-sig, utf-16 (with a mark) or cp1252; UnreadableFileError."""
     with path.open("rb") as content:
         head = content.read(4)
         if head.startswith(b"PK\x03\x04"):
@@ -335,11 +327,7 @@ def _is_comment(line: str) -> bool:
 
 
 def _records(lines: Iterator[str], delimiter: str, first: int = 1) -> Iterator[Record]:
-    """Yield the line and the cells of each record with text; the lines begin with `first`.
-
-    BrokenLineError if a quotation mark stays open or stands within a quoted field, or a field is
-    longer than 131,072 characters.
-    """
+    """Yield the line, from `first` on, and cells of each record with text; BrokenLineError."""
     fresh, length = True, 0
 
     def uncommented() -> Iterator[str]:
@@ -392,10 +380,7 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
 
 
 def _holds_rows(cells: list[str], header: Header, delimiter: str) -> bool:
-    """Return whether two lines of a record are rows: then an open quotation mark joined them.
-
-    A text of several lines leaves at most one such line, which holds the numbers of the row.
-    """
+    """Return whether two lines of a record are rows: an open quotation mark joined them."""
     numeric = (name for name in header.columns if name not in (*TEXTS, TIME_COLUMN))
     places = [header.columns[name].index for name in numeric]
     rows = 0

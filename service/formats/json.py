@@ -1,15 +1,8 @@
 """JSON tables: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
-A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
-numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
-of ux uy uz rx ry rz, over fx fy fz mx my mz), ``curvature`` (third derivatives of the complementary
-energy, in the order of `Rows.curvature`), ``source``, ``note`` and ``fingerprint``. Always SI.
-Rows of several interfaces or further inputs have as many numbers as ``inputs`` and ``outputs``
-name; without these two the order is the component's.
-An export also has ``component``, ``table_version`` and the number of each row in the ledger,
-``row``; an import ignores them.
-
-Objects of named columns, a list of them as pandas writes or one a line, are records as of a CSV.
+Rows have the arrays and texts of `Rows` (null where a displacement or an uncertainty is unknown)
+in SI, in the order of ``inputs`` and ``outputs``, else of the component. Objects of named columns,
+a list of them as pandas writes or one a line, are records as of a CSV.
 """
 
 from __future__ import annotations
@@ -27,8 +20,7 @@ import numpy as np
 from wrenchbook.service.formats.cells import Digits
 from wrenchbook.service.formats.columns import ARRAYS, ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.header import Record, array_header
-from wrenchbook.service.formats.options import MAX_MISTAKES, Options, ReadReport
-from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.options import MAX_MISTAKES, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_pieces, read_records
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
@@ -73,10 +65,7 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
 
 
 def _values(text: str) -> Iterator[Any]:
-    """Yield the values of a text, one behind the other; JsonError.
-
-    Numbers stay text, so that their digits and units are read as those of a CSV.
-    """
+    """Yield the values of a text, with numbers as `Digits` (as of a CSV); JsonError."""
     decoder = json.JSONDecoder(parse_float=Digits, parse_int=Digits, object_pairs_hook=_unique)
     at = 0
     while True:
@@ -130,10 +119,7 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
 
 
 def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the text of a JSON table: the members `about`, then the rows of each piece.
-
-    NaN becomes null. Unknown uncertainties, an unknown tangent and an empty text are left out.
-    """
+    """Yield the text of a JSON table: the members `about`, then the rows without unknown values."""
     head = json.dumps({**about, "units": "SI"}, allow_nan=False)
     yield head[:-1] + ', "rows": ['
     between = ""

@@ -1,12 +1,7 @@
 """From readings of a test rig to rows of the interface: zero offset, join of two logs, frame.
 
-Each displacement of two logs is a row; its wrench is the linear interpolation of the loads before
-and after its time. A displacement before, after or in a gap of the loads is no row: it is counted
-as unmatched. Both logs, seven numbers a sample, are in memory.
-
 Forces and translations are polar vectors. Moments and rotations are axial ones: left-handed axes
-turn their sign. Points are in the interface's frame, from the interface's point. A moment of the
-table is about that point where it is now; that of a load cell on the ground is about where it was.
+turn their sign. Points are in the interface's frame, from the interface's point.
 """
 
 from __future__ import annotations
@@ -22,14 +17,15 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.rows import (
+from wrenchbook.service.formats.options import (
     FEA,
     LOAD_LIMIT,
     MEASURED,
     Array,
+    Options,
     ParsedTable,
     Problem,
+    ReadReport,
     largest_loads,
     picked,
 )
@@ -125,10 +121,7 @@ class Rig:
         return turned
 
     def displacements(self, moved: Array) -> Array:
-        """Return displacements of the interface's point, (n, 6), from the rig's, m and rad.
-
-        A number that depends on one that was not measured (NaN) is NaN.
-        """
+        """Return displacements of the interface's point, (n, 6), m and rad; NaN if unknown."""
         turned = _product(moved, self.turn)
         if self.displacement_point.any():
             turned[:, :3] -= _swing(turned[:, 3:], self.displacement_point)
@@ -229,10 +222,7 @@ def with_known_point(
 
 
 def _shift(wrench: Array, displacement: Array) -> Array:
-    """Return translation x force of each interface at its moments, (n, inputs), N·m; else zeros.
-
-    NaN where a force that is not zero meets a translation that was not measured.
-    """
+    """Return translation x force at each moment, (n, inputs), N·m; NaN where one is not known."""
     shift = np.zeros(wrench.shape)
     for first in range(0, displacement.shape[1], PER_INTERFACE):
         force, moved = (values[:, first : first + 3] for values in (wrench, displacement))
@@ -349,10 +339,7 @@ def zeroed(
 
 
 def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Array, Array] | None:
-    """Return the times (n,), s, and the wrenches (n, inputs), of a log of loads.
-
-    None if it has a mistake: a missing load is missing for the rows before and after it.
-    """
+    """Return times (n,), s, and wrenches of a log of loads; None if it has a mistake."""
     parts, mistakes = list(pieces), report.mistakes
     if mistakes:
         mistakes.whole = True
@@ -371,10 +358,7 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
 def _applied_lag(
     pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
 ) -> float | None:
-    """Return the seconds to add to the displacements' times; None after a mistake.
-
-    The report gets the lag that the logs show, and a finding if it is not the one that is applied.
-    """
+    """Return the seconds to add to the displacements' times; None after a mistake."""
     if report.mistakes.whole:
         return None
     auto = options.time_offset_s == "auto"
@@ -411,10 +395,7 @@ def with_loads(
     options: Options,
     report: ReadReport,
 ) -> Iterator[ParsedTable]:
-    """Yield the displacements whose times lie between two loads, with the interpolated wrench.
-
-    `time` (n,), s, and `wrench` (n, inputs), N and N·m, are the log of the loads.
-    """
+    """Yield the displacements between two loads, with the interpolated wrench."""
     longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))
     lag = _applied_lag(pieces, time, wrench, options, report)
     for piece in () if lag is None else pieces:

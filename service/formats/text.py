@@ -22,25 +22,32 @@ from wrenchbook.service.formats.cells import (
     number_problem,
     number_text,
     quoted,
+    scaled,
     text_problem,
     time_seconds,
     unguard_formula,
+    vanished,
 )
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import Header, HeaderColumn, Record, read_head
-from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
-from wrenchbook.service.formats.rows import (
+from wrenchbook.service.formats.options import (
     Array,
+    Mistakes,
+    Options,
     ParsedTable,
+    ReadReport,
     is_corrected,
     is_within_limits,
     picked,
 )
-from wrenchbook.service.formats.units import scaled, vanished
 from wrenchbook.surrogate.table.rows import unknown_column
 
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
 
+_UNNAMED = (
+    "has a value in column {}, which has no name in the header; name it, or leave it out with "
+    "ignore_extra (--ignore-extra)"
+)
 RecordCheck = Callable[[list[str], Header], str]
 """Returns what is wrong with the cells of a record; an empty text if nothing is."""
 
@@ -95,10 +102,7 @@ def read_records(
 def read_columns(
     typed: Iterable[tuple[Sequence[str], Sequence[Any]]], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
-    """Yield the good rows of columns with labels, all labels with each piece.
-
-    Arrays of numbers are taken as they are, other values as text, empty for none.
-    """
+    """Yield the good rows of columns with labels: arrays of numbers, all else as text."""
     pieces = ((labels, [_cells(column) for column in columns]) for labels, columns in typed)
     labels, first = next(pieces, ((), ()))
     columns = [column for column in first if len(column)]
@@ -131,10 +135,7 @@ def read_pieces(
     report: ReadReport,
     cell_format: CellFormat | None = None,
 ) -> Iterator[ParsedTable]:
-    """Yield the good rows of pieces below a header; `report` gets columns and mistakes.
-
-    Without `cell_format`, as in formats that store numbers, the first piece decides.
-    """
+    """Yield the good rows of pieces below a header; without `cell_format` the first decides."""
     mistakes = report.mistakes
     columns = header.columns.values()
     report.labels |= {column.name: column.label for column in columns}
@@ -151,7 +152,13 @@ def read_pieces(
         cell_format = cell_format or _stored_format(piece, header, options)
         if cell_format.ambiguous is not None:
             line, label, cell = cell_format.ambiguous
-            mistakes.ruin(line, label, _ambiguity(cell))
+            mark, point = (",", ".") if "," in cell else (".", ",")
+            number, other = cell.replace(",", "."), cell.replace(mark, "")
+            message = (
+                f"'{cell}' is {number} or {other}, and no number in the file decides; say "
+                f"decimal={mark} (--decimal {mark}) for {number}, decimal={point} for {other}"
+            )
+            mistakes.ruin(line, label, message)
             return
         report.read += piece.read
         if len(piece.row):
@@ -161,15 +168,6 @@ def read_pieces(
     if not report.read and not mistakes:
         message = "there is a header but no row below it" if header.named else "there is no row"
         mistakes.ruin(0, "file" if header.named else "rows", message)
-
-
-def _ambiguity(cell: str) -> str:
-    mark, point = (",", ".") if "," in cell else (".", ",")
-    number, other = cell.replace(",", "."), cell.replace(mark, "")
-    return (
-        f"'{cell}' is {number} or {other}, and no number in the file decides; say "
-        f"decimal={mark} (--decimal {mark}) for {number}, decimal={point} for {other}"
-    )
 
 
 def _stored_format(piece: Piece, header: Header, options: Options) -> CellFormat:
@@ -242,23 +240,17 @@ def text_pieces(
             if check is None:
                 problem, cells = "", [*cells, *[""] * (width - len(cells))][:width]
             else:
-                problem = check(cells, header) or _unnamed_problem(cells, header)
+                problem = check(cells, header)
+                for index in () if problem else header.unnamed:
+                    if "".join(cells[index : index + 1]).strip():
+                        problem = _UNNAMED.format(index + 1)
+                        break
             if problem:
                 mistakes.add(line, "line", problem)
             else:
                 lines.append(line)
                 rows.append(cells)
         yield Piece(lines, list(zip(*rows, strict=True)), len(some))
-
-
-def _unnamed_problem(cells: list[str], header: Header) -> str:
-    index = next((i for i in header.unnamed if "".join(cells[i : i + 1]).strip()), None)
-    if index is None:
-        return ""
-    return (
-        f"has a value in column {index + 1}, which has no name in the header; name it, or "
-        "leave it out with ignore_extra (--ignore-extra)"
-    )
 
 
 class _Conversion:
@@ -289,7 +281,11 @@ class _Conversion:
         time = self._times() if options.role != "table" else None
         if options.role == "loads":
             displacement = np.zeros(displacement.shape)  # those of the other log count
-        self._check_status()
+        status = self._header.status
+        for at, cell in enumerate(self._columns[status.index] if status else ()):
+            if status and str(cell).strip().lower().removeprefix("0x").strip("0"):
+                message = f"the sensor's status is {quoted(str(cell))}, not 0: leave the row out"
+                self._refuse(at, status.label, message)
         if options.role != "loads":
             labels = [columns[name].label for name in names.displacement if name in columns]
             unmeasured = np.logical_and.reduce([np.isnan(column) for column in displacement.T])
@@ -413,14 +409,6 @@ class _Conversion:
             message = f"{quoted(self._cell(column, at))} is no time; write seconds with time [s]"
             self._refuse(at, column.label, message)
         return values / rate if column is sequence and rate else values
-
-    def _check_status(self) -> None:
-        """Refuse readings that the sensor itself marks as bad."""
-        column = self._header.status
-        for at, cell in enumerate(self._columns[column.index] if column else ()):
-            if column and str(cell).strip().lower().removeprefix("0x").strip("0"):
-                message = f"the sensor's status is {quoted(str(cell))}, not 0: leave the row out"
-                self._refuse(at, column.label, message)
 
     def _check_whole(self, block: Array, names: tuple[str, ...], kind: str) -> None:
         if not any(block.strides):

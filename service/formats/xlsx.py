@@ -18,8 +18,7 @@ from typing import Any, BinaryIO
 from wrenchbook.service.formats.cells import NO_VALUE, Digits
 from wrenchbook.service.formats.columns import Layout, WritableRows
 from wrenchbook.service.formats.header import Header, Record
-from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import read_records
 
 MAX_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
@@ -122,11 +121,7 @@ def _sheet(file: BinaryIO, name: str | None, *, values: bool) -> Any:
 
 
 def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Record]:
-    """Yield the number and the cells of each row with text.
-
-    A cell whose formula has no stored value is its place after `NO_VALUE`. The formulas are read
-    once a row has an empty cell.
-    """
+    """Yield number and cells of each row with text; of a formula without a value its place."""
     below = None
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
@@ -177,11 +172,7 @@ def unescape(text: str) -> str:
 
 
 def entry_sizes(path: Path, most: int) -> dict[str, int]:
-    """Return the bytes of each member of a zip file that unpacks to at most `most`.
-
-    Every member is unpacked and dropped: the sizes in the directory may be wrong. ZipBoundsError if
-    the archive is damaged or larger.
-    """
+    """Return the bytes of each member, unpacked once since directories lie; ZipBoundsError."""
     too_large = f"unpacks to more than {most >> 20} MiB; send the table in parts"
     try:
         with zipfile.ZipFile(path) as archive:

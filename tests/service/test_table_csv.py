@@ -524,6 +524,12 @@ def test_rows_read_in_blocks_are_those_read_line_by_line(lines: list[str], end: 
     assert table.note == line_by_line.note
 
 
+def test_a_line_that_ends_in_two_carriage_returns_counts_as_an_editor_counts():
+    table = read_csv("fx [N],ux [mm],note\r\n1,2,\r\n1,2,a\r\r\n1,1,1")
+    assert table.errors == ()
+    assert table.seq.tolist() == [2, 3, 5]
+
+
 def test_a_file_of_plain_rows_is_read_in_blocks_alone(monkeypatch):
     monkeypatch.setattr(csv_table, "text_pieces", None)
     monkeypatch.setattr(csv_table, "_BLOCK", 40)
