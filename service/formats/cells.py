@@ -122,6 +122,8 @@ def number_problem(cell: str, comma: bool) -> str:
     if "," in cell or (comma and "." in cell):
         mark, name = (",", "comma") if comma else (".", "point")
         text = number_text(cell, comma, declared=True)
+        if text is None and (text := number_text(cell, not comma)) is not None:
+            mark = "." if comma else ","
         meant = f", or say decimal={mark} (--decimal {mark}) for {text}" if text is not None else ""
         return f"{quoted(cell)}: the file has a decimal {name}; write no other mark{meant}"
     if number_text(cell.split()[0], comma) is not None:

@@ -113,8 +113,10 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
                 f"row {number} has columns that row 1 has not: {more}; write them as null"
             )
         for name, cell in row.items():
-            if not (cell is None or isinstance(cell, str)):
+            if not (cell is None or isinstance(cell, str | float)):  # NaN has no digits
                 raise JsonError(f"row {number}: {name!r} is neither a number nor a text")
+            if isinstance(cell, float):
+                row[name] = str(cell)
         yield number, [row.get(name) or "" for name in names]
 
 

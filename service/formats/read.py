@@ -294,6 +294,8 @@ def _format_of(path: Path) -> Format:
             "MAT, each gzipped if you like"
         )
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
+    if text[:1] == b"<":
+        raise ContentError("is a web page or XML and no table; export the table as CSV or XLSX")
     return "json" if text[:1] in (b"{", b"[") else "csv"
 
 

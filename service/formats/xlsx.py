@@ -12,12 +12,13 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from wrenchbook.service.formats.cells import NO_VALUE, Digits
 from wrenchbook.service.formats.columns import Layout, WritableRows
-from wrenchbook.service.formats.header import Header, Record
+from wrenchbook.service.formats.header import MAX_TITLES, Header, Record
 from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import read_records
 
@@ -115,9 +116,15 @@ def _sheet(file: BinaryIO, name: str | None, *, values: bool) -> Any:
         raise NoSheetError(
             f"there is no sheet {name!r}; it has {known or 'none'}: say sheet=NAME (--sheet NAME)"
         )
-    sheet = sheets[name is None and len(sheets) > 1 and sheets[0].title == ABOUT_SHEET]
-    sheet.reset_dimensions()  # those that a file states may be wrong
-    return sheet
+    for sheet in sheets:
+        sheet.reset_dimensions()  # those that a file states may be wrong
+    filled = (
+        sheet
+        for sheet in sheets
+        if sheet.title != ABOUT_SHEET
+        and any(any(row) for row in islice(sheet.iter_rows(values_only=True), MAX_TITLES))
+    )
+    return next(filled, sheets[0])
 
 
 def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Record]:
@@ -150,7 +157,7 @@ def _text(value: Any) -> str:
         return Digits(value)
     if isinstance(value, str):
         return unescape(value)
-    return value.isoformat(sep=" ") if hasattr(value, "hour") else str(value)
+    return str(value)  # of dates and times as ISO 8601, with a space between them
 
 
 def _record_problem(cells: list[str], header: Header) -> str:
