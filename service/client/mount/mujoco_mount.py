@@ -291,7 +291,9 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
         children = (model.body_parentid == body) & (model.body_subtreemass > 0.0)
         children[mounted] = False
         if children.any():
-            names = ", ".join(repr(_name(model, child)) for child in np.flatnonzero(children))
+            names = ", ".join(
+                repr(_name(model, child)) for child in np.flatnonzero(children).tolist()
+            )
             raise SensorError(
                 f"{names} hang next to {name!r} on the mocap body, and its sensors do not feel "
                 "them: put all into one child, or the site on the mocap body itself"
