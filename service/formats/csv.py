@@ -12,7 +12,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import BinaryIO
@@ -89,11 +89,13 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         header, rest = read_head(until_broken(records(content), report.mistakes), options)
         first = next(rest, None)
     with path.open("rb") as content:
-        body = _Body(content, encoding, delimiter, header, cell_format, options, report.mistakes)
+        mark, inputs = "," if cell_format.comma else ".", options.columns.wrench
+        body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
 
 
+@dataclass(frozen=True)
 class _Body:
     """The rows of a CSV file in pieces: by Arrow, or line by line where Arrow cannot.
 
@@ -102,116 +104,105 @@ class _Body:
     So is all from the first quotation mark on: a quoted text may go over the end of a block.
     """
 
-    def __init__(
-        self,
-        content: BinaryIO,
-        encoding: str,
-        delimiter: str,
-        header: Header,
-        cell_format: CellFormat,
-        options: Options,
-        mistakes: Mistakes,
-    ) -> None:
-        self._content, self._encoding, self._delimiter = content, encoding, delimiter
-        self._header, self._mistakes = header, mistakes
-        self._mark = "," if cell_format.comma else "."
-        columns = list(header.columns.values())
-        # A time without a unit is that of a clock.
-        texts = [column for column in columns if not column.unit]
-        inputs = [column.index for column in columns if column.name in options.columns.wrench]
-        self._needed = len(inputs)
-        self._numbers = inputs + [
-            column.index for column in columns if column not in texts and column.index not in inputs
-        ]
-        texts += filter(None, (header.status, header.sequence))
-        self._texts = [*(column.index for column in texts), *header.unnamed]
+    content: BinaryIO
+    encoding: str
+    delimiter: str
+    header: Header
+    mark: str  # of decimals
+    inputs: tuple[str, ...]
+    mistakes: Mistakes
 
     def pieces(self, line: int) -> Iterator[Piece]:
         """Yield the rows from a line on."""
-        head = b"".join(self._content.readline(MAX_LINE) for _ in range(line - 1))
-        if self._encoding == "utf-16" or head.count(b"\r") != head.count(b"\r\n"):
-            self._content.seek(0)
-            lines = islice(_lines(self._content, self._encoding), line - 1, None)
+        head = b"".join(self.content.readline(MAX_LINE) for _ in range(line - 1))
+        if self.encoding == "utf-16" or head.count(b"\r") != head.count(b"\r\n"):
+            self.content.seek(0)
+            lines = islice(_lines(self.content, self.encoding), line - 1, None)
             yield from self._by_line(lines, line)
             return
-        while block := self._content.read(_BLOCK):
-            end = self._content.readline(MAX_LINE)
+        while block := self.content.read(_BLOCK):
+            end = self.content.readline(MAX_LINE)
             block += end
             if b'"' in block or len(end) == MAX_LINE:
-                self._content.seek(-len(block), io.SEEK_CUR)
-                yield from self._by_line(_lines(self._content, self._encoding, line), line)
+                self.content.seek(-len(block), io.SEEK_CUR)
+                yield from self._by_line(_lines(self.content, self.encoding, line), line)
                 return
             block = block if block.endswith(b"\n") else block + b"\n"
             count = block.count(b"\n")
             piece = self._by_arrow(block, line, count)
             if piece is None:
-                yield from self._by_line(_lines(io.BytesIO(block), self._encoding, line), line)
+                yield from self._by_line(_lines(io.BytesIO(block), self.encoding, line), line)
             else:
                 yield piece
             line += count
 
     def _by_line(self, lines: Iterator[str], line: int) -> Iterator[Piece]:
         def check(cells: list[str], header: Header) -> str:
-            return _record_problem(cells, header, self._delimiter)
+            return _record_problem(cells, header, self.delimiter)
 
-        records = until_broken(_records(lines, self._delimiter, line), self._mistakes)
-        yield from text_pieces(records, self._header, self._mistakes, check)
+        records = until_broken(_records(lines, self.delimiter, line), self.mistakes)
+        yield from text_pieces(records, self.header, self.mistakes, check)
 
     def _by_arrow(self, block: bytes, line: int, count: int) -> Piece | None:
         """Return a block of whole lines; None if it is more than plain rows of numbers."""
         # Imported on first use: 0.5 s and 60 MB.
         from pyarrow import csv as arrow_csv
 
-        ascii_only = self._encoding == "utf-8-sig" or block.isascii()
+        ascii_only = self.encoding == "utf-8-sig" or block.isascii()
         marked = b"\0" in block or (b"#" in block and b"\n#" in b"\n" + block)
         marked |= b"\r" in block and block.count(b"\r") != block.count(b"\r\n")
-        if marked or not ascii_only or not self._numbers:
+        columns = self.header.columns.values()
+        # A time without a unit is that of a clock.
+        texts = [column.index for column in columns if not column.unit]
+        texts += [c.index for c in (self.header.status, self.header.sequence) if c]
+        texts += self.header.unnamed
+        needed = [column.index for column in columns if column.name in self.inputs]
+        indices = needed + [c.index for c in columns if c.index not in (*texts, *needed)]
+        if marked or not ascii_only or not indices:
             return None
-        wanted = self._numbers + self._texts
         try:
             table = arrow_csv.read_csv(
                 io.BytesIO(block),
                 arrow_csv.ReadOptions(
                     use_threads=False,
                     block_size=2 * len(block),
-                    column_names=[str(index) for index in range(self._header.width)],
+                    column_names=[str(index) for index in range(self.header.width)],
                 ),
-                arrow_csv.ParseOptions(delimiter=self._delimiter, quote_char=False),
+                arrow_csv.ParseOptions(delimiter=self.delimiter, quote_char=False),
                 arrow_csv.ConvertOptions(
                     column_types={
-                        **dict.fromkeys(map(str, self._numbers), "double"),
-                        **dict.fromkeys(map(str, self._texts), "string"),
+                        **dict.fromkeys(map(str, indices), "double"),
+                        **dict.fromkeys(map(str, texts), "string"),
                     },
-                    include_columns=[str(index) for index in wanted],
+                    include_columns=[str(index) for index in indices + texts],
                     null_values=[""],
                     strings_can_be_null=False,
-                    decimal_point=self._mark,
+                    decimal_point=self.mark,
                 ),
             )
         except (OSError, ValueError):  # Arrow's errors are ValueErrors
             return None
         if table.num_rows != count:  # blank lines, carriage returns
             return None
-        columns: list[Cells] = [()] * self._header.width
-        columns_of_numbers = table.columns[: len(self._numbers)]
+        cells: list[Cells] = [()] * self.header.width
+        columns_of_numbers = table.columns[: len(indices)]
         numbers = np.stack([column.to_numpy() for column in columns_of_numbers])
         if not np.isfinite(numbers).all():
             missing = np.isnan(numbers)
             nulls = sum(column.null_count for column in columns_of_numbers)
             wrong = np.isinf(numbers).any() or missing.sum() != nulls  # "nan" is no empty cell
-            if wrong or missing[: self._needed].any() or missing.all(axis=0).any():
+            if wrong or missing[: len(needed)].any() or missing.all(axis=0).any():
                 return None
         if (numbers == 0.0).any() and _may_vanish(block):
             return None
-        for index, values in zip(self._numbers, numbers, strict=True):
-            columns[index] = values
-        for index, column in zip(self._texts, table.columns[len(self._numbers) :], strict=True):
-            columns[index] = words = column.to_pylist()
-            if len(max(words, key=len)) > MAX_TEXT or (
-                index in self._header.unnamed and any(words)
-            ):
+        for index, values in zip(indices, numbers, strict=True):
+            cells[index] = values
+        for index, column in zip(texts, table.columns[len(indices) :], strict=True):
+            cells[index] = values = column.to_pylist()
+            unnamed = index in self.header.unnamed and any(values)
+            if unnamed or len(max(values, key=len)) > MAX_TEXT:
                 return None
-        return Piece(range(line, line + count), columns, count)
+        return Piece(range(line, line + count), cells, count)
 
 
 def _may_vanish(block: bytes) -> bool:
