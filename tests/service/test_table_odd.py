@@ -103,7 +103,7 @@ def test_a_mark_of_utf_8_before_a_label_is_no_part_of_its_name():
 def test_nan_in_json_records_is_a_mistake_of_its_row():
     """The whole file was refused."""
     content = b'[{"fx [N]": 1, "ux [mm]": NaN}, {"fx [N]": 1, "ux [mm]": 1}]'
-    assert errors(content) == [(1, "ux [mm]", "'nan' is not finite; leave the row out")]
+    assert errors(content) == [(1, "ux [mm]", "'NaN' is not finite; leave the row out")]
 
 
 def test_one_long_source_does_not_take_the_memory_of_all_rows():
