@@ -13,6 +13,7 @@ import io
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import BinaryIO
@@ -74,10 +75,10 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 
     def records(content: BinaryIO) -> Iterator[Record]:
         every = _records(_lines(content, encoding), delimiter)
-        for first in every:
-            if not _is_separator_line(first[1], delimiter):
-                yield first
-            break
+        for line, cells in islice(every, 1):  # spreadsheets put a line sep=; first
+            split_up = cells[0].lower() in ("sep=", '"sep=') and not any(cells[1:])
+            if not (_SEPARATOR_LINE.fullmatch(delimiter.join(cells)) or (split_up and cells[1:])):
+                yield line, cells
         yield from every
 
     cell_format = CellFormat(options.decimal == ",", declared=options.decimal is not None)
@@ -137,10 +138,8 @@ class _Body:
             line += count
 
     def _by_line(self, lines: Iterator[str], line: int) -> Iterator[Piece]:
-        def check(cells: list[str], header: Header) -> str:
-            return _record_problem(cells, header, self.delimiter)
-
         records = until_broken(_records(lines, self.delimiter, line), self.mistakes)
+        check = partial(_record_problem, delimiter=self.delimiter)
         yield from text_pieces(records, self.header, self.mistakes, check)
 
     def _by_arrow(self, block: bytes, line: int, count: int) -> Piece | None:
@@ -345,13 +344,6 @@ def _records(lines: Iterator[str], delimiter: str, first: int = 1) -> Iterator[R
                 _refuse_blank(before - row, line)
     except csv.Error as error:
         raise BrokenLineError(before + 1, _NO_CSV.format(error)) from error
-
-
-def _is_separator_line(cells: list[str], delimiter: str) -> bool:
-    """Return whether a record is the ``sep=;`` line that spreadsheets put first."""
-    return bool(_SEPARATOR_LINE.fullmatch(delimiter.join(cells))) or (
-        len(cells) > 1 and cells[0].lower() in ("sep=", '"sep=') and not any(cells[1:])
-    )
 
 
 def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:

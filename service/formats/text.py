@@ -90,13 +90,16 @@ class Piece:
 
 
 def read_records(
-    records: Iterator[Record],
-    options: Options,
-    report: ReadReport,
-    check: RecordCheck = lambda _cells, _header: "",
+    records: Iterator[Record], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of records of text, in which a `Digits` is a stored number."""
-    header, rest = read_head(until_broken(records, report.mistakes), options)
+    header, rest = read_head(records, options)
+
+    def check(cells: list[str], header: Header) -> str:
+        cells += [""] * (header.width - len(cells))
+        wide = len(cells) > header.width
+        return f"has {len(cells)} cells, the header {header.width}" if wide else ""
+
     pieces = text_pieces(rest, header, report.mistakes, check)
     yield from read_pieces(header, pieces, options, report)
 

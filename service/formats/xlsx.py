@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 from wrenchbook.service.formats.cells import NO_VALUE, Digits
 from wrenchbook.service.formats.columns import Layout, WritableRows
-from wrenchbook.service.formats.header import MAX_TITLES, Header, Record
+from wrenchbook.service.formats.header import MAX_TITLES, Record
 from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import read_records
 
@@ -59,7 +59,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             records = _records(
                 sheet, lambda: _sheet(formulas, sheet.title, values=False), options.columns.most
             )
-            yield from read_records(records, options, report, _record_problem)
+            yield from read_records(records, options, report)
     except Exception as error:  # openpyxl raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
 
@@ -158,14 +158,6 @@ def _text(value: Any) -> str:
     if isinstance(value, str):
         return unescape(value)
     return str(value)  # of dates and times as ISO 8601, with a space between them
-
-
-def _record_problem(cells: list[str], header: Header) -> str:
-    """Say what is wrong with a row, which is filled up with empty cells."""
-    if len(cells) > header.width:
-        return f"has {len(cells)} cells, the header {header.width}"
-    cells.extend([""] * (header.width - len(cells)))
-    return ""
 
 
 def escape(text: str) -> str:
