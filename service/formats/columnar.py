@@ -85,7 +85,7 @@ def write_parquet(
                 arrow.array(np.ascontiguousarray(column.values(piece)), from_pandas=True)
                 for column in layout.numbers
             ]
-            columns += [arrow.array(words, arrow.string()) for words in layout.words(piece)]
+            columns += [arrow.array(texts, arrow.string()) for texts in layout.text_columns(piece)]
             writer.write_table(arrow.Table.from_arrays(columns, schema=schema))
 
 

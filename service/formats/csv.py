@@ -227,7 +227,7 @@ def csv_text(
     yield out.pop_text()
     for piece in pieces:
         numbers = [column.digits(piece) for column in layout.numbers]
-        texts = [map(guard_formula, words) for words in layout.words(piece)]
+        texts = [map(guard_formula, column) for column in layout.text_columns(piece)]
         writer.writerows(zip(*numbers, *texts, strict=True))
         yield out.pop_text()
 
@@ -371,5 +371,7 @@ def _holds_rows(cells: list[str], header: Header, delimiter: str) -> bool:
         parts = [part.strip().replace(",", ".") for part in line.split(delimiter)]
         if len(parts) >= header.width:
             numbers = [parts[place] for place in places if parts[place]]
-            rows += bool(numbers) and all(number_text(one, False) is not None for one in numbers)
+            rows += bool(numbers) and all(
+                number_text(number, False) is not None for number in numbers
+            )
     return rows > 1

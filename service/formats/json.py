@@ -186,8 +186,8 @@ def _key_problem(key: str, value: Any, columns: Columns) -> str:
     if key == "units" and value != "SI":
         return "a JSON table is in SI; convert it, or send CSV with units"
     if key in _SPACE_KEYS:
-        own = columns.wrench if key == "inputs" else columns.displacement
-        return "" if value == list(own) else f"are not the component's: {', '.join(own)}"
+        names = columns.wrench if key == "inputs" else columns.displacement
+        return "" if value == list(names) else f"are not the component's: {', '.join(names)}"
     if key not in _TABLE_KEYS:
         return f"is not a key of a table; there are {', '.join(_TABLE_KEYS)}"
     return ""
@@ -231,8 +231,8 @@ def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> st
         "six" if count == PER_INTERFACE else str(count) for count in (len(names) // width, width)
     )
     if key == "compliance":
-        whole = f"a row has all {len(names)} tangents or none"
-        return f"is not {lines} lists of {numbers} numbers; {whole}"
+        rule = f"a row has all {len(names)} tangents or none"
+        return f"is not {lines} lists of {numbers} numbers; {rule}"
     remedy = {
         "uncertainty": " (null where unknown)",
         "curvature": "; a row has all or none",

@@ -316,7 +316,7 @@ class _Conversion:
         }
         if not is_corrected(options):
             self._good &= is_within_limits(piece, options, report)
-        report.mistakes.settle()
+        report.mistakes.trim()
         return ParsedTable(**picked(piece, self._good))
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:

@@ -76,7 +76,7 @@ def write_xlsx(
     count = 0
     for piece in pieces:
         numbers = [column.digits(piece) for column in layout.numbers]
-        texts = layout.words(piece)
+        texts = layout.text_columns(piece)
         count += len(piece.wrench)
         if count > MAX_SHEET_ROWS:
             raise SheetFullError(
@@ -87,8 +87,8 @@ def write_xlsx(
         for cells in zip(*numbers, *texts, strict=True):
             sheet.append([_write_cell(sheet, *pair) for pair in zip(cells, kinds, strict=True)])
     notes = book.create_sheet(ABOUT_SHEET)
-    for word, meaning in about.items():
-        notes.append([_write_cell(notes, word, "s"), _write_cell(notes, meaning, "s")])
+    for name, meaning in about.items():
+        notes.append([_write_cell(notes, name, "s"), _write_cell(notes, meaning, "s")])
     book.save(path)
 
 
@@ -162,12 +162,12 @@ def _text(value: Any) -> str:
 
 def escape(text: str) -> str:
     """Return a text as the XML of a sheet can hold it."""
-    return _UNFIT.sub(lambda found: f"_x{ord(found[0]):04X}_", text)
+    return _UNFIT.sub(lambda match: f"_x{ord(match[0]):04X}_", text)
 
 
 def unescape(text: str) -> str:
     """Return the argument of `escape` from its result."""
-    return _ESCAPE.sub(lambda found: chr(int(found[1], 16)), text)
+    return _ESCAPE.sub(lambda match: chr(int(match[1], 16)), text)
 
 
 def entry_sizes(path: Path, most: int) -> dict[str, int]:
