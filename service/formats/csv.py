@@ -102,7 +102,8 @@ class _Body:
 
     Arrow reads blocks of plain rows of numbers in the file's decimal mark. Blocks with blank lines,
     comments, empty or wrong cells are read line by line, for the same messages with the same lines.
-    So is all from the first quotation mark on: a quoted text may go over the end of a block.
+    So is all from the first quotation mark on that is not around a field of one line: a quoted text
+    may go over the end of a block.
     """
 
     content: BinaryIO
@@ -121,10 +122,14 @@ class _Body:
             lines = islice(_lines(self.content, self.encoding), line - 1, None)
             yield from self._by_line(lines, line)
             return
+        mark = re.escape(self.delimiter.encode())
+        quoted = rb'(?:^|[%b\n])"[^"\r\n]*"(?=[%b\r\n])' % (mark, mark)
         while block := self.content.read(_BLOCK):
             end = self.content.readline(MAX_LINE)
             block += end
-            if b'"' in block or len(end) == MAX_LINE:
+            quotes = block.count(b'"')
+            is_open = quotes and quotes != 2 * len(re.findall(quoted, block + b"\n"))
+            if is_open or len(end) == MAX_LINE:
                 self.content.seek(-len(block), io.SEEK_CUR)
                 yield from self._by_line(_lines(self.content, self.encoding, line), line)
                 return
@@ -167,7 +172,7 @@ class _Body:
                     block_size=2 * len(block),
                     column_names=[str(index) for index in range(self.header.width)],
                 ),
-                arrow_csv.ParseOptions(delimiter=self.delimiter, quote_char=False),
+                arrow_csv.ParseOptions(delimiter=self.delimiter, double_quote=False),
                 arrow_csv.ConvertOptions(
                     column_types={
                         **dict.fromkeys(map(str, indices), "double"),
@@ -357,21 +362,15 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
         elif len(cells) > width and delimiter == ",":
             message += "; decimal commas need ; between the fields, a comma in a note needs quotes"
         return message
-    if broken and _holds_rows(cells, header, delimiter):
-        return "a quoted text holds a whole row of the table; is a quotation mark left open?"
-    return ""
-
-
-def _holds_rows(cells: list[str], header: Header, delimiter: str) -> bool:
-    """Return whether two lines of a record are rows: an open quotation mark joined them."""
-    numeric = (name for name in header.columns if name not in (*TEXTS, TIME_COLUMN))
-    places = [header.columns[name].index for name in numeric]
+    if not broken:
+        return ""
+    # A text of several lines leaves at most one of them that holds the numbers of the row.
+    numeric = [c.index for name, c in header.columns.items() if name not in (*TEXTS, TIME_COLUMN)]
     rows = 0
     for line in _LINE_END.split(delimiter.join(cells)):
         parts = [part.strip().replace(",", ".") for part in line.split(delimiter)]
-        if len(parts) >= header.width:
-            numbers = [parts[place] for place in places if parts[place]]
-            rows += bool(numbers) and all(
-                number_text(number, False) is not None for number in numbers
-            )
-    return rows > 1
+        numbers = [parts[at] for at in numeric if parts[at]] if len(parts) >= width else []
+        rows += bool(numbers) and all(number_text(text, False) is not None for text in numbers)
+    if rows > 1:
+        return "a quoted text holds a whole row of the table; is a quotation mark left open?"
+    return ""
