@@ -92,8 +92,8 @@ def decimal_mark(cell: str) -> str | None:
     if grouped := _GROUPED.fullmatch(cell):
         other = {".": ",", ",": "."}.get(grouped["gap"]) if grouped["more"] else None
         return grouped["mark"] or other
-    found = _DECIMAL_MARK.fullmatch(cell)
-    return found[1] if found else None
+    match = _DECIMAL_MARK.fullmatch(cell)
+    return match[1] if match else None
 
 
 def quoted(cell: str) -> str:
@@ -122,6 +122,8 @@ def number_problem(cell: str, comma: bool) -> str:
     if "," in cell or (comma and "." in cell):
         mark, name = (",", "comma") if comma else (".", "point")
         text = number_text(cell, comma, declared=True)
+        if text is None and (text := number_text(cell, not comma)) is not None:
+            mark = "." if comma else ","
         meant = f", or say decimal={mark} (--decimal {mark}) for {text}" if text is not None else ""
         return f"{quoted(cell)}: the file has a decimal {name}; write no other mark{meant}"
     if number_text(cell.split()[0], comma) is not None:
@@ -238,18 +240,18 @@ _PINT = Context(prec=50)  # pi as pint writes it
 @cache
 def si_factor(unit: str, quantity: Quantity) -> float:
     """Return the factor from a unit such as `lbf` or `N*mm` to that of arrays; UnitError."""
-    words = _words(unit)
+    parts = _parts(unit)
     if quantity.scales:
         known = next((factor for name, factor, _ in quantity.scales if name == unit), None)
         if known is None:
             examples = ", ".join(quantity.examples)
             raise UnitError(f"[{unit[:_LONGEST]}] is not a unit of {quantity.name}: {examples}")
         return known
-    if words is None or len(unit) > _LONGEST:
+    if parts is None or len(unit) > _LONGEST:
         raise UnitError(
             f"[{unit[:_LONGEST]}] is not a unit that can be read; {_offer(quantity, unit)}"
         )
-    parsed, si = _parsed("*".join(words)), _parsed(quantity.si)
+    parsed, si = _parsed("*".join(parts)), _parsed(quantity.si)
     if parsed is None:
         raise UnitError(f"the unit [{unit}] is not known; {_offer(quantity, unit)}")
     # Pint's root units keep the radian, so that a percent is not taken for an angle.
@@ -284,23 +286,23 @@ def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, f
     return chosen
 
 
-def _words(unit: str) -> list[str] | None:
+def _parts(unit: str) -> list[str] | None:
     """Return the factors of a unit; None if it holds more than letters."""
-    words: list[str] = []
+    parts: list[str] = []
     for word in _PRODUCT.split(unit.strip()):
         if not _WORD.fullmatch(word):
             return None
         joined = _NEWTON_METRE.fullmatch(word)
-        words += joined.groups() if joined else [word]
-    return words
+        parts += joined.groups() if joined else [word]
+    return parts
 
 
 def _offer(quantity: Quantity, unit: str) -> str:
     """Return advice on what to write instead of `unit`."""
-    for word in _words(unit) or []:
+    for word in _parts(unit) or []:
         if word.lower() in _HINTS:
             return _HINTS[word.lower()]
-    squeezed = "".join(_words(unit) or []).lower()
+    squeezed = "".join(_parts(unit) or []).lower()
     for example in quantity.examples:
         if squeezed == example.replace("*", "").lower():
             return f"upper and lower case differ: did you mean [{example}]?"

@@ -85,7 +85,7 @@ def write_parquet(
                 arrow.array(np.ascontiguousarray(column.values(piece)), from_pandas=True)
                 for column in layout.numbers
             ]
-            columns += [arrow.array(words, arrow.string()) for words in layout.words(piece)]
+            columns += [arrow.array(texts, arrow.string()) for texts in layout.text_columns(piece)]
             writer.write_table(arrow.Table.from_arrays(columns, schema=schema))
 
 
@@ -153,6 +153,9 @@ def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         if isinstance(only, np.ndarray) and only.dtype.names and only.ndim == 0:
             values = {name: only[name].item() for name in only.dtype.names}
         columns = {name: np.asarray(value) for name, value in values.items() if np.ndim(value)}
+        if not columns:  # of one row, or none
+            scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}
+            columns = {name: np.array([value]) for name, value in scalars.items()}
         wrong = [name for name, c in columns.items() if c.ndim != 1 or c.dtype.kind not in "iufb"]
         lengths = {len(column) for column in columns.values()}
         if wrong or len(lengths) != 1:

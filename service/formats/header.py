@@ -252,7 +252,8 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
             "fx [N], ux [mm] (a line that begins with # is a comment)"
         )
         return _no_header(line, "header", message), records
-    labels = [" ".join(cell.split()) for cell in cells]
+    # Files that were joined have the mark of UTF-8 before a later label too.
+    labels = [" ".join(cell.replace("\ufeff", "").split()) for cell in cells]
     while labels and not labels[-1]:
         labels.pop()  # a spreadsheet's empty columns on the right
     below = next(records, None)

@@ -10,14 +10,14 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import Digits
+from wrenchbook.service.formats.cells import Digits, vanished
 from wrenchbook.service.formats.columns import ARRAYS, ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.header import Record, array_header
 from wrenchbook.service.formats.options import MAX_MISTAKES, Options, ParsedTable, ReadReport
@@ -33,6 +33,7 @@ _MAX_UNKNOWN = 10  # keys of a row that are named
 _REQUIRED = ("wrench", "displacement")
 _ROW_KEYS = (*ARRAYS, *TEXTS, *ORIGIN)
 _RECORDS = re.compile(rf'\s*(\[\s*\{{|\{{\s*"(?!({"|".join((*_TABLE_KEYS, *_SPACE_KEYS))})"))')
+_VANISHING = re.compile(r"[eE]-\d{3}|0{290}")  # maybe too small for a float
 _BLANKS = re.compile(r"[ \t\n\r]*")
 
 
@@ -53,9 +54,12 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         except UnicodeDecodeError as error:
             raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
         if _RECORDS.match(text):
-            yield from read_records(_records(_values(text)), options, report)
+            # Numbers stay text, so that their digits and units are read as those of a CSV.
+            yield from read_records(_records(_values(text, Digits)), options, report)
             return
-        values = list(islice(_values(text), 2))
+        # A float takes a third of the memory of its digits, but hides that 1e-400 is not zero.
+        number = Digits if _VANISHING.search(text) else float
+        values = list(islice(_values(text, number), 2))
         if len(values) != 1:
             reason = "there is more behind its end" if values else "it is empty"
             raise JsonError(f"is not JSON: {reason}")
@@ -64,9 +68,10 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
 
 
-def _values(text: str) -> Iterator[Any]:
-    """Yield the values of a text, with numbers as `Digits` (as of a CSV); JsonError."""
-    decoder = json.JSONDecoder(parse_float=Digits, parse_int=Digits, object_pairs_hook=_unique)
+def _values(text: str, number: Callable[[str], Any]) -> Iterator[Any]:
+    """Yield the values of a text, one behind the other; JsonError."""
+    numbers = {"parse_float": number, "parse_int": number, "parse_constant": Digits}
+    decoder = json.JSONDecoder(**numbers, object_pairs_hook=_unique)
     at = 0
     while True:
         blanks = _BLANKS.match(text, at)
@@ -146,7 +151,7 @@ def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[Pa
         rows, end = enumerate(table["rows"], 1), 0
         while some := list(islice(rows, PIECE)):
             start, good = end, []
-            cells: list[list[str]] = []
+            cells: list[list[Any]] = []
             for end, row in some:
                 line, problems = _row_cells(row, columns)
                 for key, message in problems:
@@ -156,7 +161,14 @@ def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[Pa
                     cells.append(line)
                 if mistakes.count > MAX_MISTAKES:
                     break
-            yield Piece(good, list(zip(*cells, strict=True)), end - start)
+            lines = list(zip(*cells, strict=True))
+            numbers = [
+                np.full(len(line), np.nan)
+                if line.count(None) == len(line)
+                else np.array(line, float)
+                for line in lines[: -len(TEXTS)]
+            ]
+            yield Piece(good, [*numbers, *lines[-len(TEXTS) :]], end - start)
 
     yield from read_pieces(array_header(columns), pieces(), options, report, CellFormat())
 
@@ -174,25 +186,25 @@ def _key_problem(key: str, value: Any, columns: Columns) -> str:
     if key == "units" and value != "SI":
         return "a JSON table is in SI; convert it, or send CSV with units"
     if key in _SPACE_KEYS:
-        own = columns.wrench if key == "inputs" else columns.displacement
-        return "" if value == list(own) else f"are not the component's: {', '.join(own)}"
+        names = columns.wrench if key == "inputs" else columns.displacement
+        return "" if value == list(names) else f"are not the component's: {', '.join(names)}"
     if key not in _TABLE_KEYS:
         return f"is not a key of a table; there are {', '.join(_TABLE_KEYS)}"
     return ""
 
 
-def _row_cells(row: Any, columns: Columns) -> tuple[list[str], list[tuple[str, str]]]:
+def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, str]]]:
     """Return a row's cells in the order of `array_header`, and key and message of each mistake."""
     if not isinstance(row, dict):
         return [], [("row", 'is not a row; write {"wrench": [...], "displacement": [...]}')]
     unknown = islice((key for key in row if key not in _ROW_KEYS), _MAX_UNKNOWN)
     message = f"is not a key of a row; there are {', '.join(_ROW_KEYS)}"
-    cells: list[str] = []
+    cells: list[Any] = []
     problems = [(key, message) for key in unknown]
     for key in ARRAYS:
         names, values = getattr(columns, key), row.get(key)
         if values is None and key not in _REQUIRED:
-            cells += [""] * len(names)
+            cells += [None] * len(names)
             continue
         width = len(columns.wrench) if key == "compliance" else len(names)
         lines = values if key == "compliance" else [values]
@@ -202,7 +214,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[str], list[tuple[str, s
             continue
         for at, line in enumerate(lines):
             cells += line
-            if {*map(type, line)} != {Digits}:
+            if {*map(type, line)} != {float}:
                 label = f"{key}[{at}]" if key == "compliance" else key
                 cells[-width:] = _number_cells(label, line, problems)
     for key in TEXTS:
@@ -219,8 +231,8 @@ def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> st
         "six" if count == PER_INTERFACE else str(count) for count in (len(names) // width, width)
     )
     if key == "compliance":
-        whole = f"a row has all {len(names)} tangents or none"
-        return f"is not {lines} lists of {numbers} numbers; {whole}"
+        rule = f"a row has all {len(names)} tangents or none"
+        return f"is not {lines} lists of {numbers} numbers; {rule}"
     remedy = {
         "uncertainty": " (null where unknown)",
         "curvature": "; a row has all or none",
@@ -228,14 +240,20 @@ def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> st
     return ("is missing" if is_missing else f"is not a list of {numbers} numbers") + remedy
 
 
-def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) -> list[str]:
-    """Return the cells of numbers, empty for null where that is allowed; else it is a mistake."""
-    cells = []
+def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) -> list[Any]:
+    """Return numbers as floats, None for null where that is allowed; else it is a mistake."""
+    cells: list[float | None] = []
     for index, value in enumerate(line):
-        is_null = value is None and key in ("displacement", "uncertainty")
-        if not (is_null or type(value) in (Digits, float)):
-            problems.append((f"{key}[{index}]", f"{json.dumps(value)[:40]} is not a number"))
-        cells.append("" if is_null else str(value))  # NaN and infinity have no digits
+        problem, is_null = "", value is None and key in ("displacement", "uncertainty")
+        if type(value) is Digits and not math.isfinite(float(value)):
+            problem = "is not finite; leave the row out"
+        elif type(value) is Digits and float(value) == 0.0 and vanished(value):
+            problem = "is too small a number and would become 0; write 0"
+        elif not (is_null or type(value) in (Digits, float)):
+            problem = f"{json.dumps(value)[:40]} is not a number"
+        if problem:
+            problems.append((f"{key}[{index}]", problem))
+        cells.append(None if is_null or problem else float(value))
     return cells
 
 

@@ -52,7 +52,7 @@ _MAX_FIELD = 200  # characters: a key of a row can have a million
 _MAX_CAUSES = 100
 _MAX_SHOWN = 10  # rows and columns of a cause
 _VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")  # differs between two mistakes of one cause
-_MAX_KEPT = 20 * MAX_LISTED  # until they are sorted at the end of a piece
+_MAX_FIRST = 20 * MAX_LISTED  # until they are sorted at the end of a piece
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,8 @@ class Options:
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Options:
         """Return options from the result of `as_json`."""
-        low, high, words = values["load_range"] or ([], [], None)
-        span = LoadRange(np.array(low), np.array(high), Space.read(words)) if words else None
+        low, high, space = values["load_range"] or ([], [], None)
+        span = LoadRange(np.array(low), np.array(high), Space.read(space)) if space else None
         return cls(**{**values, "ignore": tuple(values["ignore"]), "load_range": span})
 
 
@@ -135,7 +135,7 @@ class Mistakes:
     """The mistakes of a file; `whole`: one is of all of it, and no row is loaded."""
 
     def __init__(self) -> None:
-        self._kept: list[FileMistake] = []
+        self._first: list[FileMistake] = []
         self._causes: dict[str, MistakeCause] = {}
         self.count = 0
         self.whole = False
@@ -147,8 +147,8 @@ class Mistakes:
         """Add a mistake of a row."""
         self.count += 1
         mistake = FileMistake(row, field[:_MAX_FIELD], message)
-        if len(self._kept) < _MAX_KEPT:
-            self._kept.append(mistake)
+        if len(self._first) < _MAX_FIRST:
+            self._first.append(mistake)
         key = _VALUE.sub("", message)
         if key in self._causes or len(self._causes) < _MAX_CAUSES:
             self._causes.setdefault(key, MistakeCause(mistake)).add(mistake)
@@ -158,10 +158,10 @@ class Mistakes:
         self.add(row, field, message)
         self.whole = True
 
-    def settle(self) -> None:
+    def trim(self) -> None:
         """Keep the first by row, at the end of a piece: later pieces have higher rows."""
-        self._kept.sort(key=lambda mistake: mistake.row)
-        del self._kept[MAX_LISTED + 1 :]
+        self._first.sort(key=lambda mistake: mistake.row)
+        del self._first[MAX_LISTED + 1 :]
 
     def causes(self) -> list[dict[str, Any]]:
         """Return the mistakes by cause: the first of each, their count and the first rows."""
@@ -170,14 +170,14 @@ class Mistakes:
 
     def listed(self) -> tuple[FileMistake, ...]:
         """Return the first by row; a last one counts those that are not listed."""
-        self.settle()
+        self.trim()
         if self.count <= MAX_LISTED:
-            return tuple(self._kept)
+            return tuple(self._first)
         message = f"{self.count - MAX_LISTED} more errors are not listed; correct these first"
         if self.count > MAX_MISTAKES:
             message += f"; reading stopped after more than {MAX_MISTAKES:,}"
-        row = self._kept[MAX_LISTED].row if len(self._kept) > MAX_LISTED else 0
-        return (*self._kept[:MAX_LISTED], FileMistake(row, "", message))
+        row = self._first[MAX_LISTED].row if len(self._first) > MAX_LISTED else 0
+        return (*self._first[:MAX_LISTED], FileMistake(row, "", message))
 
 
 @dataclass
@@ -230,7 +230,7 @@ class ReadReport:
 
     def is_beyond_limits(self) -> bool:
         """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
-        self.mistakes.settle()
+        self.mistakes.trim()
         if self.read > MAX_ROWS:
             message = f"has more than {MAX_ROWS:,} rows; send it in parts"
             self.mistakes.ruin(0, "file", message)
@@ -297,7 +297,7 @@ def is_corrected(options: Options) -> bool:
 def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
     """Return the rows within all limits; the others become mistakes."""
     good = is_within_limits(vars(piece), options, report)
-    report.mistakes.settle()
+    report.mistakes.trim()
     return piece.take(good)
 
 
@@ -376,13 +376,13 @@ def with_own_setup(
     pieces: Iterator[ParsedTable], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the rows that a table of the setup `options.fingerprint` may hold."""
-    own = options.fingerprint
+    setup = options.fingerprint
     for piece in pieces:
-        if own is None or not (piece.fingerprint.any() or (piece.source == FEA).any()):
+        if setup is None or not (piece.fingerprint.any() or (piece.source == FEA).any()):
             yield piece
             continue
         good = np.ones(len(piece), dtype=bool)
-        for at, name, message in _foreign_rows(piece, own):
+        for at, name, message in _foreign_rows(piece, setup):
             good[at] = False
             report.mistakes.add(int(piece.seq[at]), name, message)
         yield piece.take(good)
@@ -390,16 +390,16 @@ def with_own_setup(
             return
 
 
-def _foreign_rows(piece: ParsedTable, own: str) -> Iterator[Problem]:
+def _foreign_rows(piece: ParsedTable, setup: str) -> Iterator[Problem]:
     """Yield the rows that are solves of another setup, or incomplete ones."""
     pairs = zip(piece.fingerprint.tolist(), piece.source.tolist(), strict=True)
     for at, (fingerprint, source) in enumerate(pairs):
-        if fingerprint != own and (fingerprint or source == FEA):
+        if fingerprint != setup and (fingerprint or source == FEA):
             other = (
                 f"the setup {fingerprint}" if fingerprint else "a setup that the row does not name"
             )
             message = (
-                f"is a solve of {other}, this component's setup is {own}; rows "
+                f"is a solve of {other}, this component's setup is {setup}; rows "
                 "of different setups are never mixed. Leave the row out, or load it as measured: "
                 "an empty fingerprint and another source"
             )

@@ -129,12 +129,12 @@ def table_parts(
     file: Path, second: str | None, options: Mapping[str, Any], preview: int
 ) -> Iterator[Part]:
     """Yield the pieces of a file, or of two logs, as parts, then the report with `preview` rows."""
-    own, report, good = Options.from_json(options), ReadReport(), 0
+    read_options, report, good = Options.from_json(options), ReadReport(), 0
     shown: list[dict[str, Any]] = []
     if second is None:
-        pieces = read_table_file(file, own, report)
+        pieces = read_table_file(file, read_options, report)
     else:
-        pieces = read_logs(file, Path(second), own, report)
+        pieces = read_logs(file, Path(second), read_options, report)
     sample = FindingsSample()
     for piece in pieces:
         if report.mistakes.whole:
@@ -147,7 +147,7 @@ def table_parts(
         good += len(piece)
         if len(piece):
             yield _part(piece)
-    findings = [] if report.mistakes.whole else sample.findings(own, report.findings)
+    findings = [] if report.mistakes.whole else sample.findings(read_options, report.findings)
     yield Part({**report.as_json(good, shown), "findings": findings})
 
 
@@ -192,12 +192,12 @@ def read_logs(
 ) -> Iterator[ParsedTable]:
     """Yield the rows of two logs joined by time; parameters as `read_table_file`."""
     log = _columns(loads, replace(options, role="loads", zero_rows=0), report)
-    joined = joined_loads(log, report)
+    loads_log = joined_loads(log, report)
     report.read, report.format, report.gzip = 0, "", False  # those of the displacements count
-    if joined is None:
+    if loads_log is None:
         return
     log = list(_columns(displacements, replace(options, role="displacements"), report))
-    yield from _corrected(with_loads(log, *joined, options, report), options, report)
+    yield from _corrected(with_loads(log, *loads_log, options, report), options, report)
 
 
 def _corrected(
@@ -294,6 +294,8 @@ def _format_of(path: Path) -> Format:
             "MAT, each gzipped if you like"
         )
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
+    if text[:1] == b"<":
+        raise ContentError("is a web page or XML and no table; export the table as CSV or XLSX")
     return "json" if text[:1] in (b"{", b"[") else "csv"
 
 

@@ -217,8 +217,14 @@ def with_known_point(
             row = int(piece.seq[asked][at])
     if (count > _FEW_ROWS * rows).any():
         more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
-        words = {"count": int(count.max()), "rows": rows, "row": row, "value": value, "more": more}
-        report.mistakes.ruin(0, "load_cell", _WHICH_POINT.format(share=100.0 * worst, **words))
+        numbers = {
+            "count": int(count.max()),
+            "rows": rows,
+            "row": row,
+            "value": value,
+            "more": more,
+        }
+        report.mistakes.ruin(0, "load_cell", _WHICH_POINT.format(share=100.0 * worst, **numbers))
 
 
 def _shift(wrench: Array, displacement: Array) -> Array:
@@ -267,9 +273,9 @@ def _problems(
 def _product(values: Array, matrix: Array) -> Array:
     """Return values @ matrix, (n, 6); NaN only where a factor that is not zero meets a NaN."""
     unknown = np.isnan(values)
-    found = np.where(unknown, 0.0, values) @ matrix
-    found[unknown @ (matrix != 0.0)] = np.nan
-    return found
+    product = np.where(unknown, 0.0, values) @ matrix
+    product[unknown @ (matrix != 0.0)] = np.nan
+    return product
 
 
 def _swing(rotation: Array, point: Array) -> Array:
@@ -366,25 +372,25 @@ def _applied_lag(
     when = np.concatenate(
         [np.empty(0), *(piece.time for piece in pieces if piece.time is not None)]
     )
-    found = None
+    lag = None
     if len(when) and options.space.is_default:
         moved = np.concatenate([piece.displacement for piece in pieces])
-        found = estimate_lag(Logs(time, wrench, when, moved), applied)
-    if auto and (found is None or found.others):
+        lag = estimate_lag(Logs(time, wrench, when, moved), applied)
+    if auto and (lag is None or lag.others):
         message = (
             "the logs do not show by how much their clocks differ, so lag=auto cannot be applied"
-            f"{f' ({repeated(found)})' if found else ''}; give the seconds to add to the "
+            f"{f' ({repeated(lag)})' if lag else ''}; give the seconds to add to the "
             "displacements' times"
         )
         report.mistakes.ruin(0, "time", message)
         return None
-    applied = found.seconds if auto and found else applied
+    applied = lag.seconds if auto and lag else applied
     report.clock = {
         "applied_s": applied,
-        "lag_s": found and found.seconds,
-        "uncertainty_s": found and found.error,
+        "lag_s": lag and lag.seconds,
+        "uncertainty_s": lag and lag.error,
     }
-    report.findings += clock_findings(found, applied)
+    report.findings += clock_findings(lag, applied)
     return applied
 
 

@@ -44,6 +44,8 @@ from wrenchbook.surrogate.table.rows import unknown_column
 
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
 
+MAX_NAME = 1000  # characters of a source or a fingerprint: of 20,000 rows they are 80 MB
+_LONG_NAME = f"is longer than {MAX_NAME:,} characters; shorten it, or put the text into note"
 _UNNAMED = (
     "has a value in column {}, which has no name in the header; name it, or leave it out with "
     "ignore_extra (--ignore-extra)"
@@ -88,13 +90,16 @@ class Piece:
 
 
 def read_records(
-    records: Iterator[Record],
-    options: Options,
-    report: ReadReport,
-    check: RecordCheck = lambda _cells, _header: "",
+    records: Iterator[Record], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of records of text, in which a `Digits` is a stored number."""
-    header, rest = read_head(until_broken(records, report.mistakes), options)
+    header, rest = read_head(records, options)
+
+    def check(cells: list[str], header: Header) -> str:
+        cells += [""] * (header.width - len(cells))
+        wide = len(cells) > header.width
+        return f"has {len(cells)} cells, the header {header.width}" if wide else ""
+
     pieces = text_pieces(rest, header, report.mistakes, check)
     yield from read_pieces(header, pieces, options, report)
 
@@ -311,7 +316,7 @@ class _Conversion:
         }
         if not is_corrected(options):
             self._good &= is_within_limits(piece, options, report)
-        report.mistakes.settle()
+        report.mistakes.trim()
         return ParsedTable(**picked(piece, self._good))
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:
@@ -335,8 +340,10 @@ class _Conversion:
             values = np.array([self._number(column, at) for at in range(len(cells))])
         elif not np.isfinite(values).all():
             empty = np.isnan(values) if column.name in self._names.wrench else False
-            for at in np.flatnonzero(np.isinf(values) | empty).tolist():
+            infinite = np.isinf(values)
+            for at in np.flatnonzero(infinite | empty).tolist():
                 self._refuse(at, column.label, number_problem(self._cell(column, at), False))
+            values = np.where(infinite, np.nan, values)  # no limit names it again
         converted = values
         if column.factor != 1.0 or column.zero:
             with np.errstate(over="ignore"):
@@ -431,10 +438,14 @@ class _Conversion:
         texts: dict[str, str] = {}
         for cell in dict.fromkeys(cells):
             texts[cell] = unguard_formula(cell.strip()) if self._format.guarded else cell.strip()
-        if any(map(text_problem, texts)):
+        wrong = {text: text_problem(text) for text in texts}
+        if name != "note":  # an array of texts takes the room of the longest for each
+            wrong |= {text: _LONG_NAME for text in texts if len(text) > MAX_NAME}
+        if any(wrong.values()):
             for at, cell in enumerate(cells):
-                if problem := text_problem(cell):
+                if problem := wrong[cell]:
                     self._refuse(at, column.label, problem)
+            texts = {cell: "" if wrong[cell] else text for cell, text in texts.items()}
         return np.array([*map(texts.__getitem__, cells)], dtype=object if name == "note" else str)
 
     def _refuse(self, at: int, label: str, message: str) -> None:

@@ -45,7 +45,7 @@ def test_rows_become_si_arrays():
         ({**ROW, "displacement": [None] * 6}, "displacement[0]", "needs at least one"),
         ({**ROW, "wrench": [0, None, 0, 0, 0, 0]}, "wrench[1]", "null is not a number"),
         ({**ROW, "wrench": [math.nan, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),
-        ({**ROW, "wrench": [10**400, 0, 0, 0, 0, 0]}, "wrench[0]", "is too large a number"),
+        ({**ROW, "wrench": [10**400, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),
         ({**ROW, "displacement": [0, 0, 0, 0.3, 0.2, 0]}, "displacement[3]", "a table ends at 20"),
         ({**ROW, "displacement": [0, 11, 0, 0, 0, 0]}, "displacement[1]", "a table ends at 10 m"),
         ({**ROW, "compliance": [1] * 36}, "compliance", "is not six lists of six numbers"),
