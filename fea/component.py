@@ -281,7 +281,7 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
     found = [group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
-    if not found or supports.sliding or supports.bushings:  # `fea.check.motions` looks at all
+    if not found or supports.sliding or supports.bushings:  # `fea.check.findings` looks at all
         return nodes
     if all(len(ids) for ids in found) and not _spans_a_plane(mesh.points[nodes]):
         message = "its nodes lie on one line, about which the component can turn; fix more"

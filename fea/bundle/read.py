@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.bundle.deck_table import read_deck
-from wrenchbook.fea.bundle.inputs_table import check_densities, check_inputs, read_inputs
 from wrenchbook.fea.bundle.mesh_table import read_mesh
 from wrenchbook.fea.bundle.tables import (
+    check_densities,
+    check_inputs,
     read_analysis,
+    read_deck,
+    read_inputs,
     read_interfaces,
     read_material,
     read_name,

@@ -25,7 +25,7 @@ from wrenchbook.fea.check.trial import (
     weight_warnings,
 )
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of
-from wrenchbook.fea.deck.checking import deck_report
+from wrenchbook.fea.deck.running import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
 from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings, stack_problems
@@ -70,7 +70,7 @@ def report(
         given ``strength`` (see `fea.check.strength`), and where it takes no longer than a check may
         ``solver_error``
         (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
-        ``deck`` (see `fea.deck.checking`).
+        ``deck`` (see `fea.deck.running`).
     """
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)

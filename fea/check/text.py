@@ -39,8 +39,8 @@ def _source(report: Mapping[str, Any]) -> Iterator[str]:
     if deck := report.get("deck"):
         program = deck["program"] or "a program that is not here"
         yield (
-            f"deck: {deck['file']} in {deck['unit']}, run by {program} for {deck['timeout']:g} s at "
-            f"most, read by {deck['reader']}; its moments are {deck['moment']}"
+            f"deck: {deck['file']} in {deck['unit']}, run by {program} for {deck['timeout']:g} s "
+            f"at most, read by {deck['reader']}; its moments are {deck['moment']}"
         )
     if "faces" not in report:
         return
