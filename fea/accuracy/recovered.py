@@ -98,7 +98,33 @@ def recovered_error(solver: Solver) -> RecoveredError:
     """
     pieces = list(_pieces(solver))
     points = solver.component.mesh.points
-    smooth = _at_corners(pieces, len(points))
+    # For each material the means of its fields at the nodes, (nodes, 2, loads, 3, 3).
+    nodes = len(points)
+    totals: dict[int, Array] = {}
+    volumes: dict[int, Array] = {}
+    for piece in pieces:
+        loads = piece.fields.shape[1]
+        total = totals.setdefault(piece.material, np.zeros((nodes, 2 * loads * 9)))
+        volume = volumes.setdefault(piece.material, np.zeros(nodes))
+        own = piece.weights.sum(axis=1)
+        fit = np.linalg.pinv(piece.functions)
+        cells, places = piece.weights.shape
+        by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, places, -1)
+        recovered = (fit @ by_cell) * own[:, None, None]  # at each cell's corners
+        count = piece.corners.size
+        entries = (np.ones(count), (piece.corners.ravel(), np.arange(count)))
+        total += coo_array(entries, shape=(nodes, count)).tocsr() @ recovered.reshape(
+            piece.corners.size, -1
+        )
+        volume += np.bincount(
+            piece.corners.ravel(), np.repeat(own, piece.corners.shape[1]), minlength=nodes
+        )
+    smooth = {
+        material: (
+            total / np.where(volumes[material] > 0, volumes[material], 1.0)[:, None]
+        ).reshape(nodes, 2, -1, 3, 3)
+        for material, total in totals.items()
+    }
     found = [_energy(piece, smooth[piece.material]) for piece in pieces]
     total = np.sum([energy for energy, _ in found], axis=0)
     return RecoveredError(
@@ -148,35 +174,6 @@ def _corner_functions(kind: str, integration: str) -> Array:
     functions = tabulate(_FIRST_ORDER[kind[:3]], places)[0]
     assert functions.shape[1] == int(np.max(EDGES[kind])) + 1
     return functions
-
-
-def _at_corners(pieces: list[_Piece], nodes: int) -> dict[int, Array]:
-    """Return for each material the means of its fields at the nodes, (nodes, 2, loads, 3, 3)."""
-    totals: dict[int, Array] = {}
-    volumes: dict[int, Array] = {}
-    for piece in pieces:
-        loads = piece.fields.shape[1]
-        total = totals.setdefault(piece.material, np.zeros((nodes, 2 * loads * 9)))
-        volume = volumes.setdefault(piece.material, np.zeros(nodes))
-        own = piece.weights.sum(axis=1)
-        fit = np.linalg.pinv(piece.functions)
-        cells, points = piece.weights.shape
-        by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, points, -1)
-        recovered = (fit @ by_cell) * own[:, None, None]  # at each cell's corners
-        count = piece.corners.size
-        entries = (np.ones(count), (piece.corners.ravel(), np.arange(count)))
-        total += coo_array(entries, shape=(nodes, count)).tocsr() @ recovered.reshape(
-            piece.corners.size, -1
-        )
-        volume += np.bincount(
-            piece.corners.ravel(), np.repeat(own, piece.corners.shape[1]), minlength=nodes
-        )
-    return {
-        material: (
-            total / np.where(volumes[material] > 0, volumes[material], 1.0)[:, None]
-        ).reshape(nodes, 2, -1, 3, 3)
-        for material, total in totals.items()
-    }
 
 
 def _energy(piece: _Piece, smooth: Array) -> tuple[Array, Array]:

@@ -360,21 +360,19 @@ class Tangent:
         """Return the matrix of one leaf; a few leaves are made at once."""
         if number not in self._ready:
             self._ready.clear()  # what a factorisation that was given up has left
-            self._make_ready(self._body.leaves_from(number))
+            leaves = self._body.leaves_from(number)
+            for group, scatter in enumerate(self._body.scatter):
+                own = [leaf for leaf in leaves if leaf in scatter.leaves]
+                if not own:
+                    continue
+                counts = np.cumsum([0, *(len(scatter.leaves[leaf].cells) for leaf in own)])
+                matrices = self._cells(
+                    group, np.concatenate([scatter.leaves[leaf].cells for leaf in own])
+                )
+                for leaf, (first, last) in zip(own, pairwise(counts), strict=True):
+                    part = scatter.leaves[leaf].sum(matrices[first:last])
+                    self._ready[leaf] = self._ready[leaf] + part if leaf in self._ready else part
         return self._ready.pop(number)
-
-    def _make_ready(self, leaves: list[int]) -> None:
-        for number, scatter in enumerate(self._body.scatter):
-            own = [leaf for leaf in leaves if leaf in scatter.leaves]
-            if not own:
-                continue
-            counts = np.cumsum([0, *(len(scatter.leaves[leaf].cells) for leaf in own)])
-            matrices = self._cells(
-                number, np.concatenate([scatter.leaves[leaf].cells for leaf in own])
-            )
-            for leaf, (first, last) in zip(own, pairwise(counts), strict=True):
-                part = scatter.leaves[leaf].sum(matrices[first:last])
-                self._ready[leaf] = self._ready[leaf] + part if leaf in self._ready else part
 
     def times(self, fields: Array, nodes: Array) -> Array:
         """Multiply by displacement fields that are zero at all but the given nodes.

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.readers.reader import DeckReader
 from wrenchbook.fea.readers.registry import reader_named, reader_names
 from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
@@ -386,19 +385,13 @@ def read_axes(keys: Keys) -> np.ndarray | None:
     elif np.linalg.det(axes) < 0.0:
         keys.wrong("axes", "must be right-handed; turn one direction round")
     else:
-        return _orthonormal(axes.tolist())
+        # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so
+        # they must not depend on a machine's linear algebra library.
+        first, second, _ = axes.tolist()
+        x = _unit(first)
+        z = _unit(_cross(x, second))
+        return np.array([x, _unit(_cross(z, x)), z])
     return None
-
-
-def _orthonormal(axes: list[list[float]]) -> np.ndarray:
-    """Return directions written to a few digits as an exact frame with the same x.
-
-    In plain floats: the digits go into the fingerprint, so they must not depend on a machine's
-    linear algebra library.
-    """
-    x = _unit(axes[0])
-    z = _unit(_cross(x, axes[1]))
-    return np.array([x, _unit(_cross(z, x)), z])
 
 
 def _unit(v: list[float]) -> list[float]:
@@ -420,7 +413,13 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
     file = bundle_file(keys, "file", folder)
     command = keys.texts("command", least=1, repeats=True)
     output = keys.table("output")
-    reader, options = (None, {}) if output is None else _output(output)
+    reader, options = None, {}
+    name = None if output is None else output.choice("reader", reader_names())
+    if output is not None and name is not None:
+        reader = reader_named(name)
+        read = {key: output.text(key) for key in reader.keys}
+        output.close()
+        options = {"reader": name} | {key: text for key, text in read.items() if text is not None}
     # The further files; all are put into one folder, so none may be in a subfolder.
     names = keys.texts("files", required=False) or ()
     found = []
@@ -442,16 +441,6 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
         return None
     moment = moment or reader.moment
     return Deck(file, command, options, files, unit, timeout or 3600.0, moment)
-
-
-def _output(keys: Keys) -> tuple[DeckReader | None, dict[str, str]]:
-    name = keys.choice("reader", reader_names())
-    if name is None:
-        return None, {}
-    reader = reader_named(name)
-    read = {key: keys.text(key) for key in reader.keys}
-    keys.close()
-    return reader, {"reader": name} | {key: each for key, each in read.items() if each is not None}
 
 
 _UNITS = ("degC", "K")

@@ -50,7 +50,13 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     unknowns = 3 * int(free.sum())
     entries = sum(len(block) * (3 * block.nodes.shape[1]) ** 2 for block in mesh.blocks)
     if sum(len(block) for block in mesh.blocks) <= _MOST_CELLS:
-        operations, numbers = _counted(component, free)
+        cells = [nodes for block in mesh.blocks for nodes in block.nodes]
+        centres = np.concatenate([mesh.points[block.nodes].mean(axis=1) for block in mesh.blocks])
+        operations = numbers = 0.0
+        for part in dissect(cells, centres, free).substructures:
+            m, b = float(part.eliminated), float(part.boundary.size)
+            operations += m**3 / 3 + m * m * b + m * b * b
+            numbers += m * m / 2 + m * b
     else:
         operations, numbers = 37e9 * (unknowns / 34611) ** 2, 28e6 * (unknowns / 34611) ** (4 / 3)
     count = sum(len(block) for block in mesh.blocks)
@@ -71,15 +77,3 @@ def _projects(component: ComponentModel) -> bool:
     kinds = {"hex20", "hex27"} & set(component.mesh.cell_counts)
     ratios = [one.poisson_ratio for one in component.materials if one.law != "orthotropic"]
     return bool(kinds) and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
-
-
-def _counted(component: ComponentModel, free: np.ndarray) -> tuple[float, float]:
-    mesh = component.mesh
-    cells = [nodes for block in mesh.blocks for nodes in block.nodes]
-    centres = np.concatenate([mesh.points[block.nodes].mean(axis=1) for block in mesh.blocks])
-    operations = numbers = 0.0
-    for part in dissect(cells, centres, free).substructures:
-        m, b = float(part.eliminated), float(part.boundary.size)
-        operations += m**3 / 3 + m * m * b + m * b * b
-        numbers += m * m / 2 + m * b
-    return operations, numbers

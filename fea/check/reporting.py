@@ -75,32 +75,27 @@ def report(
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
     try:
-        _look(folder, riding, nonlinear, summary)
+        try:
+            bundle = read_bundle(folder)
+        except BundleError:
+            _list_geometry(_geometry_named_in(folder), summary)
+            raise
+        summary |= {
+            "name": bundle.name,
+            "fingerprint": bundle.fingerprint,
+            "has_fea": bundle.has_fea,
+        }
+        if bundle.deck is not None:  # it answers in place of the embedded solver
+            summary["deck"], warnings = deck_report(bundle.deck)
+            _warn(summary, warnings)
+        elif bundle.mesh is not None:
+            if bundle.mesh.geometry is not None:
+                _list_geometry(bundle.mesh.file, summary)
+            _look_at_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, summary)
     except BundleError as error:
         summary["problems"] += [_entry(problem) for problem in error.problems]
     summary["ok"] = not summary["problems"]
     return summary
-
-
-def _look(folder: Path, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]) -> None:
-    """Fill in `summary`, ending where something stops the way."""
-    try:
-        bundle = read_bundle(folder)
-    except BundleError:
-        _list_geometry(_geometry_named_in(folder), summary)
-        raise
-    summary |= {
-        "name": bundle.name,
-        "fingerprint": bundle.fingerprint,
-        "has_fea": bundle.has_fea,
-    }
-    if bundle.deck is not None:  # it answers in place of the embedded solver
-        summary["deck"], warnings = deck_report(bundle.deck)
-        _warn(summary, warnings)
-    elif bundle.mesh is not None:
-        if bundle.mesh.geometry is not None:
-            _list_geometry(bundle.mesh.file, summary)
-        _look_at_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, summary)
 
 
 def _geometry_named_in(folder: Path) -> Path | None:

@@ -94,7 +94,24 @@ def solve_deck(
             gaps = np.abs(compliance @ whole - displacement).reshape(2, 3).max(axis=1)
             if (gaps > _LINEAR_GAP * largest).any():
                 raise failures.not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
-            _require_reciprocal(compliance, sizes)
+            # A compliance is that of an elastic body if loads do no negative work, and as much on
+            # each other's displacements (Betti). Compared is the work (J) of loads of these sizes:
+            # a locked freedom may show roundoff.
+            exchange = compliance * np.outer(sizes, sizes)
+            own = np.diagonal(exchange)
+            floor = _ROUNDOFF * float(np.abs(own).max())
+            if (own < -floor).any():
+                freedom = FREEDOMS[int(np.argmin(own))]
+                raise failures.not_reciprocal(f"The load on {freedom} moves it backwards.")
+            own = np.maximum(own, 0.0)
+            gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(own, own))
+            i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
+            if gap[i, j] > floor:
+                one, other = FREEDOMS[i], FREEDOMS[j]
+                raise failures.not_reciprocal(
+                    f"A unit load on {other} moves {one} by {compliance[i, j]:.6e}, one on {one} "
+                    f"moves {other} by {compliance[j, i]:.6e}: in an elastic body the two agree."
+                )
             work = float(whole @ displacement)
         found = Solution(
             wrench=whole,
@@ -167,29 +184,6 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
         acting = acting + step
     runs.accept(displacement)
     raise failures.moment_unsettled(_MOST_RUNS, gap / size)
-
-
-def _require_reciprocal(compliance: Array, sizes: Array) -> None:
-    """Raise unless the compliance is one that an elastic body can have: Betti, and work done.
-
-    Compared is the work (J) that loads of these `sizes` do on each other's displacement, so a
-    locked freedom may show roundoff.
-    """
-    work = compliance * np.outer(sizes, sizes)
-    own = np.diagonal(work)
-    floor = _ROUNDOFF * float(np.abs(own).max())
-    if (own < -floor).any():
-        freedom = FREEDOMS[int(np.argmin(own))]
-        raise failures.not_reciprocal(f"The load on {freedom} moves it backwards.")
-    own = np.maximum(own, 0.0)
-    gap = np.abs(work - work.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(own, own))
-    i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
-    if gap[i, j] > floor:
-        one, other = FREEDOMS[i], FREEDOMS[j]
-        raise failures.not_reciprocal(
-            f"A unit load on {other} moves {one} by {compliance[i, j]:.6e}, one on {one} moves "
-            f"{other} by {compliance[j, i]:.6e}: in an elastic body the two agree."
-        )
 
 
 @contextlib.contextmanager

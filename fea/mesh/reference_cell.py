@@ -107,7 +107,11 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
     """
     if kind in _GAUSS_POINTS:
         count = 2 if (kind == "hex20" and integration == "reduced") else _GAUSS_POINTS[kind]
-        points, weights = _tensor_gauss(count, node_places(kind).shape[1])
+        dimension = node_places(kind).shape[1]
+        place, weight = _gauss(count)
+        grid = np.stack(np.meshgrid(*[place] * dimension, indexing="ij"), axis=-1)
+        products = np.stack(np.meshgrid(*[weight] * dimension, indexing="ij"), axis=-1)
+        points, weights = grid.reshape(-1, dimension), products.prod(axis=-1).ravel()
     else:
         mass = integration == "mass"
         if kind in _SIMPLEX_DEGREES:
@@ -163,13 +167,6 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
         raise AssertionError("scikit-fem moved the nodes of a reference element")
     values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
-
-
-def _tensor_gauss(count: int, dimension: int) -> tuple[Array, Array]:
-    place, weight = _gauss(count)
-    points = np.stack(np.meshgrid(*[place] * dimension, indexing="ij"), axis=-1)
-    weights = np.stack(np.meshgrid(*[weight] * dimension, indexing="ij"), axis=-1)
-    return points.reshape(-1, dimension), weights.prod(axis=-1).ravel()
 
 
 def _gauss(count: int) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
+from wrenchbook.fea.assembly.linearisation import Linearisation
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
 
@@ -181,19 +181,14 @@ class ArcPath:
                 return size, Equilibrium(balance, settled, iteration)
             proper = step.nearly
             tangent = system.linearise(balance, None if proper else step.aim)
-            nodes, border, more = self._correction(tangent, balance, normal)
+            moved, edge = tangent.correction(balance)
+            rate = self._rate(tangent)
+            ties = tangent.border.ties
+            own = float(np.vdot(normal, moved + ties @ edge))
+            shift = -own / float(np.vdot(normal, rate[0] + ties @ rate[1]))
+            nodes, border, more = moved + shift * rate[0], edge + shift * rate[1], shift
             size += more
         return None
-
-    def _correction(
-        self, tangent: Linearisation, balance: Balance, normal: Array
-    ) -> tuple[Array, Array, float]:
-        nodes, border = tangent.correction(balance)
-        rate = self._rate(tangent)
-        ties = tangent.border.ties
-        own = float(np.vdot(normal, nodes + ties @ border))
-        shift = -own / float(np.vdot(normal, rate[0] + ties @ rate[1]))
-        return nodes + shift * rate[0], border + shift * rate[1], shift
 
     def _rate(self, tangent: Linearisation) -> tuple[Array, Array]:
         """Return the motion of free nodes and border per unit of the load's size."""

@@ -57,7 +57,12 @@ def buckling_factors(
         moved = stressed.solved(loads)
         stiffness = moved @ loads.T
         geometric = moved @ np.stack([stressed.times(one) for one in moved]).T
-        values, motions = _ritz(stiffness, geometric, moved)
+        # The best eigenvalues in a space of motions, and those of K-length one.
+        size, own = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+        kept = size > 1e-12 * size.max(initial=0.0)
+        basis = own[:, kept] / np.sqrt(size[kept])
+        values, vectors = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
+        motions = (basis @ vectors).T @ moved
         ends = np.array([values.min(), values.max()])
         if (np.abs(ends - before) <= _CONVERGED * np.abs(ends).max()).all():
             break
@@ -79,15 +84,6 @@ def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
         columns.append(np.tile(nodes, (1, count)).ravel())
     places = np.concatenate(rows), np.concatenate(columns)
     return csr_array(coo_array((np.concatenate(entries), places), (body.size, body.size)))
-
-
-def _ritz(stiffness: Array, geometric: Array, moved: Array) -> tuple[Array, Array]:
-    """Return the best eigenvalues in a space of motions, and those of K-length one."""
-    size, own = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-    kept = size > 1e-12 * size.max(initial=0.0)
-    basis = own[:, kept] / np.sqrt(size[kept])
-    values, modes = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
-    return values, (basis @ modes).T @ moved
 
 
 def _factor(value: float) -> float:

@@ -100,22 +100,18 @@ def craig_bampton(
     fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
     total = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
     energies = 0.5 * np.asarray(total + np.transpose(total))  # twice the kinetic ones of pairs
-    stiffness = _stiffness(compliance, moved, squares)
+    # The stiffness of base, interfaces and modes, from what the base moves (6 i, 6).
+    both = np.hstack([-moved, np.eye(len(compliance))])
+    first = both.shape[1]
+    stiffness = np.zeros((first + len(squares),) * 2)
+    stiffness[:first, :first] = both.T @ np.linalg.inv(compliance) @ both
+    stiffness[first:, first:] = np.diag(squares)
+    stiffness = 0.5 * (stiffness + stiffness.T)
     own = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
     names, origins, rows = zip(*frames, strict=True)
     turned = np.array(rows).swapaxes(1, 2)
     held, free = (np.sqrt(one) / (2 * np.pi) for one in (squares, own))
     return CraigBampton(names, np.array(origins), turned, stiffness, energies, held, free)
-
-
-def _stiffness(compliance: Array, moved: Array, squares: Array) -> Array:
-    """Return the stiffness of base, interfaces and modes, from what the base moves (6 i, 6)."""
-    both = np.hstack([-moved, np.eye(len(compliance))])
-    frames, modes = both.shape[1], len(squares)
-    found = np.zeros((frames + modes,) * 2)
-    found[:frames, :frames] = both.T @ np.linalg.inv(compliance) @ both
-    found[frames:, frames:] = np.diag(squares)
-    return 0.5 * (found + found.T)
 
 
 def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Array]:

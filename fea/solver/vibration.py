@@ -149,7 +149,32 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
         raise ValueError("a mass on one of several interfaces is not there yet; leave it out")
     inertia = Inertia(system, mass, interface_mass)
     own = float(mass.sum())
-    x = _lowest(inertia) if mass.nnz else _massless(inertia)
+    if mass.nnz:
+        # The motion of the lowest frequency, by Lanczos' method.
+        masses, inverse = (
+            Applied(inertia.size, apply) for apply in (inertia.times, inertia.solved)
+        )
+        start = np.random.default_rng(_SEED).standard_normal(inertia.size)
+        # In this mode ARPACK multiplies by K^-1 and M alone; the first argument tells the size.
+        _, motions = eigsh(masses, k=1, M=masses, sigma=0.0, which="LM", OPinv=inverse, v0=start)
+        x = motions[:, 0]
+    else:
+        # The motion of a massless component of compliance C = L L^T that carries the mass M: the
+        # largest eigenvalue of L^T M L is 1 / omega^2.
+        count = inertia.active.size
+        part = slice(inertia.first, inertia.first + count)
+        units = np.zeros((count, inertia.size))
+        units[:, part] = np.eye(count)
+        moved = inertia.solved(units).T
+        compliance = moved[part]
+        lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
+        carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
+        values, motions = np.linalg.eigh(lower.T @ carried @ lower)
+        if not values[-1] > 0:
+            raise ValueError(
+                "nothing that can move has a mass: give the materials a density or the scene's mass"
+            )
+        x = np.linalg.solve(compliance, lower @ motions[:, -1]) @ moved.T
     fields, interface = inertia.fields(x)
     stiffness = system.body.strain_energy_products(fields[:, :, None])[0, 0]
     stiffness += system.coupling.spring_energies(inertia.border(x))[0, 0]
@@ -247,36 +272,6 @@ class Applied(LinearOperator):
 
     def _matvec(self, x: Array) -> Array:
         return self._apply(x)
-
-
-def _lowest(inertia: Inertia) -> Array:
-    """Return the motion of the lowest frequency, by Lanczos' method."""
-    mass, inverse = (Applied(inertia.size, one) for one in (inertia.times, inertia.solved))
-    start = np.random.default_rng(_SEED).standard_normal(inertia.size)
-    # In this mode ARPACK multiplies by K^-1 and M alone; the first argument tells the size.
-    _, motions = eigsh(mass, k=1, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
-    return motions[:, 0]
-
-
-def _massless(inertia: Inertia) -> Array:
-    """Return the motion of a massless component: its compliance C and the mass M it carries.
-
-    With C = L L^T the largest eigenvalue of L^T M L is 1 / omega^2.
-    """
-    count = inertia.active.size
-    own = slice(inertia.first, inertia.first + count)
-    units = np.zeros((count, inertia.size))
-    units[:, own] = np.eye(count)
-    moved = inertia.solved(units).T
-    compliance = moved[own]
-    lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
-    carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
-    values, motions = np.linalg.eigh(lower.T @ carried @ lower)
-    if not values[-1] > 0:
-        raise ValueError(
-            "nothing that can move has a mass: give the materials a density or the scene's mass"
-        )
-    return np.linalg.solve(compliance, lower @ motions[:, -1]) @ moved.T
 
 
 def _directed(interface: Array) -> Array:

@@ -44,8 +44,29 @@ def choose_faces(
     for name, choice in groups.items():
         where = f"mesh.groups.{name}"
         found = _by_number(faces, choice, f"{where}.faces", "face", problems)
-        found += _by_plane(faces, choice, where, size, problems)
-        found += _by_radius(faces, choice, where, problems)
+        if choice.plane is not None:
+            axis, at = choice.plane
+            square = [f for f in faces if f.normal is not None and abs(f.normal[axis]) > 1 - 1e-9]
+            on_plane = [f.number for f in square if abs(f.centre[axis] - at) < _NEAR * size]
+            if not on_plane:
+                places = sorted({round(f.centre[axis], 9) for f in square})
+                listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
+                message = f"no plane face at {_AXES[axis]} = {at:g} m (there are at: {listed})"
+                problems.append(BundleProblem(f"{where}.plane", message))
+            found += on_plane
+        if choice.radius is not None:
+            round_ones = [(f.radius, f.number) for f in faces if f.radius is not None]
+            limit = 1e-3 * choice.radius
+            chosen_ones = [n for radius, n in round_ones if abs(radius - choice.radius) < limit]
+            if not chosen_ones:
+                listed = ", ".join(
+                    f"{r:g}" for r in sorted({float(f"{r:.6g}") for r, _ in round_ones})
+                )
+                message = (
+                    f"no cylinder of radius {choice.radius:g} m (there are: {listed or 'none'})"
+                )
+                problems.append(BundleProblem(f"{where}.radius", message))
+            found += chosen_ones
         for point in choice.near:
             found += _nearest(gmsh, faces, point, where, size, problems)
         chosen[name] = sorted(set(found))
@@ -83,36 +104,6 @@ def _by_number(
             message = f"there is no {kind} {number}; the geometry has {_spans(there)}"
             problems.append(BundleProblem(where, message))
     return [number for number in choice.numbers if number in there]
-
-
-def _by_plane(
-    faces: Sequence[Face], choice: Selector, where: str, size: float, problems: list[BundleProblem]
-) -> list[int]:
-    if choice.plane is None:
-        return []
-    axis, at = choice.plane
-    square = [f for f in faces if f.normal is not None and abs(f.normal[axis]) > 1 - 1e-9]
-    found = [f.number for f in square if abs(f.centre[axis] - at) < _NEAR * size]
-    if not found:
-        places = sorted({round(f.centre[axis], 9) for f in square})
-        listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
-        message = f"no plane face at {_AXES[axis]} = {at:g} m (there are at: {listed})"
-        problems.append(BundleProblem(f"{where}.plane", message))
-    return found
-
-
-def _by_radius(
-    faces: Sequence[Face], choice: Selector, where: str, problems: list[BundleProblem]
-) -> list[int]:
-    if choice.radius is None:
-        return []
-    round_ones = [(f.radius, f.number) for f in faces if f.radius is not None]
-    found = [n for radius, n in round_ones if abs(radius - choice.radius) < 1e-3 * choice.radius]
-    if not found:
-        listed = ", ".join(f"{r:g}" for r in sorted({float(f"{r:.6g}") for r, _ in round_ones}))
-        message = f"no cylinder of radius {choice.radius:g} m (there are: {listed or 'none'})"
-        problems.append(BundleProblem(f"{where}.radius", message))
-    return found
 
 
 def _nearest(
