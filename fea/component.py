@@ -210,10 +210,14 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     _check_apart(mesh, fixed, [first, *others, *springs], problems)
     if problems:
         raise BundleError(problems)
+    heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
+    without = (replace(material, thermal_expansion=None) for material in bundle.materials)
+    fields = ((own.field, own.reference) for own in bundle.further if own.field is not None)
+    warmths = (shape_on(mesh.points, field, reference) for field, reference in fields)
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
-        materials=_expanding(bundle),
+        materials=bundle.materials if heated else tuple(without),
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
         section=first.section,
@@ -227,22 +231,8 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         sliding=sliding,
         bushings=tuple(zip(springs, (own.stiffness for own in supports.bushings), strict=True)),
         further=bundle.further,
-        warmth=_warmth(bundle, mesh),
+        warmth=next(warmths, None),
     )
-
-
-def _warmth(bundle: Bundle, mesh: Mesh) -> Array | None:
-    for one in bundle.further:
-        if one.field is not None:
-            return shape_on(mesh.points, one.field, one.reference)
-    return None
-
-
-def _expanding(bundle: Bundle) -> tuple[Material, ...]:
-    """Return the materials, with thermal expansion only where the temperature is an input."""
-    if any(one.name == TEMPERATURE for one in bundle.further):
-        return bundle.materials
-    return tuple(replace(one, thermal_expansion=None) for one in bundle.materials)
 
 
 def mesh_of(source: MeshSource) -> Mesh:

@@ -124,7 +124,7 @@ def checked_wrench(
         every = (*names, *further)
         for name in wrench:
             if name not in every:
-                known = _listed(every)
+                known = ", ".join(every)
                 raise ValueError(f'no interface "{name}"{suggest(name, every)} (there are {known})')
         for name in further:
             if name not in wrench:
@@ -141,14 +141,12 @@ def checked_wrench(
         which = ", then ".join(
             f"force (N) and moment (N·m){name and ' of ' + name}" for name in names
         )
-        raise ValueError(f"the inputs are {count} finite numbers: {which}, then {_listed(further)}")
+        raise ValueError(
+            f"the inputs are {count} finite numbers: {which}, then {', '.join(further)}"
+        )
     if len(names) == 1:
         raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
     raise ValueError(
         f"the loads of {len(names)} interfaces are {count} finite numbers: force (N) and moment "
-        f"(N·m) of {_listed(names)}"
+        f"(N·m) of {', '.join(names)}"
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)

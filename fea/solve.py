@@ -295,24 +295,16 @@ class Solver:
             found = self._solve_linear(whole, acting)
         else:
             found = self._solve_nonlinear(whole, acting, progress, start)
-        if not self._stays_elastic(acting):
+        # Where the loads alone tell that nothing yields, no stresses of the answer are needed.
+        by_loads = not (analysis.nonlinear or self._system.weight is not None or self.body.expands)
+        if not (by_loads and np.abs(acting) @ self._most_used <= 1.0):
             words = yielding(self.component, self._system.body, found)
-            if words and self.component.analysis.on_yield == "fail":
+            if words and analysis.on_yield == "fail":
                 raise yields(words)
             found = replace(found, notes=(*found.notes, words)) if words else found
         if progress is not None:
             progress(1.0, "done")
         return replace(found, seconds=time.perf_counter() - started)
-
-    def _stays_elastic(self, acting: Array) -> bool:
-        """Tell by the loads alone whether nothing yields, without the stresses of an answer."""
-        if (
-            self.component.analysis.nonlinear
-            or self._system.weight is not None
-            or self.body.expands
-        ):
-            return False
-        return bool(np.abs(acting) @ self._most_used <= 1.0)
 
     @cached_property
     def _most_used(self) -> Array:
@@ -351,9 +343,14 @@ class Solver:
         rest = None if weight is None else self.rest
         if rest is not None and not acting.any():
             return self._solution(wrench, rest, rest.balance.energy, ())
-        path = LoadPath(self._system, acting, progress, rest)
+        path, largest = LoadPath(self._system, acting, progress, rest), np.abs(acting).argmax()
+
+        def check(balance: Balance) -> None:
+            load_factor = float(balance.wrench[largest] / acting[largest])
+            _require_small_rotation(balance.state.interface, load_factor)
+
         try:
-            found = path.follow(lambda balance: _require_small_state(balance, acting), start)
+            found = path.follow(check, start)
         except SolveFailed as failure:
             failure.history = tuple(path.history)
             factor, nodes = path.last_state()
@@ -402,13 +399,6 @@ def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> No
     degrees = float(np.degrees(largest_rotation(displacement)))
     if degrees > MOST_DEGREES:
         raise rotation_too_large(degrees, MOST_DEGREES, load_factor)
-
-
-def _require_small_state(balance: Balance, wrench: Array) -> None:
-    largest = np.abs(wrench).argmax()
-    _require_small_rotation(
-        balance.state.interface, float(balance.wrench[largest] / wrench[largest])
-    )
 
 
 def system_of(component: ComponentModel, active: Array) -> System:

@@ -67,7 +67,15 @@ def over_tolerance(
                 "do not lower that. Set nonlinear = true, or narrow [range]"
             )
             found += [BundleProblem(WHERE, message)]
-    return found + _of_buckling(solver_error.get("buckling"))
+    factor = solver_error.get("buckling")
+    if factor is not None and factor < 1.0:
+        message = (
+            f"the part buckles at {factor:.3g} of the loads at a corner of the range, which "
+            "nonlinear = false does not see: answers beyond that are wrong. Narrow [range], or set "
+            "nonlinear = true, whose solves end there by name"
+        )
+        found += [BundleProblem(WHERE, message)]
+    return found
 
 
 def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
@@ -77,17 +85,6 @@ def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
         return []
     remedy = "mesh in second order on the geometry, or more cells round; the error bar holds it"
     return [BundleProblem("mesh.file", f"{own['basis']}: {remedy}")]
-
-
-def _of_buckling(factor: float | None) -> list[BundleProblem]:
-    if factor is None or factor >= 1.0:
-        return []
-    message = (
-        f"the part buckles at {factor:.3g} of the loads at a corner of the range, which "
-        "nonlinear = false does not see: answers beyond that are wrong. Narrow [range], or set "
-        "nonlinear = true, whose solves end there by name"
-    )
-    return [BundleProblem(WHERE, message)]
 
 
 def _worst(errors: Array, allowed: Array) -> tuple[float, str]:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wrenchbook.fea.accuracy.second_mesh import finer
-from wrenchbook.fea.component import ComponentModel, build
+from wrenchbook.fea.component import build
 from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.solve import Solver
@@ -120,13 +120,20 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
         If a mesh cannot be read, lacks a group, or cannot be solved.
     """
     solvers = [Solver(build(bundle))]
-    solvers += [Solver(_read(bundle, path)) for path in finer_meshes]
+    for path in finer_meshes:
+        source = bundle.mesh
+        if source is None:
+            raise ValueError("a component without a [mesh] is a table: nothing is meshed")
+        mesh = read_mesh(path, source.unit)
+        mesh = mesh if source.order is None else second_order(mesh)
+        solvers.append(Solver(build(bundle, mesh)))
     while not finer_meshes and len(solvers) < 3:
         found = finer(solvers[-1], MOST_UNKNOWNS if len(solvers) > 1 else None, _STEP)
         if found is None:
             break
         solvers.append(found)
-    sizes = [_size(one) for one in solvers]
+    volumes = [np.concatenate([cells for _, cells in solver.volumes]) for solver in solvers]
+    sizes = [float(np.cbrt(cells.mean())) for cells in volumes]
     for coarse, fine, one in zip(sizes, sizes[1:], solvers[1:], strict=False):
         if coarse < LEAST_RATIO * fine:
             nodes = len(one.component.mesh.points)
@@ -137,20 +144,6 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
             )
     compliance = np.array([one.linear.compliance for one in solvers])
     return Study([len(one.component.mesh.points) for one in solvers], sizes, compliance)
-
-
-def _read(bundle: Bundle, path: Path) -> ComponentModel:
-    source = bundle.mesh
-    if source is None:
-        raise ValueError("a component without a [mesh] is a table: nothing is meshed")
-    mesh = read_mesh(path, source.unit)
-    return build(bundle, mesh if source.order is None else second_order(mesh))
-
-
-def _size(solver: Solver) -> float:
-    """Return the cube root of the cells' mean volume, m."""
-    cells = np.concatenate([own for _, own in solver.volumes])
-    return float(np.cbrt(cells.mean()))
 
 
 def write(bundle: Bundle, study: Study) -> Path:

@@ -130,7 +130,10 @@ class System:
         factor = start.tangent.factor
         if factor.pivot_ratio < _LEAST_PIVOT:
             energy = softest_energy(self.body, start.tangent)
-            raise unheld(f"Near {self._place(factor.weakest)} m the mesh", energy)
+            weakest = factor.weakest
+            node = self.body.dissection.nodes[weakest // 3] if weakest >= 0 else 0
+            place = ", ".join(f"{x:.4g}" for x in self._places[node])
+            raise unheld(f"Near ({place}) m the mesh", energy)
         if not np.isfinite(start.compliance).all():
             raise unheld("The interface", 0.0)
         if start.interface_ratio < _LEAST_PIVOT:
@@ -173,7 +176,3 @@ class System:
         if temperature:
             heat = abs(temperature) * self._heat[0], temperature**2 * self._heat[1]
         return Balance(state, wrench, forces, energy, least, nodal, border, heat)
-
-    def _place(self, position: int) -> str:
-        node = self.body.dissection.nodes[position // 3] if position >= 0 else 0
-        return "(" + ", ".join(f"{x:.4g}" for x in self._places[node]) + ")"

@@ -456,9 +456,16 @@ def read_inputs(top: Keys, folder: Path) -> tuple[ScalarInput, ...]:
     warm = keys.table(TEMPERATURE, required=False)
     pulled = keys.table("acceleration", required=False)
     keys.close()
-    found = [] if warm is None else [_temperature(top, warm, folder)]
-    found += [] if pulled is None else _acceleration(pulled)
-    return tuple(one for one in found if one is not None)
+    further = [] if warm is None else [_temperature(top, warm, folder)]
+    if pulled is not None:
+        sizes = pulled.numbers("range", len(ACCELERATIONS), "m/s^2") or []
+        pulled.close()
+        if sizes and min(sizes) <= 0:
+            message = "must be three numbers above 0 in m/s^2: each plus and minus its own"
+            pulled.wrong("range", message)
+        pairs = zip(ACCELERATIONS, sizes, strict=False)
+        further += [ScalarInput(name, "m/s^2", -size, size) for name, size in pairs]
+    return tuple(filter(None, further))
 
 
 def _temperature(top: Keys, keys: Keys, folder: Path) -> ScalarInput | None:
@@ -478,17 +485,6 @@ def _temperature(top: Keys, keys: Keys, folder: Path) -> ScalarInput | None:
             message = f"{lowest:g} {unit} is below absolute zero, {_ABSOLUTE_ZERO[unit]:g} {unit}"
             keys.wrong(key, message)
     return ScalarInput(TEMPERATURE, unit, ends[0], ends[1], reference, field)
-
-
-def _acceleration(keys: Keys) -> list[ScalarInput]:
-    most = keys.numbers("range", len(ACCELERATIONS), "m/s^2") or []
-    keys.close()
-    if most and min(most) <= 0:
-        keys.wrong("range", "must be three numbers above 0 in m/s^2: each plus and minus its own")
-    return [
-        ScalarInput(name, "m/s^2", -own, own)
-        for name, own in zip(ACCELERATIONS, most, strict=False)
-    ]
 
 
 def read_expansion(keys: Keys, law: str | None) -> tuple[float, float, float] | None:

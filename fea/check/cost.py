@@ -61,7 +61,11 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
         operations, numbers = 37e9 * (unknowns / 34611) ** 2, 28e6 * (unknowns / 34611) ** (4 / 3)
     count = sum(len(block) for block in mesh.blocks)
     work = 7.2e-8 * entries + 1e-5 * count * np.log2(count + 1) + operations / 19e9
-    times = _NONLINEAR * (_PROJECTED if _projects(component) else 1.0)
+    # Some cells take the pressure for an unknown of its own.
+    kinds = {"hex20", "hex27"} & set(mesh.cell_counts)
+    ratios = [own.poisson_ratio for own in component.materials if own.law != "orthotropic"]
+    projects = kinds and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
+    times = _NONLINEAR * (_PROJECTED if projects else 1.0)
     memory = 100e6 + 9 * numbers + 8 * entries
     return {
         "unknowns": unknowns,
@@ -70,10 +74,3 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
         "memory_bytes": int(float(f"{memory:.3g}")),
         "basis": "an estimate from the order of elimination, within 1.5 on a like machine",
     }
-
-
-def _projects(component: ComponentModel) -> bool:
-    """Return whether some cells take the pressure for an unknown of its own."""
-    kinds = {"hex20", "hex27"} & set(component.mesh.cell_counts)
-    ratios = [one.poisson_ratio for one in component.materials if one.law != "orthotropic"]
-    return bool(kinds) and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)

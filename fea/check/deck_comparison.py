@@ -60,7 +60,12 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     if deck is None:
         return []
     found = [f"{where} {words}" for where, words in deck.missing.items()]
-    found += _integrated(component, deck)
+    integration = component.analysis.integration
+    found += [
+        f'has {name}; [analysis] says integration = "{integration}" for it'
+        for name in deck.elements
+        if name.startswith("C3D20") and ("R" in name) != (integration == "reduced")
+    ]
     found += [words for one in deck.sections for words in _other_material(component, deck, one)]
     cases = [
         [words for one in case.supports for words in _freed(component, one)]
@@ -69,13 +74,6 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     ]
     found += min(cases, key=len)  # a component is of one case of its deck
     return [BundleProblem("mesh.file", words) for words in found]
-
-
-def _integrated(component: ComponentModel, deck: DeckContent) -> Iterator[str]:
-    own = component.analysis.integration
-    for name in deck.elements:
-        if name.startswith("C3D20") and ("R" in name) != (own == "reduced"):
-            yield f'has {name}; [analysis] says integration = "{own}" for it'
 
 
 def _other_material(component: ComponentModel, deck: DeckContent, one: Any) -> Iterator[str]:

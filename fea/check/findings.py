@@ -67,19 +67,15 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     if not loose:
         return []
     if bodies.count == 1:
-        return [_too_few_supports(component, motions[0])]
+        words = f"the part is a mechanism, {_motions_in_words(component, motions[0])}"
+        if len(component.sliding[0]) or component.bushings:
+            return [BundleProblem("supports", f"{words}; hold these as well")]
+        message = f"{words}; fix at least three points that are not on one line"
+        return [BundleProblem("supports.fixed", message)]
     problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_REPORTED]]
     if len(loose) > _MOST_REPORTED:
         problems.append(BundleProblem("mesh", f"{len(loose) - _MOST_REPORTED} more parts are free"))
     return problems
-
-
-def _too_few_supports(component: ComponentModel, motions: Array) -> BundleProblem:
-    words = f"the part is a mechanism, {_motions_in_words(component, motions)}"
-    if len(component.sliding[0]) or component.bushings:
-        return BundleProblem("supports", f"{words}; hold these as well")
-    message = f"{words}; fix at least three points that are not on one line"
-    return BundleProblem("supports.fixed", message)
 
 
 def _free_part(

@@ -197,17 +197,13 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     moved, turned = (np.linalg.svd(half)[1][0] for half in (by_gravity[:3], by_gravity[3:]))
     if moved <= limit.translation and turned <= limit.rotation:
         return []
-    down = np.linalg.svd(by_gravity[:3])[2][0] @ component.axes
+    direction = np.linalg.svd(by_gravity[:3])[2][0] @ component.axes
+    down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _STANDARD_GRAVITY
+    gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
         f"is not given: own weight at 9.81 m/s^2 moves the interface by up to {moved:.2g} m and "
-        f"{turned:.2g} rad, with {_shown(down)} m/s^2 in the mesh's axes, more than the "
+        f"{turned:.2g} rad, with [{gravity}] m/s^2 in the mesh's axes, more than the "
         "tolerance; answers leave it out. If the part hangs in one direction, write it: "
         "gravity = [0, 0, -9.81] under [analysis]; if it turns, take [inputs.acceleration]"
     )
     return [BundleProblem("analysis.gravity", message)]
-
-
-def _shown(direction: Array) -> str:
-    largest = np.abs(direction).argmax()
-    down = -np.sign(direction[largest]) * direction * _STANDARD_GRAVITY
-    return "[" + ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6)) + "]"

@@ -189,7 +189,15 @@ def run_command(
         If `timeout` is over.
     """
     deadline = time.monotonic() + timeout
-    child = _start(command, folder, printed)
+    with printed.open("wb") as file:
+        child = subprocess.Popen(
+            command,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
     try:
         with _guarded(child.pid):
             while True:
@@ -208,18 +216,6 @@ def run_command(
                 child.wait(_GRACE)
         _signal(child.pid, signal.SIGKILL)
         child.wait()
-
-
-def _start(command: Sequence[str], folder: Path, printed: Path) -> subprocess.Popen[bytes]:
-    with printed.open("wb") as file:
-        return subprocess.Popen(
-            command,
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=file,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
 
 
 @contextlib.contextmanager
@@ -265,7 +261,13 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
         If the deck lacks a placeholder, or what its reader depends on.
     """
     content = deck.file.read_bytes()
-    problems = [_missing(name) for name in missing_placeholders(content)]
+    where = (
+        "put it where that load goes, or into a comment line that says what takes the load instead"
+    )
+    problems = [
+        BundleProblem("deck.file", f"has no {name}; {where}")
+        for name in missing_placeholders(content)
+    ]
     text = "\n".join(
         file.read_text(encoding="utf-8", errors="replace") for file in (deck.file, *deck.files)
     )
@@ -284,17 +286,10 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
         "unit": deck.unit,
         "timeout": deck.timeout,
     }
-    return summary, [] if program else [_not_here(deck.command[0])]
-
-
-def _missing(placeholder: str) -> BundleProblem:
+    if program:
+        return summary, []
     message = (
-        f"has no {placeholder}; put it where that load goes, or into a comment line that says what "
-        "takes the load instead"
+        f'the program "{deck.command[0]}" is not on the PATH of this machine; install it where '
+        "solves run"
     )
-    return BundleProblem("deck.file", message)
-
-
-def _not_here(program: str) -> BundleProblem:
-    message = f'the program "{program}" is not on the PATH of this machine; install it where '
-    return BundleProblem("deck.command", message + "solves run")
+    return summary, [BundleProblem("deck.command", message)]

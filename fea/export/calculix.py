@@ -21,10 +21,9 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE, Bundle
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
 
 Array = np.ndarray
 
@@ -218,15 +217,12 @@ def _elements(component: ComponentModel) -> Iterator[str]:
         for i in range(len(component.materials)):
             chosen = block.nodes[materials == i]
             if len(chosen):
-                yield f"*ELEMENT, TYPE={_element(block, component)}, ELSET=E{i}"
+                full = block.kind == "hex20" and component.analysis.integration == "full"
+                element = "C3D20" if full else _ELEMENTS[block.kind]
+                yield f"*ELEMENT, TYPE={element}, ELSET=E{i}"
             for cell in chosen + 1:
                 yield from _rows([number, *cell], more=True)
                 number += 1
-
-
-def _element(block: CellBlock, component: ComponentModel) -> str:
-    full = block.kind == "hex20" and component.analysis.integration == "full"
-    return "C3D20" if full else _ELEMENTS[block.kind]
 
 
 def _step(component: ComponentModel) -> Iterator[str]:
@@ -295,12 +291,6 @@ def _rows(numbers: Iterable[int], more: bool = False) -> Iterator[str]:
         yield line + ("," if more and i + 1 < len(lines) else "")
 
 
-def _bundle(path: Path) -> Bundle:
-    if path.is_dir():
-        return read_bundle(path)
-    return bundle_of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Print the deck of the bundle that the arguments name; return the exit status."""
     parser = argparse.ArgumentParser(
@@ -309,7 +299,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("bundle", type=Path, help="a bundle's folder, or a .toml file like its own")
     path = parser.parse_args(arguments).bundle
     try:
-        component = build(_bundle(path))
+        if path.is_dir():
+            bundle = read_bundle(path)
+        else:
+            bundle = bundle_of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+        component = build(bundle)
         made = f"Made by: python -m wrenchbook.fea.export.calculix {path.name}"
         units = "Metres, newtons, pascals; the axes are those of the interface frame."
         sys.stdout.write(deck_of(component, (component.bundle.title, made, units)))

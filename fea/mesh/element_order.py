@@ -90,7 +90,10 @@ def second_order(mesh: Mesh) -> Mesh:
         blocks,
         mesh.regions,
         groups,
-        {name: _with_middles(ids, pairs, middles) for name, ids in mesh.node_groups.items()},
+        {
+            name: np.unique(np.concatenate([ids, middles[np.isin(pairs, ids).all(axis=1)]]))
+            for name, ids in mesh.node_groups.items()
+        },
         mesh.deck,
     )
 
@@ -113,8 +116,3 @@ def _find(pairs: Array, queries: Array) -> tuple[Array, Array]:
     keys, query_keys = pairs @ [base, 1], queries @ [base, 1]
     place = np.minimum(np.searchsorted(keys, query_keys), len(keys) - 1)
     return place, keys[place] == query_keys
-
-
-def _with_middles(ids: Array, pairs: Array, middles: Array) -> Array:
-    within = np.isin(pairs, ids).all(axis=1)
-    return np.unique(np.concatenate([ids, middles[within]]))

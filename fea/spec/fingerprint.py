@@ -60,12 +60,13 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
     further = {one.name: one for one in parts.get("further", ())}
     heated = TEMPERATURE in further
     materials = sorted((_material(each, heated) for each in parts["materials"]), key=json.dumps)
+    analysis: Analysis = parts["analysis"]
     content = {
         "mesh": _mesh(parts["mesh"]),
         "materials": materials,
         "supports": _supports(parts["supports"]),
         "interface": _interface(parts["interface"]),
-        "analysis": _analysis(parts["analysis"]),
+        "analysis": {"nonlinear": analysis.nonlinear, "integration": analysis.integration},
         "deck": _deck(parts["deck"]),
     }
     if parts["others"]:
@@ -74,9 +75,9 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
             for one in (parts["interface"], *parts["others"])
         ]
     densities = sorted((one.region, one.density or 0.0) for one in parts["materials"])
-    if parts["analysis"].gravity is not None:
-        content["weight"] = {"gravity": parts["analysis"].gravity, "densities": densities}
-    if parts["analysis"].nonlinear and parts["mesh"] is not None and parts["deck"] is None:
+    if analysis.gravity is not None:
+        content["weight"] = {"gravity": analysis.gravity, "densities": densities}
+    if analysis.nonlinear and parts["mesh"] is not None and parts["deck"] is None:
         content["solver"] = NONLINEAR_SOLVER
     if heated:
         content["inputs"] = {"temperature": further[TEMPERATURE].reference}
@@ -156,10 +157,6 @@ def _interface(interface: Interface | None) -> object:
         "coupling": interface.coupling,
         "locked": list(interface.locked),
     }
-
-
-def _analysis(analysis: Analysis) -> object:
-    return {"nonlinear": analysis.nonlinear, "integration": analysis.integration}
 
 
 def _deck(deck: Deck | None) -> object:
