@@ -161,10 +161,10 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     else:
         # The motion of a massless component of compliance C = L L^T that carries the mass M: the
         # largest eigenvalue of L^T M L is 1 / omega^2.
-        count = inertia.active.size
-        part = slice(inertia.first, inertia.first + count)
-        units = np.zeros((count, inertia.size))
-        units[:, part] = np.eye(count)
+        moving = inertia.active.size
+        part = slice(inertia.first, inertia.first + moving)
+        units = np.zeros((moving, inertia.size))
+        units[:, part] = np.eye(moving)
         moved = inertia.solved(units).T
         compliance = moved[part]
         lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
