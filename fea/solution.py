@@ -133,10 +133,10 @@ def checked_wrench(
         wrench = np.concatenate(
             own + [np.ravel(np.asarray(wrench[name], dtype=float)) for name in further]
         )
-    whole = np.array(wrench, dtype=float)
+    inputs = np.array(wrench, dtype=float)
     count = PER_INTERFACE * len(names) + len(further)
-    if whole.shape == (count,) and np.isfinite(whole).all():
-        return whole
+    if inputs.shape == (count,) and np.isfinite(inputs).all():
+        return inputs
     if further:
         which = ", then ".join(
             f"force (N) and moment (N·m){name and ' of ' + name}" for name in names

@@ -118,7 +118,7 @@ class Solver:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the interfaces; an empty one where there is one."""
-        return tuple(one.name for one in self.component.interfaces)
+        return tuple(interface.name for interface in self.component.interfaces)
 
     def inputs(self, wrench: Loads) -> Array:
         """Return the inputs of `solve` as an array of its own, shape (k,).
@@ -128,7 +128,7 @@ class Solver:
         ValueError
             As `solve` does.
         """
-        further = [one.name for one in self.component.further]
+        further = [scalar.name for scalar in self.component.further]
         return checked_wrench(wrench, self.names, further)
 
     @property
@@ -172,7 +172,9 @@ class Solver:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """What an engineer should know: the warnings of `fea.check`, and how it is solved."""
-        notes = tuple(f"{one.where}: {one.message}" for one in warnings_of(self.component))
+        notes = tuple(
+            f"{warning.where}: {warning.message}" for warning in warnings_of(self.component)
+        )
         notes += pressure_notes(self._system.body.parts)
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
@@ -205,9 +207,9 @@ class Solver:
             As `fea.solver.craig_bampton.craig_bampton` does.
         """
         held, frames = [("base", np.zeros(3), np.eye(3))], []
-        for one in self.component.interfaces:
-            frame = one.name or "interface", one.point, one.axes
-            if one.locked == FREEDOMS:
+        for interface in self.component.interfaces:
+            frame = interface.name or "interface", interface.point, interface.axes
+            if interface.locked == FREEDOMS:
                 held = [frame]
             else:
                 frames.append(frame)
@@ -216,7 +218,7 @@ class Solver:
 
     @property
     def _mass(self) -> csr_array:
-        densities = np.array([one.density or 0.0 for one in self.component.materials])
+        densities = np.array([material.density or 0.0 for material in self.component.materials])
         density = [densities[numbers] for numbers in self.component.material_of_cells]
         mass = consistent_mass(self.component.mesh, density)
         mass.eliminate_zeros()
@@ -286,25 +288,27 @@ class Solver:
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """
         started = time.perf_counter()
-        whole = self.inputs(wrench)
-        above, further = whole - self.component.at_rest, self._system.coupling.freedoms
-        acting = np.zeros_like(whole)
-        acting[self._active], acting[further:] = whole[self._active], above[further:]
+        inputs = self.inputs(wrench)
+        above, further = inputs - self.component.at_rest, self._system.coupling.freedoms
+        acting = np.zeros_like(inputs)
+        acting[self._active], acting[further:] = inputs[self._active], above[further:]
         analysis = self.component.analysis
         if not analysis.nonlinear or not (acting.any() or analysis.gravity):
-            found = self._solve_linear(whole, acting)
+            solution = self._solve_linear(inputs, acting)
         else:
-            found = self._solve_nonlinear(whole, acting, progress, start)
+            solution = self._solve_nonlinear(inputs, acting, progress, start)
         # Where the loads alone tell that nothing yields, no stresses of the answer are needed.
         by_loads = not (analysis.nonlinear or self._system.weight is not None or self.body.expands)
         if not (by_loads and np.abs(acting) @ self._most_used <= 1.0):
-            words = yielding(self.component, self._system.body, found)
-            if words and analysis.on_yield == "fail":
-                raise yields(words)
-            found = replace(found, notes=(*found.notes, words)) if words else found
+            exceeded = yielding(self.component, self._system.body, solution)
+            if exceeded and analysis.on_yield == "fail":
+                raise yields(exceeded)
+            solution = (
+                replace(solution, notes=(*solution.notes, exceeded)) if exceeded else solution
+            )
         if progress is not None:
             progress(1.0, "done")
-        return replace(found, seconds=time.perf_counter() - started)
+        return replace(solution, seconds=time.perf_counter() - started)
 
     @cached_property
     def _most_used(self) -> Array:
@@ -313,11 +317,11 @@ class Solver:
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear
         displacement, nodes = linear.compliance @ acting, linear.fields @ acting
-        whole = acting
+        inputs = acting
         if self._system.weight is not None:
             displacement, nodes = displacement + linear.sag_displacement, nodes + linear.sag
-            whole = np.append(acting, 1.0)
-        energy = 0.5 * whole @ linear.energies @ whole
+            inputs = np.append(acting, 1.0)
+        energy = 0.5 * inputs @ linear.energies @ inputs
         work = acting[: len(displacement)] @ displacement
         work += np.vdot(self._system.dead_forces(acting), nodes)
         _require_small_rotation(displacement)
@@ -350,7 +354,7 @@ class Solver:
             _require_small_rotation(balance.state.interface, load_factor)
 
         try:
-            found = path.follow(check, start)
+            equilibrium = path.follow(check, start)
         except SolveFailed as failure:
             failure.history = tuple(path.history)
             factor, nodes = path.last_state()
@@ -358,18 +362,18 @@ class Solver:
             raise
         work = path.work
         if weight is not None and rest is not None:
-            sunk = found.balance.state.nodes - rest.balance.state.nodes
+            sunk = equilibrium.balance.state.nodes - rest.balance.state.nodes
             work += rest.balance.energy + float(np.vdot(weight, sunk))
-        return self._solution(wrench, found, work, tuple(path.history))
+        return self._solution(wrench, equilibrium, work, tuple(path.history))
 
     def _solution(
-        self, wrench: Array, found: Equilibrium, work: float, history: tuple[Iteration, ...]
+        self, wrench: Array, equilibrium: Equilibrium, work: float, history: tuple[Iteration, ...]
     ) -> Solution:
-        balance = found.balance
+        balance = equilibrium.balance
         return Solution(
             wrench=wrench,
             displacement=balance.state.interface,
-            compliance=found.tangent.compliance,
+            compliance=equilibrium.tangent.compliance,
             strain_energy=balance.energy,
             work=work + self._system.heat_energy(balance),
             unknowns=self.unknowns,
@@ -377,8 +381,8 @@ class Solver:
             history=history,
             nodes=balance.state.nodes @ self.component.axes,
             notes=self.notes,
-            tangents=self._in_mesh_axes(found.tangent.nodal_response),
-            curvature=self._curvature(balance, found.tangent),
+            tangents=self._in_mesh_axes(equilibrium.tangent.nodal_response),
+            curvature=self._curvature(balance, equilibrium.tangent),
             state=balance.state,
         )
 
@@ -408,8 +412,8 @@ def system_of(component: ComponentModel, active: Array) -> System:
     """
     mesh = component.mesh
     mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
-    every = [*component.interfaces, *(one for one, _ in component.bushings)]
-    sections = [_section(component, one) for one in every]
+    every = [*component.interfaces, *(bushing for bushing, _ in component.bushings)]
+    sections = [_section(component, attached) for attached in every]
     springs = [stiffness for _, stiffness in component.bushings]
     coupling = Coupling(len(mesh.points), sections, active, _anchors(component), springs)
     free = np.ones(len(mesh.points), dtype=bool)
@@ -456,10 +460,10 @@ def _section(
 
 def _anchors(component: ComponentModel) -> Array:
     """Return three nodes far apart of each section whose mean alone may hold the part."""
-    found = [np.empty(0, dtype=np.int64)]
-    held = [one for one in component.interfaces if one.locked == FREEDOMS]
+    anchors = [np.empty(0, dtype=np.int64)]
+    held = [interface for interface in component.interfaces if interface.locked == FREEDOMS]
     held = [] if component.fixed_nodes.size else held
-    for own in (*held, *(one for one, _ in component.bushings)):
+    for own in (*held, *(bushing for bushing, _ in component.bushings)):
         if own.coupling == "distributed":
             nodes = np.setdiff1d(own.section.node_ids, component.sliding[0])
             arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)
@@ -467,5 +471,5 @@ def _anchors(component: ComponentModel) -> Array:
             away = arms - arms[first]
             second = int(np.linalg.norm(away, axis=1).argmax())
             third = int(np.linalg.norm(np.cross(away, away[second]), axis=1).argmax())
-            found.append(nodes[[first, second, third]])
-    return np.concatenate(found)
+            anchors.append(nodes[[first, second, third]])
+    return np.concatenate(anchors)

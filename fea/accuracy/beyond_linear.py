@@ -83,15 +83,15 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     if not size.max() > 0:
         size = np.linalg.norm(moved[:, :, :3], axis=2).max(axis=1)
     most = int(size.argmax())
-    corners, rest = [corners[most], corners[len(corners) - 1 - most]], solver.component.at_rest
-    factors = list(solver.buckling(corners[0] + rest))
+    corners, zero = [corners[most], corners[len(corners) - 1 - most]], solver.component.at_rest
+    factors = list(solver.buckling(corners[0] + zero))
     if not np.allclose(corners[1], -corners[0]):
-        factors[1] = solver.buckling(corners[1] + rest)[0]
+        factors[1] = solver.buckling(corners[1] + zero)[0]
     for corner, factor in zip(corners, tuple(factors), strict=True):
-        found = _Corner(other, solver.linear, corner, factor)
-        deviation = np.fmax(deviation, found.deviation)
-        factors += found.factors
-        why = why or found.why
+        answer = _Corner(other, solver.linear, corner, factor)
+        deviation = np.fmax(deviation, answer.deviation)
+        factors += answer.factors
+        why = why or answer.why
     lowest = min(factors, default=np.inf)
     return BeyondLinear(
         _SAFETY * deviation, float(lowest) if lowest <= _MOST_REPORTED else None, why
@@ -112,13 +112,13 @@ class _Corner:
             most, self.why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
         for part in (most * part for part in _PARTS):
             try:
-                found = solver.solve(part * wrench + solver.component.at_rest)
+                solution = solver.solve(part * wrench + solver.component.at_rest)
             except SolveFailed as failure:
                 self.why = self.why or failure.message
                 if failure.load_factor is not None:
                     self.factors.append(part * failure.load_factor)
                 continue
             expected = linear.compliance @ (part * wrench) + linear.sag_displacement
-            missed = np.abs(found.displacement - expected) / part**2
+            missed = np.abs(solution.displacement - expected) / part**2
             self.deviation = np.repeat(missed.reshape(-1, 3).max(axis=1), 3)
             return

@@ -71,14 +71,14 @@ class Study(NamedTuple):
 
         It is NaN with two meshes, and where changes differ in sign or do not shrink.
         """
-        found = np.full(self.compliance.shape[1], np.nan)
+        order = np.full(self.compliance.shape[1], np.nan)
         if len(self.sizes) < 3:
-            return found
+            return order
         values = np.diagonal(self.compliance, axis1=1, axis2=2)
         first, last = np.diff(values[-3:], axis=0)
         for i in np.flatnonzero(first * last > 0):
-            found[i] = _order(first[i] / last[i], *self.sizes[-3:])
-        return found
+            order[i] = _order(first[i] / last[i], *self.sizes[-3:])
+        return order
 
     @property
     def extrapolated(self) -> Array:
@@ -128,10 +128,10 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
         mesh = mesh if source.order is None else second_order(mesh)
         solvers.append(Solver(build(bundle, mesh)))
     while not finer_meshes and len(solvers) < 3:
-        found = finer(solvers[-1], MOST_UNKNOWNS if len(solvers) > 1 else None, _STEP)
-        if found is None:
+        refined = finer(solvers[-1], MOST_UNKNOWNS if len(solvers) > 1 else None, _STEP)
+        if refined is None:
             break
-        solvers.append(found)
+        solvers.append(refined)
     volumes = [np.concatenate([cells for _, cells in solver.volumes]) for solver in solvers]
     sizes = [float(np.cbrt(cells.mean())) for cells in volumes]
     for coarse, fine, one in zip(sizes, sizes[1:], solvers[1:], strict=False):
@@ -142,8 +142,8 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
                 f"{message}, the one before of {1e3 * coarse:.4g} mm: give one with cells at most "
                 "0.9 times as large"
             )
-    compliance = np.array([one.linear.compliance for one in solvers])
-    return Study([len(one.component.mesh.points) for one in solvers], sizes, compliance)
+    compliance = np.array([solver.linear.compliance for solver in solvers])
+    return Study([len(solver.component.mesh.points) for solver in solvers], sizes, compliance)
 
 
 def write(bundle: Bundle, study: Study) -> Path:
@@ -172,12 +172,12 @@ def write(bundle: Bundle, study: Study) -> Path:
 
 def names_of(bundle: Bundle) -> list[str]:
     """Return the names of the responses to their own loads, such as tool.uz/Fz; (6 i,)."""
-    own = [f"{one.name}." if bundle.others else "" for one in bundle.interfaces]
-    return [f"{name}{one}" for name in own for one in _RESPONSES]
+    own = [f"{interface.name}." if bundle.others else "" for interface in bundle.interfaces]
+    return [f"{name}{response}" for name in own for response in _RESPONSES]
 
 
 def _or_null(values: Array) -> list[float | None]:
-    return [float(one) if np.isfinite(one) else None for one in values]
+    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def kept(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:

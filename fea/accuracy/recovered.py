@@ -137,8 +137,8 @@ def recovered_error(solver: Solver) -> RecoveredError:
 def _centres_and_diameters(points: Array, blocks: list[Array]) -> tuple[Array, Array]:
     """Return the centres and the largest distances between corners of cells, by their corners."""
     places = [points[corners] for corners in blocks]
-    apart = [np.linalg.norm(own[:, :, None] - own[:, None], axis=-1) for own in places]
-    centres = np.concatenate([own.mean(axis=1) for own in places])
+    apart = [np.linalg.norm(place[:, :, None] - place[:, None], axis=-1) for place in places]
+    centres = np.concatenate([place.mean(axis=1) for place in places])
     return centres, np.concatenate([own.max(axis=(1, 2)) for own in apart])
 
 

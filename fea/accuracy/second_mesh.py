@@ -27,11 +27,11 @@ def coarser(solver: Solver) -> Solver | None:
         if other is None:
             return None
         try:
-            found = Solver(build(other))
-            _ = found.linear
+            second = Solver(build(other))
+            _ = second.linear
         except (BundleError, SolveFailed):
             continue  # too coarse for the shape, or for reduced integration to hold it
-        return found
+        return second
     return None
 
 
@@ -58,5 +58,5 @@ def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solve
     # In a plane alone, as thin parts have it, unknowns grow by the square.
     if (factor if again else 2.0) ** 2 * component.mesh.unknowns > limit:
         return None
-    found = build(again) if again is not None else build(bundle, halved(component.mesh))
-    return Solver(found) if found.mesh.unknowns <= limit else None
+    model = build(again) if again is not None else build(bundle, halved(component.mesh))
+    return Solver(model) if model.mesh.unknowns <= limit else None

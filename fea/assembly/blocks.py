@@ -102,7 +102,7 @@ def _stiffness(
 ) -> CellStiffness:
     """Return the cells of one law; `where` is as of `_directions`."""
     # Thermal strains per kelvin, (cells, points or 1, 3, 3), 1/K; None for none.
-    if any(one.thermal_expansion is None for one in materials):
+    if any(material.thermal_expansion is None for material in materials):
         expansion = None
     else:
         expansion = _by_cell(
@@ -130,7 +130,7 @@ def _directions(
     axes, (cells, points, 3), m. Directions that are everywhere the same stand once a cell.
     """
     frame, places = where
-    found = []
+    groups = []
     for one in {id(material): material for material in materials}.values():
         cells = np.array([k for k, material in enumerate(materials) if material is one])
         own = one.orthotropic
@@ -139,18 +139,18 @@ def _directions(
         else:
             at = places[cells] if own.cylinder else places[cells, :1]
             directions = own.directions(at) @ frame.T
-        found.append((one, cells, directions))
-    return found
+        groups.append((one, cells, directions))
+    return groups
 
 
 def _by_cell(
     parts: list[tuple[Material, Array, Array]], tensor: Callable[[Material, Array], Array]
 ) -> Array:
     """Return a tensor of each material's directions, by cell, (cells, points or 1, ...)."""
-    made = [(cells, tensor(one, directions)) for one, cells, directions in parts]
-    points = max(own.shape[1] for _, own in made)
-    out = np.empty((sum(len(cells) for cells, _ in made), points, *made[0][1].shape[2:]))
-    for cells, own in made:
+    tensors = [(cells, tensor(one, directions)) for one, cells, directions in parts]
+    points = max(own.shape[1] for _, own in tensors)
+    out = np.empty((sum(len(cells) for cells, _ in tensors), points, *tensors[0][1].shape[2:]))
+    for cells, own in tensors:
         out[cells] = own
     return out
 

@@ -52,10 +52,10 @@ class Movable:
 
     def released(self, fields: Array) -> Array:
         """Return fields (n, 3, ...) without what acts on, or moves, held nodes and directions."""
-        kept = np.where(self.free.reshape(-1, *[1] * (fields.ndim - 1)), fields, 0.0)
+        free = np.where(self.free.reshape(-1, *[1] * (fields.ndim - 1)), fields, 0.0)
         if self._nodes.size:
-            kept[self._nodes] -= np.einsum("nij,nj...->ni...", self._held, kept[self._nodes])
-        return kept
+            free[self._nodes] -= np.einsum("nij,nj...->ni...", self._held, free[self._nodes])
+        return free
 
     def apart(self, matrices: Array, nodes: Array) -> Array:
         """Return cells' matrices (m, 3 s, 3 s), N/m, of nodes (m, s), with held directions apart.
@@ -71,9 +71,9 @@ class Movable:
         cells, corners = np.nonzero(places[touched] >= 0)
         held[cells, :, corners, :, corners] = self._held[places[touched][cells, corners]]
         held = held.reshape(own.shape)
-        kept = np.eye(size) - held
+        free = np.eye(size) - held
         stiffness = np.abs(np.trace(own, axis1=1, axis2=2)) / size
-        matrices[touched] = kept @ own @ kept + stiffness[:, None, None] * held
+        matrices[touched] = free @ own @ free + stiffness[:, None, None] * held
         return matrices
 
 

@@ -131,18 +131,18 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
     of_deck = []
     if file is not None and file.suffix.lower() == ".inp":
         of_deck = integrations(deck_text(file))
-    found = read_interfaces(top)
-    interfaces = [interface for interface, _ in found]
+    pairs = read_interfaces(top)
+    interfaces = [interface for interface, _ in pairs]
     parts |= {
         "interface": interfaces[0] if interfaces else None,
         "others": tuple(interfaces[1:]),
         "analysis": read_analysis(top.table("analysis", required=False), of_deck),
-        "range": read_range(top, found),
+        "range": read_range(top, pairs),
         "further": read_inputs(top, folder),
         "tolerance": read_tolerance(top.table("tolerance", required=False)),
         "deck": read_deck(top.table("deck", required=False), folder),
     }
-    _check_tables(top, any(own is not None and own.held for own in interfaces))
+    _check_tables(top, any(attached is not None and attached.held for attached in interfaces))
     if parts["deck"] is not None:
         _check_deck(top, parts["analysis"], interfaces)
     if parts["analysis"].gravity is not None:

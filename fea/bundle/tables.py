@@ -76,8 +76,8 @@ def read_supports(keys: Keys | None) -> Supports | None:
     if keys is None:
         return None
     fixed = keys.texts("fixed", required=False, least=1)
-    sliding = [_sliding(own) for own in keys.tables("sliding", required=False)]
-    bushings = [_bushing(own) for own in keys.tables("bushing", required=False)]
+    sliding = [_sliding(table) for table in keys.tables("sliding", required=False)]
+    bushings = [_bushing(entry) for entry in keys.tables("bushing", required=False)]
     if not any(keys):
         message = "holds nothing; write fixed, [[supports.sliding]] or [[supports.bushing]]"
         keys.problems.append(BundleProblem(keys.where, message))
@@ -140,15 +140,15 @@ def read_interfaces(top: Keys) -> list[tuple[Interface | None, DeclaredRange | N
         keys = top.table("interface", required=False)
         return [] if keys is None else [(_interface(keys), None)]
     has_mesh = "mesh" in top or "deck" in top
-    found = [_named_interface(keys, has_mesh) for keys in top.tables("interface")]
-    if len(found) == 1:
+    pairs = [_named_interface(keys, has_mesh) for keys in top.tables("interface")]
+    if len(pairs) == 1:
         top.wrong("interface", "is one alone; write [interface], without a name, or add others")
-    names = [own.name for own, _ in found if own is not None]
+    names = [own.name for own, _ in pairs if own is not None]
     if len(set(names)) < len(names):
         top.wrong("interface", "a name is there twice; each interface needs its own")
-    if sum(own is not None and own.held for own, _ in found) > 1:
+    if sum(own is not None and own.held for own, _ in pairs) > 1:
         top.wrong("interface", "only one can be held: it is the reference of all displacements")
-    return found
+    return pairs
 
 
 def _named_interface(keys: Keys, has_mesh: bool) -> tuple[Interface | None, DeclaredRange | None]:
@@ -242,11 +242,11 @@ def _bounds(keys: Keys, key: str, unit: str, may_rest: bool) -> list[tuple[float
     if len(loads) != 3:
         keys.wrong(key, f"must be three loads in {unit}, each a number or [low, high]")
         return []
-    found = [
+    pairs = [
         (0.0, 0.0) if may_rest and load == 0 else _bound(keys, f"{key}[{i}]", load, unit)
         for i, load in enumerate(loads)
     ]
-    return [pair for pair in found if pair is not None]
+    return [pair for pair in pairs if pair is not None]
 
 
 def _bound(keys: Keys, key: str, load: object, unit: str) -> tuple[float, float] | None:
@@ -327,7 +327,7 @@ def _orthotropic(keys: Keys) -> Orthotropic | None:
             )
         if point is None or axis is None:
             cylinder = None
-        elif not 1e-6 < math.sqrt(sum(one * one for one in axis)) < 1e6:
+        elif not 1e-6 < math.sqrt(sum(x * x for x in axis)) < 1e6:
             table.wrong("axis", "must be a direction: three numbers that are not all zero")
             cylinder = None
         else:
@@ -422,7 +422,7 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
         options = {"reader": name} | {key: text for key, text in read.items() if text is not None}
     # The further files; all are put into one folder, so none may be in a subfolder.
     names = keys.texts("files", required=False) or ()
-    found = []
+    others = []
     for i, name in enumerate(names):
         key = f"files[{i}]"
         if Path(name).name != name:
@@ -431,8 +431,8 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
             keys.wrong(key, "is the deck itself; leave it out")
         else:
             each = bundle_file(Keys({key: name}, keys.problems, keys.where), key, folder)
-            found += [] if each is None else [each]
-    files = tuple(found)
+            others += [] if each is None else [each]
+    files = tuple(others)
     unit = keys.choice("unit", tuple(UNITS), required=False) or "m"
     timeout = keys.number("timeout", "s", above=0.0, below=_LONGEST, required=False)
     moment = keys.choice("moment", MOMENTS, required=False)
@@ -510,15 +510,17 @@ def check_inputs(
     interfaces: list[Interface | None],
 ) -> None:
     """Note what a component with further inputs lacks, or cannot have."""
-    names = [one.name for one in further]
+    names = [scalar.name for scalar in further]
     if not names:
         return
     if "deck" in top:
         message = "a [deck] takes none; the embedded solver and measured tables do"
         top.wrong(further[0].key, message)
-    for one in interfaces:
-        if one is not None and one.name in names:
-            top.wrong("interface", f'none may have the name "{one.name}", which is an input\'s')
+    for interface in interfaces:
+        if interface is not None and interface.name in names:
+            top.wrong(
+                "interface", f'none may have the name "{interface.name}", which is an input\'s'
+            )
     if TEMPERATURE in names:
         for i, material in enumerate(materials):
             if material is not None and material.thermal_expansion is None:

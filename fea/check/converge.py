@@ -43,25 +43,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         file = write(bundle, studied(bundle, options.finer))
     except (BundleError, SolveFailed, ValueError, OSError, MemoryError) as error:
         kind, message = type(error).__name__, str(error)
-        words = json.dumps({"error": {"title": kind, "detail": message}})
-        print(words if options.json else message)
+        reply = json.dumps({"error": {"title": kind, "detail": message}})
+        print(reply if options.json else message)
         return 1
-    found = json.loads(file.read_text(encoding="utf-8"))
+    study = json.loads(file.read_text(encoding="utf-8"))
     if options.plot is not None:
-        write_plot(found, options.plot)
+        write_plot(study, options.plot)
     if options.json:
-        print(json.dumps({"file": str(file)} | found))
+        print(json.dumps({"file": str(file)} | study))
         return 0
     # A line a mesh, the order, and what the component's own mesh lacks of each response.
-    rows = [("response, SI", found["outputs"])]
-    for count, size, values in zip(found["nodes"], found["sizes"], found["values"], strict=True):
+    rows = [("response, SI", study["outputs"])]
+    for count, size, values in zip(study["nodes"], study["sizes"], study["values"], strict=True):
         rows.append((f"{count} nodes, {1e3 * size:.4g} mm", [f"{value:.6g}" for value in values]))
-    if len(found["nodes"]) > 2:
-        rows.append(("order", _known(found["order"], ".2g")))
-        rows.append(("at cells without size", _known(found["extrapolated"], ".6g")))
+    if len(study["nodes"]) > 2:
+        rows.append(("order", _known(study["order"], ".2g")))
+        rows.append(("at cells without size", _known(study["extrapolated"], ".6g")))
     else:
         rows.append(("two meshes show no order: give a third by --finer", []))
-    pairs = zip(found["first_lacks"], found["values"][0], strict=True)
+    pairs = zip(study["first_lacks"], study["values"][0], strict=True)
     rows.append(("the first mesh lacks", [f"{100 * lack / own:.2g} %" for lack, own in pairs]))
     for label, texts in rows:
         print(f"{label:<26}{''.join(f'{text:>13}' for text in texts)}".rstrip())

@@ -63,7 +63,9 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     work = 7.2e-8 * entries + 1e-5 * count * np.log2(count + 1) + operations / 19e9
     # Some cells take the pressure for an unknown of its own.
     kinds = {"hex20", "hex27"} & set(mesh.cell_counts)
-    ratios = [own.poisson_ratio for own in component.materials if own.law != "orthotropic"]
+    ratios = [
+        material.poisson_ratio for material in component.materials if material.law != "orthotropic"
+    ]
     projects = kinds and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
     times = _NONLINEAR * (_PROJECTED if projects else 1.0)
     memory = 100e6 + 9 * numbers + 8 * entries

@@ -63,14 +63,14 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         )
         return [BundleProblem("mesh", message)]
     motions = free_motions(component, bodies)
-    loose = [number for number, own in enumerate(motions) if len(own)]
+    loose = [number for number, motion in enumerate(motions) if len(motion)]
     if not loose:
         return []
     if bodies.count == 1:
-        words = f"the part is a mechanism, {_motions_in_words(component, motions[0])}"
+        mechanism = f"the part is a mechanism, {_motions_in_words(component, motions[0])}"
         if len(component.sliding[0]) or component.bushings:
-            return [BundleProblem("supports", f"{words}; hold these as well")]
-        message = f"{words}; fix at least three points that are not on one line"
+            return [BundleProblem("supports", f"{mechanism}; hold these as well")]
+        message = f"{mechanism}; fix at least three points that are not on one line"
         return [BundleProblem("supports.fixed", message)]
     problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_REPORTED]]
     if len(loose) > _MOST_REPORTED:
@@ -95,10 +95,10 @@ def _motions_in_words(component: ComponentModel, motions: Array) -> str:
     if len(motions) == 6:
         return "it can move in all six ways, nothing holds it"
     points = component.mesh.points
-    told = [describe(one, middle(points), size_of(points)) for one in simplest(motions)]
-    if len(told) == 1:
-        return f"it can {told[0]}"
-    return f"{len(told)} of its six rigid motions meet no resistance: {', '.join(told)}"
+    texts = [describe(motion, middle(points), size_of(points)) for motion in simplest(motions)]
+    if len(texts) == 1:
+        return f"it can {texts[0]}"
+    return f"{len(texts)} of its six rigid motions meet no resistance: {', '.join(texts)}"
 
 
 def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
@@ -149,11 +149,11 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
         equations.tie_interface(bushing, number)
         equations.hold_bushing(bushing, stiffness, number)
     free = equations.null_space()
-    found = []
+    motions = []
     for number in range(bodies.count):
         _, size, rows = np.linalg.svd(free[:, 6 * number : 6 * number + 6])
-        found.append(rows[: int((size > 1e-6).sum())])
-    return found
+        motions.append(rows[: int((size > 1e-6).sum())])
+    return motions
 
 
 def describe(motion: Array, centre: Array, extent: float) -> str:
@@ -237,8 +237,8 @@ class _Equations:
         else:
             weights = {n: np.repeat(section.weights[owner == n], 3) for n in moves_of}
             own = {n: (moves.T * weights[n]) @ moves for n, moves in moves_of.items()}
-            whole = np.linalg.inv(sum(own.values(), np.zeros((6, 6))))
-            self._add({n: -whole @ one for n, one in own.items()} | {interface: np.eye(6)})
+            mean = np.linalg.inv(sum(own.values(), np.zeros((6, 6))))
+            self._add({n: -mean @ one for n, one in own.items()} | {interface: np.eye(6)})
         for name in attached.locked:
             self._add({interface: self._freedoms(attached)[FREEDOMS.index(name)][None]})
 

@@ -132,7 +132,10 @@ def _look_at_mesh(
         },
     }
     summary["quality"] = quality(mesh)
-    _warn(summary, [BundleProblem("mesh", words) for words in quality_warnings(summary["quality"])])
+    _warn(
+        summary,
+        [BundleProblem("mesh", message) for message in quality_warnings(summary["quality"])],
+    )
     bodies = bodies_of(mesh)
     pairs = coincident_nodes(mesh)
     summary["parts"] = findings.parts(mesh, bodies)
@@ -176,13 +179,13 @@ def _look_at_component(
     component: ComponentModel, bodies: Bodies, pairs: Any, summary: dict[str, Any]
 ) -> None:
     numbers = component.material_of_cells
-    attached = [_section(one) for one in component.interfaces]
+    attached = [_section(interface) for interface in component.interfaces]
     # The ranges of the inputs behind the loads, where there are any.
-    found: dict[str, Any] = {}
+    inputs: dict[str, Any] = {}
     if own := component.temperature:
-        found["temperature"] = {"low": own.low, "high": own.high, "reference": own.reference}
+        inputs["temperature"] = {"low": own.low, "high": own.high, "reference": own.reference}
     if component.accelerated:
-        found["acceleration"] = [one.high for one in component.further[-3:]]
+        inputs["acceleration"] = [scalar.high for scalar in component.further[-3:]]
     counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
     summary |= {
         "materials": [
@@ -199,7 +202,7 @@ def _look_at_component(
         ],
         "supports": {"nodes": len(component.fixed_nodes)}
         | {name: count for name, count in counts.items() if count},
-        **found,
+        **inputs,
         **({"sections": attached} if component.others else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
     }

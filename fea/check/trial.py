@@ -59,7 +59,7 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     volumes = np.zeros(len(component.materials))
     for numbers, volume in solver.volumes:
         np.add.at(volumes, numbers, volume)
-    densities = [one.density for one in component.materials]
+    densities = [material.density for material in component.materials]
     known = None if None in densities else float(volumes @ np.array(densities, dtype=float))
     size = np.ptp(points, axis=0).tolist()
     result = {"size": size, "volume": float(volumes.sum()), "mass": known, "deflection": None}
@@ -153,7 +153,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
         Why not, or that some materials count as weightless.
     """
     component = solver.component
-    silent = [one.region for one in component.materials if one.density is None]
+    silent = [material.region for material in component.materials if material.density is None]
     if riding is None and len(silent) == len(component.materials):
         return {}, []
     carried = riding or Riding.of()
@@ -163,15 +163,15 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
         message = f"no density for {names}: it counts as weightless in mass and frequency"
         warnings.append(BundleProblem("material", message))
     try:
-        found = solver.vibration(carried)
+        vibration = solver.vibration(carried)
     except (ValueError, SolveFailed) as error:
         return {}, [*warnings, BundleProblem("material", f"no natural frequency: {error}")]
     result = {
-        "mass": found.mass if len(silent) < len(component.materials) else None,
-        "first_frequency": found.frequency,
-        "motion": found.interface.tolist(),
+        "mass": vibration.mass if len(silent) < len(component.materials) else None,
+        "first_frequency": vibration.frequency,
+        "motion": vibration.interface.tolist(),
         "riding_mass": carried.mass,
-        "condensed_mass": found.condensed.tolist(),
+        "condensed_mass": vibration.condensed.tolist(),
     }
     return result, warnings
 
@@ -190,7 +190,7 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     """Return a warning where own weight without ``gravity`` moves more than the tolerance."""
     component = solver.component
     limit = component.bundle.tolerance
-    known = all(one.density is not None for one in component.materials)
+    known = all(material.density is not None for material in component.materials)
     if component.analysis.gravity or component.accelerated or limit is None or not known:
         return []
     by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver)

@@ -26,7 +26,7 @@ def each_interface(vector: Array) -> Array:
 
 def largest_rotation(displacement: Array) -> float:
     """Return the largest rotation, rad, among displacements of shape (6 i,), m and rad."""
-    return float(max(np.linalg.norm(own[3:]) for own in each_interface(displacement)))
+    return float(max(np.linalg.norm(interface[3:]) for interface in each_interface(displacement)))
 
 
 @dataclass(frozen=True, eq=False)

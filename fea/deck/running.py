@@ -36,7 +36,7 @@ _MOST_QUOTED = 400  # characters
 
 def missing_placeholders(deck: bytes) -> list[str]:
     """Return the placeholders that a deck's text does not have."""
-    there = {found.decode() for found in _PLACEHOLDER.findall(deck)}
+    there = {name.decode() for name in _PLACEHOLDER.findall(deck)}
     return [f"${load}" for load in LOADS if load not in there]
 
 

@@ -68,7 +68,7 @@ def solve_deck(
         ``not_converged`` if no conjugate moment fits.
     """
     started = time.perf_counter()
-    whole = checked_wrench(wrench)
+    loads = checked_wrench(wrench)
     if bundle.deck is None:
         raise ValueError("the bundle has no deck")
     report = progress or (lambda fraction, message: None)
@@ -76,11 +76,11 @@ def solve_deck(
         # Run the deck as often as it takes, and gather what is known.
         runs = _Runs(bundle.deck, place, report, accept)
         if bundle.analysis.nonlinear:
-            displacement, compliance = _nonlinear(runs, whole), np.full((6, 6), np.nan)
+            displacement, compliance = _nonlinear(runs, loads), np.full((6, 6), np.nan)
             work = np.nan
         else:
             # Displacement and compliance of a linear deck.
-            displacement = runs.run("wrench", whole, 0.0, 1.0 / 7.0)
+            displacement = runs.run("wrench", loads, 0.0, 1.0 / 7.0)
             # Loads of the size expected, so that nothing in the deck is far from its purpose.
             sizes = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
             columns = []
@@ -90,8 +90,8 @@ def solve_deck(
                 columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
             compliance = np.stack(columns, axis=1)
             # Each entry against the largest of its kind: what symmetry forbids is only roundoff.
-            largest = (np.abs(compliance) @ np.abs(whole)).reshape(2, 3).max(axis=1)
-            gaps = np.abs(compliance @ whole - displacement).reshape(2, 3).max(axis=1)
+            largest = (np.abs(compliance) @ np.abs(loads)).reshape(2, 3).max(axis=1)
+            gaps = np.abs(compliance @ loads - displacement).reshape(2, 3).max(axis=1)
             if (gaps > _LINEAR_GAP * largest).any():
                 raise failures.not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
             # A compliance is that of an elastic body if loads do no negative work, and as much on
@@ -112,9 +112,9 @@ def solve_deck(
                     f"A unit load on {other} moves {one} by {compliance[i, j]:.6e}, one on {one} "
                     f"moves {other} by {compliance[j, i]:.6e}: in an elastic body the two agree."
                 )
-            work = float(whole @ displacement)
-        found = Solution(
-            wrench=whole,
+            work = float(loads @ displacement)
+        solution = Solution(
+            wrench=loads,
             displacement=displacement,
             compliance=compliance,
             strain_energy=0.5 * work,
@@ -124,9 +124,9 @@ def solve_deck(
             history=(),
             nodes=np.empty((0, 3)),
         )
-    accept(found.displacement)
+    accept(solution.displacement)
     report(1.0, "done")
-    return replace(found, seconds=time.perf_counter() - started)
+    return replace(solution, seconds=time.perf_counter() - started)
 
 
 class _Runs:

@@ -282,12 +282,12 @@ class CellStiffness(ABC):
         changes
             Shape (k, cells, points, 3, 3), Pa over that unit.
         """
-        found = [
+        pairs = [
             self.state(part, displacement[part]).cauchy(fields[:, part]) for part in self._parts()
         ]
         return (
-            np.concatenate([stress for stress, _ in found]),
-            np.concatenate([changes for _, changes in found], axis=1),
+            np.concatenate([stress for stress, _ in pairs]),
+            np.concatenate([changes for _, changes in pairs], axis=1),
         )
 
     def _small_strain(self, fields: Array, part: slice) -> tuple[Array, Array]:

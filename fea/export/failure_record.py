@@ -75,7 +75,7 @@ def write_state(path: Path, component: ComponentModel, displacements: Array) -> 
         If the file cannot be written.
     """
     mesh = component.mesh
-    sections = np.concatenate([one.section.node_ids for one in component.interfaces])
+    sections = np.concatenate([interface.section.node_ids for interface in component.interfaces])
     marks = {"supported": component.supported_nodes, "interface": sections}
     point_data: dict[str, Any] = {"displacement": displacements}
     for name, nodes in marks.items():

@@ -119,11 +119,11 @@ def quality(mesh: Mesh) -> dict[str, dict[str, Any]]:
     return {measure.name: _worst(mesh, measure) for measure in MEASURES}
 
 
-def quality_warnings(found: dict[str, dict[str, Any]]) -> list[str]:
+def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
     """Return a sentence for each measure with cells beyond its limit."""
     warnings = []
     for measure in MEASURES:
-        one = found[measure.name]
+        one = measured[measure.name]
         if one["bad"]:
             place = ", ".join(f"{x:.4g}" for x in one["at"])
             warnings.append(

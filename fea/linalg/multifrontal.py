@@ -387,13 +387,13 @@ _EMPTY = _EmptyFront()
 
 def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed]:
     """Return the front of a leaf and what it hands on."""
-    own, rest = slice(0, part.eliminated), slice(part.eliminated, None)
+    own, boundary = slice(0, part.eliminated), slice(part.eliminated, None)
     matrix = matrix.T  # symmetric; so its columns lie together as a front's do
     front = _EMPTY
     if part.eliminated:
-        front = kind(matrix[own, own].copy(order="F"), matrix[own, rest].copy(order="F"))
+        front = kind(matrix[own, own].copy(order="F"), matrix[own, boundary].copy(order="F"))
     handed_on = front.products(part.boundary.size)
-    add_leaf(handed_on, matrix[rest, rest])
+    add_leaf(handed_on, matrix[boundary, boundary])
     return front, handed_on
 
 

@@ -21,8 +21,8 @@ _HEX20 = re.compile(r"^\s*\*ELEMENT\s*,[^*]*?\bTYPE\s*=\s*C3D20(\w*)", re.I | re
 
 def integrations(text: str) -> list[str]:
     """Return how a deck integrates its 20-node hexahedra: "full" (C3D20), "reduced" (C3D20R)."""
-    found = {"reduced" if "R" in letters.upper() else "full" for letters in _HEX20.findall(text)}
-    return sorted(found)
+    kinds = {"reduced" if "R" in letters.upper() else "full" for letters in _HEX20.findall(text)}
+    return sorted(kinds)
 
 
 def deck_text(path: Path) -> str:
@@ -118,9 +118,16 @@ class LoadCase:
 
     def summary(self) -> str:
         """Supports and loads in the deck's units; cases with the same summary are the same."""
-        held = [f"{own.group} ({own.directions})" for own in self.supports]
-        held += [f"{own.group} ({len(own.held)} of 6)" for own in self.couplings if own.held]
-        acting = [*((own.group, own.loads) for own in self.couplings), *self.loads.items()]
+        held = [f"{support.group} ({support.directions})" for support in self.supports]
+        held += [
+            f"{coupled.group} ({len(coupled.held)} of 6)"
+            for coupled in self.couplings
+            if coupled.held
+        ]
+        acting = [
+            *((coupling.group, coupling.loads) for coupling in self.couplings),
+            *self.loads.items(),
+        ]
         loads = [
             f"{group} ({', '.join(f'{load:g}' for load in values)})"
             for group, values in acting

@@ -37,11 +37,11 @@ SECOND = {"hex8": "hex20", "tet4": "tet10", "wedge6": "wedge15"}
 
 def first_order_problems(mesh: Mesh) -> list[BundleProblem]:
     """Return a problem if there are first-order cells."""
-    found = [f"{len(b)} {b.kind}" for b in mesh.blocks if b.kind in SECOND and len(b)]
-    if not found:
+    counts = [f"{len(b)} {b.kind}" for b in mesh.blocks if b.kind in SECOND and len(b)]
+    if not counts:
         return []
     message = (
-        f"{' and '.join(found)} cells are of first order, which is up to several times too stiff "
+        f"{' and '.join(counts)} cells are of first order, which is up to several times too stiff "
         "in bending and when nearly incompressible; mesh in second order (gmsh: "
         "Mesh.ElementOrder = 2; Abaqus: C3D20R, C3D10), or write order = 2 under [mesh] to give "
         "them midside nodes, in the middle of straight edges: what that changes on round surfaces "
@@ -72,8 +72,8 @@ def second_order(mesh: Mesh) -> Mesh:
     unique = np.unique(np.concatenate(pairs), axis=0)
     middles = np.full(len(unique), -1, dtype=np.int64)
     there = np.concatenate(known)
-    place, found = _find(unique, there[:, :2])
-    middles[place[found]] = there[found, 2]
+    place, is_known = _find(unique, there[:, :2])
+    middles[place[is_known]] = there[is_known, 2]
     pairs = unique
     points = np.concatenate([mesh.points, 0.5 * mesh.points[pairs[middles < 0]].sum(axis=1)])
     middles = middles.copy()

@@ -77,7 +77,7 @@ def right_way_round(points: Array, block: CellBlock) -> CellBlock:
 
 def cell_problems(mesh: Mesh) -> list[BundleProblem]:
     """Return a problem for each block with cells that are turned inside out or flat."""
-    found = []
+    problems = []
     for block in mesh.blocks:
         bad = folded_cells(mesh.points, block)
         if bad.size:
@@ -89,5 +89,5 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
                 "nodes in the file format's order or its midside nodes on the middle of their "
                 "edges, and write collapsed cells as wedges or tetrahedra"
             )
-            found.append(BundleProblem("mesh", message))
-    return found
+            problems.append(BundleProblem("mesh", message))
+    return problems

@@ -81,8 +81,8 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     assert solution.tangents is not None
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
     places, materials = places_of(component, body.points)
-    kept = slice(None) if len(places) <= MOST_POINTS else slice(0)
-    stress, changes = _stresses(component, body, solution, slopes, kept)
+    shown = slice(None) if len(places) <= MOST_POINTS else slice(0)
+    stress, changes = _stresses(component, body, solution, slopes, shown)
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())
@@ -94,10 +94,10 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         whole_vertices=surface.whole,
         displacement=nodes[surface.nodes],
         displacement_slopes=slopes[surface.nodes],
-        stress=stress[kept],
-        stress_slopes=changes[kept] if kept.stop is None else changes[:0],
-        places=places[kept],
-        materials=materials[kept],
+        stress=stress[shown],
+        stress_slopes=changes[shown] if shown.stop is None else changes[:0],
+        places=places[shown],
+        materials=materials[shown],
         regions=regions,
         largest=float(equivalent[worst]),
         largest_at=(float(places[worst, 0]), float(places[worst, 1]), float(places[worst, 2])),
@@ -107,7 +107,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
 
 
 def _stresses(
-    component: ComponentModel, body: ElasticBody, solution: Solution, slopes: Array, kept: slice
+    component: ComponentModel, body: ElasticBody, solution: Solution, slopes: Array, shown: slice
 ) -> tuple[Array, Array]:
     """Return stresses, shape (p, 6), Pa, and their change with the inputs, (p, 6, k)."""
     loads = len(solution.displacement)
@@ -117,7 +117,7 @@ def _stresses(
             return stress_of(component, body, solution), changes
         return changes @ (solution.wrench - component.at_rest), changes
     # Changes that nobody keeps are not made: they take six times the stresses.
-    fields = slopes if kept.stop is None else slopes[:, :, :0]
+    fields = slopes if shown.stop is None else slopes[:, :, :0]
     nodes, temperature = solution.nodes @ component.axes.T, component.warming(solution.wrench)
     return cauchy_stress(body, nodes, fields, temperature, loads)
 
@@ -168,8 +168,8 @@ def surface_of(mesh: Mesh, most: int = MOST_VERTICES) -> Surface:
         [facets[:, _TRIANGLES[kind]].reshape(-1, 3) for kind, facets in blocks]
     )
     nodes, flat = np.unique(triangles, return_inverse=True)
-    triangles, whole = flat.reshape(-1, 3), len(nodes)
-    if whole > most:
+    triangles, count = flat.reshape(-1, 3), len(nodes)
+    if count > most:
         # Merge the vertices in each box of a grid into the first of them: vertex clustering
         # (Rossignac and Borrel 1993), of the finest grid that leaves `most`.
         points = mesh.points[nodes]
@@ -186,11 +186,11 @@ def surface_of(mesh: Mesh, most: int = MOST_VERTICES) -> Surface:
         corners = np.sort(merged, axis=1)
         flat = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
         _, once = np.unique(corners, axis=0, return_index=True)
-        kept = np.intersect1d(once, np.flatnonzero(~flat))
-        used, renumbered = np.unique(merged[kept], return_inverse=True)
-        kept, triangles = first[used], renumbered.reshape(-1, 3)
-        nodes = nodes[kept]
-    return Surface(nodes, triangles.astype(np.int32), whole)
+        chosen = np.intersect1d(once, np.flatnonzero(~flat))
+        used, renumbered = np.unique(merged[chosen], return_inverse=True)
+        chosen, triangles = first[used], renumbered.reshape(-1, 3)
+        nodes = nodes[chosen]
+    return Surface(nodes, triangles.astype(np.int32), count)
 
 
 def _boxes(points: Array, size: float) -> Array:

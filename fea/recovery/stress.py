@@ -53,11 +53,11 @@ def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> 
         parts = np.split(fields, [loads, loads + 1], axis=2)
         bodies = body, body.at(1.0, finite=False), body
         return np.concatenate(list(map(small_stress, bodies, parts)), axis=2)
-    found = []
+    stresses = []
     for part, nodes in zip(body.parts, body.cells, strict=True):
         own = part.small_stresses(np.moveaxis(gather(fields, nodes), -1, 0))
-        found.append(np.moveaxis(_six(own), 0, -1))
-    return np.concatenate(found)
+        stresses.append(np.moveaxis(_six(own), 0, -1))
+    return np.concatenate(stresses)
 
 
 def cauchy_stress(
@@ -139,12 +139,12 @@ def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Ar
         return np.zeros(fields.shape[2])
     strengths = _strengths(component)[places_of(component, body.points)[1]]
     parts = np.split(fields, fields.shape[2], axis=2)  # one at a time: stresses take much memory
-    used = [(von_mises(small_stress(body, one)[:, :, 0]) / strengths).max() for one in parts]
+    used = [(von_mises(small_stress(body, part)[:, :, 0]) / strengths).max() for part in parts]
     return np.array(used)
 
 
 def _strengths(component: ComponentModel) -> Array:
-    return np.array([one.yield_strength or np.inf for one in component.materials])
+    return np.array([material.yield_strength or np.inf for material in component.materials])
 
 
 def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -> str:
@@ -162,10 +162,10 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
     if not used[worst] > 1.0:
         return ""
     volumes = np.concatenate([part.gradients.weights.ravel() for part in body.parts])
-    share = 100 * volumes[used > 1.0].sum() / volumes.sum()
+    percent = 100 * volumes[used > 1.0].sum() / volumes.sum()
     material = component.materials[materials[worst]]
     return (
-        f"{share:.2g} % of the part's volume is beyond its yield strength at this wrench, up to "
+        f"{percent:.2g} % of the part's volume is beyond its yield strength at this wrench, up to "
         f"{used[worst]:.3g} times that of {material.region} ({material.yield_strength:.4g} Pa): "
         "materials here do not yield, so the answer is too stiff."
     )

@@ -113,8 +113,8 @@ class ArcPath:
                     break
                 continue
             step = self._between(ahead)
-            whole = float(np.linalg.norm(step)) * ahead.speed
-            course = float(np.vdot(self._field(ahead), step)) / whole if whole > 0 else 1.0
+            product = float(np.linalg.norm(step)) * ahead.speed
+            course = float(np.vdot(self._field(ahead), step)) / product if product > 0 else 1.0
             if abs(course) < _LEAST_COSINE and self._length > _LEAST * self._first:
                 self._length *= 0.5
                 continue
@@ -152,11 +152,11 @@ class ArcPath:
         size = point.size + change
         normal = self._field(point) / point.speed
         nodes, border = (change * part for part in point.rate)
-        found = self._correct(nodes, border, size, normal)
-        if found is None or found[1].balance.least_stretch <= 0:
+        equilibrium = self._correct(nodes, border, size, normal)
+        if equilibrium is None or equilibrium[1].balance.least_stretch <= 0:
             self._length *= 0.5
             return None
-        return self._point_at(*found)
+        return self._point_at(*equilibrium)
 
     def _correct(
         self, nodes: Array, border: Array, size: float, normal: Array
@@ -196,10 +196,10 @@ class ArcPath:
         nodes, border = tangent.solve(*loads)
         return nodes[:, :, 0], border[:, 0]
 
-    def _point_at(self, size: float, found: Equilibrium) -> _Point:
-        rate = self._rate(found.tangent)
-        field = rate[0] + found.tangent.border.ties @ rate[1]
-        return _Point(size, found, rate, float(np.linalg.norm(field)))
+    def _point_at(self, size: float, equilibrium: Equilibrium) -> _Point:
+        rate = self._rate(equilibrium.tangent)
+        field = rate[0] + equilibrium.tangent.border.ties @ rate[1]
+        return _Point(size, equilibrium, rate, float(np.linalg.norm(field)))
 
     def _field(self, point: _Point) -> Array:
         return point.rate[0] + point.found.tangent.border.ties @ point.rate[1]

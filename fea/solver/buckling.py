@@ -53,14 +53,14 @@ def buckling_factors(
     motions = np.random.default_rng(_SEED).standard_normal((modes, stressed.size))
     before, values = np.zeros(2), np.zeros(modes)
     for _ in range(_ITERATIONS):
-        loads = np.stack([stressed.times(one) for one in motions])
+        loads = np.stack([stressed.times(motion) for motion in motions])
         moved = stressed.solved(loads)
         stiffness = moved @ loads.T
-        geometric = moved @ np.stack([stressed.times(one) for one in moved]).T
+        geometric = moved @ np.stack([stressed.times(motion) for motion in moved]).T
         # The best eigenvalues in a space of motions, and those of K-length one.
         size, own = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-        kept = size > 1e-12 * size.max(initial=0.0)
-        basis = own[:, kept] / np.sqrt(size[kept])
+        significant = size > 1e-12 * size.max(initial=0.0)
+        basis = own[:, significant] / np.sqrt(size[significant])
         values, vectors = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
         motions = (basis @ vectors).T @ moved
         ends = np.array([values.min(), values.max()])

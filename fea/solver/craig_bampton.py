@@ -110,7 +110,7 @@ def craig_bampton(
     own = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
     names, origins, rows = zip(*frames, strict=True)
     turned = np.array(rows).swapaxes(1, 2)
-    held, free = (np.sqrt(one) / (2 * np.pi) for one in (squares, own))
+    held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, own))
     return CraigBampton(names, np.array(origins), turned, stiffness, energies, held, free)
 
 
@@ -135,7 +135,7 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
 
 def _nodal(inertia: Inertia, motions: Array) -> Array:
     """Return all nodes' motions, shape (n, 3, k), of unknowns (size, k)."""
-    return np.stack([inertia.fields(one)[0] for one in motions.T], axis=2)
+    return np.stack([inertia.fields(motion)[0] for motion in motions.T], axis=2)
 
 
 def _rigid(arms: Array, axes: Array) -> Array:

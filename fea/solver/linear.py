@@ -118,9 +118,9 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
         nodal = system.body.movable.released(forces + border.columns @ moved) - acting
-        rest = contract(border.ties, forces) + contract(border.columns, nodes)
-        rest += border.block @ moved - loads
-        more_nodes, more = start.solve(nodal, rest)
+        border_residual = contract(border.ties, forces) + contract(border.columns, nodes)
+        border_residual += border.block @ moved - loads
+        more_nodes, more = start.solve(nodal, border_residual)
         nodes, moved = nodes - more_nodes, moved - more
         size = max(
             _relative(more_nodes[..., own], nodes[..., own])
@@ -132,5 +132,5 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
 
 
 def _relative(change: Array, fields: Array) -> float:
-    whole = np.abs(fields).max(initial=0.0)
-    return float(np.abs(change).max(initial=0.0) / whole) if whole > 0 else 0.0
+    largest = np.abs(fields).max(initial=0.0)
+    return float(np.abs(change).max(initial=0.0) / largest) if largest > 0 else 0.0

@@ -231,5 +231,5 @@ def tangent_after(system: System, step: Correction, tangent: Linearisation) -> L
     return system.linearise(step.balance)
 
 
-def _quotient(part: float, whole: float) -> float:
-    return float(part / whole) if whole > 0 else 0.0
+def _quotient(part: float, total: float) -> float:
+    return float(part / total) if total > 0 else 0.0

@@ -107,10 +107,10 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
         once[:, :, coupling.active.size] = np.imag(ahead) / _COMPLEX_STEP
         bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
         twice[coupling.active.size, coupling.active.size] = contract(bend[:, :, None], fields)[0]
-        found = every_place(once + twice)
-        found[coupling.active.size, coupling.active.size, coupling.active.size] += (
+        heat = every_place(once + twice)
+        heat[coupling.active.size, coupling.active.size, coupling.active.size] += (
             _JERK @ energies / _WARMER**3
         )
-        own += found
+        own += heat
     tensor[np.ix_(active, active, active)] = -own
     return tensor

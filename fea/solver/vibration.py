@@ -76,22 +76,22 @@ class Riding:
             raise ValueError("the inertia is three numbers (xx, yy, zz) or six (.., xy, xz, yz)")
         if place.shape != (3,):
             raise ValueError("the centre of mass is three numbers, m")
-        whole = np.diag(moments[:3])
+        tensor = np.diag(moments[:3])
         if len(moments) == 6:
             xy, xz, yz = moments[3:]
-            whole = whole + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
-        return cls(float(mass), whole, place)
+            tensor = tensor + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
+        return cls(float(mass), tensor, place)
 
     @property
     def matrix(self) -> Array:
         """The mass matrix about the interface point, shape (6, 6): kg, kg·m and kg·m^2."""
         arm = skew(self.centre)
-        whole = np.zeros((PER_INTERFACE, PER_INTERFACE))
-        whole[:3, :3] = self.mass * np.eye(3)
-        whole[:3, 3:] = -self.mass * arm
-        whole[3:, :3] = self.mass * arm
-        whole[3:, 3:] = self.inertia - self.mass * arm @ arm
-        return whole
+        matrix = np.zeros((PER_INTERFACE, PER_INTERFACE))
+        matrix[:3, :3] = self.mass * np.eye(3)
+        matrix[:3, 3:] = -self.mass * arm
+        matrix[3:, :3] = self.mass * arm
+        matrix[3:, 3:] = self.inertia - self.mass * arm @ arm
+        return matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,10 +191,10 @@ def condensed_mass(inertia: Inertia) -> Array:
     """
     active, count = inertia.active, len(inertia.interface_mass)
     shapes, _ = static_shapes(inertia)
-    energies = shapes.T @ np.stack([inertia.times(one) for one in shapes.T], axis=1)
-    whole = np.zeros((count, count))
-    whole[np.ix_(active, active)] = 0.5 * (energies + energies.T)
-    return whole
+    energies = shapes.T @ np.stack([inertia.times(shape) for shape in shapes.T], axis=1)
+    matrix = np.zeros((count, count))
+    matrix[np.ix_(active, active)] = 0.5 * (energies + energies.T)
+    return matrix
 
 
 def static_shapes(inertia: Inertia) -> tuple[Array, Array]:

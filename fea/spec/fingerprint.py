@@ -57,7 +57,7 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
     parts
         The fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked at.
     """
-    further = {one.name: one for one in parts.get("further", ())}
+    further = {scalar.name: scalar for scalar in parts.get("further", ())}
     heated = TEMPERATURE in further
     materials = sorted((_material(each, heated) for each in parts["materials"]), key=json.dumps)
     analysis: Analysis = parts["analysis"]
@@ -74,7 +74,9 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
             {"name": one.name, "is": _interface(one)}
             for one in (parts["interface"], *parts["others"])
         ]
-    densities = sorted((one.region, one.density or 0.0) for one in parts["materials"])
+    densities = sorted(
+        (material.region, material.density or 0.0) for material in parts["materials"]
+    )
     if analysis.gravity is not None:
         content["weight"] = {"gravity": analysis.gravity, "densities": densities}
     if analysis.nonlinear and parts["mesh"] is not None and parts["deck"] is None:
@@ -137,7 +139,9 @@ def _supports(supports: Supports | None) -> object:
         return None if supports is None else sorted(supports.fixed)
     return {
         "fixed": sorted(supports.fixed),
-        "sliding": sorted([own.group, own.directions.tolist()] for own in supports.sliding),
+        "sliding": sorted(
+            [support.group, support.directions.tolist()] for support in supports.sliding
+        ),
         "bushings": sorted(map(_bushing, supports.bushings), key=json.dumps),
     }
 

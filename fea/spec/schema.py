@@ -376,8 +376,8 @@ class Bundle:
     @property
     def acting(self) -> DeclaredRange:
         """The range of all inputs: loads, then the others less their references."""
-        low, high = ([getattr(one, end) for one in self.further] for end in ("low", "high"))
-        zero = [one.reference for one in self.further]
+        low, high = ([getattr(scalar, end) for scalar in self.further] for end in ("low", "high"))
+        zero = [scalar.reference for scalar in self.further]
         ends = np.subtract(low, zero), np.subtract(high, zero)
         return DeclaredRange(
             np.append(self.range.low, ends[0]), np.append(self.range.high, ends[1])

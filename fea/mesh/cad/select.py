@@ -43,7 +43,7 @@ def choose_faces(
     chosen = {}
     for name, choice in groups.items():
         where = f"mesh.groups.{name}"
-        found = _by_number(faces, choice, f"{where}.faces", "face", problems)
+        numbers = _by_number(faces, choice, f"{where}.faces", "face", problems)
         if choice.plane is not None:
             axis, at = choice.plane
             square = [f for f in faces if f.normal is not None and abs(f.normal[axis]) > 1 - 1e-9]
@@ -53,7 +53,7 @@ def choose_faces(
                 listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
                 message = f"no plane face at {_AXES[axis]} = {at:g} m (there are at: {listed})"
                 problems.append(BundleProblem(f"{where}.plane", message))
-            found += on_plane
+            numbers += on_plane
         if choice.radius is not None:
             round_ones = [(f.radius, f.number) for f in faces if f.radius is not None]
             limit = 1e-3 * choice.radius
@@ -66,10 +66,10 @@ def choose_faces(
                     f"no cylinder of radius {choice.radius:g} m (there are: {listed or 'none'})"
                 )
                 problems.append(BundleProblem(f"{where}.radius", message))
-            found += chosen_ones
+            numbers += chosen_ones
         for point in choice.near:
-            found += _nearest(gmsh, faces, point, where, size, problems)
-        chosen[name] = sorted(set(found))
+            numbers += _nearest(gmsh, faces, point, where, size, problems)
+        chosen[name] = sorted(set(numbers))
     return chosen
 
 
@@ -84,10 +84,10 @@ def choose_bodies(
     chosen = {}
     for name, choice in regions.items():
         where = f"mesh.regions.{name}"
-        found = _by_number(bodies, choice, f"{where}.bodies", "body", problems)
+        numbers = _by_number(bodies, choice, f"{where}.bodies", "body", problems)
         for point in choice.near:
-            found += _nearest(gmsh, bodies, point, where, size, problems)
-        chosen[name] = sorted(set(found))
+            numbers += _nearest(gmsh, bodies, point, where, size, problems)
+        chosen[name] = sorted(set(numbers))
     return chosen
 
 
@@ -127,15 +127,15 @@ def _nearest(
         distances[number] = gmsh.model.occ.getDistance(0, vertex, dimension, number)[0] * METRES
     gmsh.model.occ.remove([(0, vertex)])
     least = min(distances.values())
-    found = [n for n, distance in distances.items() if distance <= least + _NEAR * size]
+    nearest = [n for n, distance in distances.items() if distance <= least + _NEAR * size]
     at = ", ".join(f"{x:g}" for x in point)
     if least > size:
-        message = f"({at}) m is {least:.3g} m off the nearest {kind} ({found[0]}); correct it"
-    elif len(found) > 1:
-        named = ", ".join(map(str, found))
+        message = f"({at}) m is {least:.3g} m off the nearest {kind} ({nearest[0]}); correct it"
+    elif len(nearest) > 1:
+        named = ", ".join(map(str, nearest))
         message = f"({at}) m lies on the edge between {kind} {named}; move it off the edge"
     else:
-        return found
+        return nearest
     problems.append(BundleProblem(f"{where}.near", message))
     return []
 

@@ -45,14 +45,16 @@ class Spring:
         """Return (key, message) for what does not fit together, or makes too many cells."""
         key = "cells_per_turn" if self.cells_per_turn > self.core else "core"
         layers = self.cells_per_turn * self.active_turns
-        found = too_many(layers * (self.core**2 + 4.0 * self.core), key)
+        problems = too_many(layers * (self.core**2 + 4.0 * self.core), key)
         if self.wire_diameter >= self.mean_diameter:
-            found.append(("wire_diameter", "must be below mean_diameter, or the wire meets itself"))
+            problems.append(
+                ("wire_diameter", "must be below mean_diameter, or the wire meets itself")
+            )
         if self.free_length <= self.active_turns * self.wire_diameter:
-            found.append(
+            problems.append(
                 ("free_length", "must be above active_turns x wire_diameter, or turns touch")
             )
-        return found
+        return problems
 
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""

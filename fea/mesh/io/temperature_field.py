@@ -63,7 +63,7 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
         raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures")
     values = rise / most
     distance, nearest = KDTree(points).query(nodes)
-    found, size = values[nearest], np.ptp(nodes, axis=0).max()
+    shape, size = values[nearest], np.ptp(nodes, axis=0).max()
     if np.median(distance) > size:
         raise _wrong(
             f"its points are {np.median(distance):.3g} m from the part, which is {size:.3g} m "
@@ -81,8 +81,8 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
             inside = np.interp(there[:, 0], own[order, 0], values[order], np.nan, np.nan)
         else:
             inside = np.asarray(LinearNDInterpolator(own, values)(there))
-        found[between] = np.where(np.isnan(inside), found[between], inside)
-    return found
+        shape[between] = np.where(np.isnan(inside), shape[between], inside)
+    return shape
 
 
 def _wrong(message: str) -> BundleError:
