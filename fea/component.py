@@ -61,54 +61,34 @@ class AttachedInterface:
 
 @dataclass(frozen=True, eq=False)
 class ComponentModel:
-    """A deformable part, ready to be solved; all in metres and pascals.
+    """A deformable part, ready to be solved; all in metres and pascals."""
 
-    Attributes
-    ----------
-    bundle
-        What it was built from; its analysis, coupling and locked freedoms are below as well.
-    mesh
-        Every point belongs to a cell.
-    materials, material_of_cells
-        The materials, and for each block of the mesh an array of shape (m,) with the number of
-        each cell's material.
-    fixed_nodes
-        Sorted nodes that do not move, shape (k,), int64.
-    section
-        The nodes of the interface, or the first of several, with their area weights.
-    point
-        Its reference point, shape (3,), m.
-    axes
-        Shape (3, 3), row i is the direction of its frame's axis i. The equations are in this frame.
-    sliding
-        Nodes that slide, none of them fixed or tied to an interface, sorted, shape (k,), and
-        projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
-    bushings
-        Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed.
-    name, others
-        Its name, empty if it is alone; the other interfaces.
-    further
-        The inputs behind the loads.
-    warmth
-        Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere.
-    """
-
+    # What it was built from; its analysis, coupling and locked freedoms are below as well
     bundle: Bundle
-    mesh: Mesh
+    mesh: Mesh  # every point belongs to a cell
+    # materials, material_of_cells: the materials, and for each block of the mesh an array of shape
+    # (m,) with the number of each cell's material.
     materials: tuple[Material, ...]
     material_of_cells: tuple[Array, ...]
-    fixed_nodes: Array
+    fixed_nodes: Array  # sorted nodes that do not move, shape (k,), int64
+    # The nodes of the interface, or the first of several, with their area weights
     section: InterfaceSection
-    point: Array
+    point: Array  # its reference point, shape (3,), m
+    # Shape (3, 3), row i is the direction of its frame's axis i. The equations are in this frame
     axes: Array
     coupling: str
     locked: tuple[str, ...]
     analysis: Analysis
+    # name, others: its name, empty if it is alone; the other interfaces
     name: str = ""
     others: tuple[AttachedInterface, ...] = ()
+    # Nodes that slide, none of them fixed or tied to an interface, sorted, shape (k,), and
+    # projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
     sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
+    # Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed
     bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
-    further: tuple[ScalarInput, ...] = ()
+    further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
+    # Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere
     warmth: Array | None = None
 
     @property
@@ -244,10 +224,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 def mesh_of(source: MeshSource) -> Mesh:
     """Return the mesh of a bundle, each point used by a cell.
 
-    Raises
-    ------
-    BundleError
-        If the file cannot be read, or its geometry not be meshed.
+    Raises BundleError if the file cannot be read, or its geometry not be meshed.
     """
     if source.file is not None and source.geometry is not None:
         return mesh_geometry(source.file, source.geometry)

@@ -97,17 +97,9 @@ def solve(
 class Solver:
     """A component made ready once, to be solved for any number of wrenches.
 
-    Parameters
-    ----------
-    bundle
-        A bundle, or the component built from it.
-
-    Raises
-    ------
-    BundleError
-        If the bundle cannot be built.
-    SolveFailed
-        ``inverted_elements`` or ``locking_material``.
+    bundle: a bundle, or the component built from it.
+    Raises BundleError if the bundle cannot be built. Raises SolveFailed: ``inverted_elements`` or
+    ``locking_material``.
     """
 
     def __init__(self, bundle: Bundle | ComponentModel) -> None:

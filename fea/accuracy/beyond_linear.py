@@ -33,24 +33,16 @@ _SAFETY = 1.5
 
 @dataclass(frozen=True, eq=False)
 class BeyondLinear:
-    """How far a linear component's answers are from nonlinear ones.
+    """How far a linear component's answers are from nonlinear ones."""
 
-    Attributes
-    ----------
-    deviation
-        Shape (6 i,), m and rad: at a load as large as its range, growing with the load's square;
-        NaN where no nonlinear solve gave an answer.
-    buckling
-        The part of a corner's wrench at which the component buckles or snaps through, at or below
-        10; None beyond that. It is that of linear buckling (`fea.solver.buckling`), or where a
-        nonlinear solve ended if that is less.
-    why
-        What kept a nonlinear solve from an answer; often empty.
-    """
-
+    # Shape (6 i,), m and rad: at a load as large as its range, growing with the load's square; NaN
+    # where no nonlinear solve gave an answer.
     deviation: Array
+    # The part of a corner's wrench at which the component buckles or snaps through, at or below 10;
+    # None beyond that. It is that of linear buckling (`fea.solver.buckling`), or where a nonlinear
+    # solve ended if that is less.
     buckling: float | None
-    why: str = ""
+    why: str = ""  # what kept a nonlinear solve from an answer; often empty
 
 
 _MOST_REPORTED = (
@@ -63,12 +55,8 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
 
     A range of too many loads has no corners: `DeclaredRange.corners` raises a ValueError.
 
-    Parameters
-    ----------
-    solver
-        Of the component, on any mesh of it.
-    loads
-        The range of its inputs, from where these have no effect.
+    solver: of the component, on any mesh of it.
+    loads: the range of its inputs, from where these have no effect.
     """
     compliance = solver.linear.compliance
     other = copy(solver)  # shares the equations and the factor of the undeformed part

@@ -39,20 +39,11 @@ LEAST_RATIO = 1.1
 
 
 class Study(NamedTuple):
-    """Compliances on meshes from the component's own to the finest.
+    """Compliances on meshes from the component's own to the finest."""
 
-    Attributes
-    ----------
-    nodes
-        Of each mesh.
-    sizes
-        Of the cells, the cube root of their mean volume, m.
-    compliance
-        Shape (meshes, 6 i, k): m/N, rad/N, m/(N·m), rad/(N·m), and by further inputs.
-    """
-
-    nodes: list[int]
-    sizes: list[float]
+    nodes: list[int]  # of each mesh
+    sizes: list[float]  # of the cells, the cube root of their mean volume, m
+    # Shape (meshes, 6 i, k): m/N, rad/N, m/(N·m), rad/(N·m), and by further inputs
     compliance: Array
 
     @property
@@ -183,10 +174,7 @@ def _or_null(values: Array) -> list[float | None]:
 def kept(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
     """Return the error kept for this setup, shape `shape`, and its basis; None if none was.
 
-    Raises
-    ------
-    ValueError
-        If the file is damaged.
+    Raises ValueError if the file is damaged.
     """
     if bundle is None or not (bundle.folder / FILE).is_file():
         return None

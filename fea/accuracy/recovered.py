@@ -32,44 +32,24 @@ _KINDS = {nodes: kind for kind, nodes in NODES_PER_CELL.items()}
 
 
 class _Piece(NamedTuple):
-    """Cells of one kind and material.
+    """Cells of one kind and material."""
 
-    Attributes
-    ----------
-    fields
-        Shape (2, loads, cells, points, 3, 3): strains and stresses of the unit loads.
-    weights
-        Shape (cells, points), m^3.
-    corners
-        Shape (cells, corners), int64: nodes.
-    functions
-        Shape (points, corners): the linear shape functions of the corners.
-    material
-        Its number.
-    projected
-        Whether volumetric strains are projected: those at the points then tell nothing.
-    """
-
-    fields: Array
-    weights: Array
-    corners: Array
-    functions: Array
-    material: int
+    fields: Array  # shape (2, loads, cells, points, 3, 3): strains and stresses of the unit loads
+    weights: Array  # shape (cells, points), m^3
+    corners: Array  # shape (cells, corners), int64: nodes
+    functions: Array  # shape (points, corners): the linear shape functions of the corners
+    material: int  # its number
+    # Whether volumetric strains are projected: those at the points then tell nothing
     projected: bool
 
 
 class RecoveredError(NamedTuple):
-    """The mesh's error at unit inputs, and where it is.
+    """The mesh's error at unit inputs, and where it is."""
 
-    Attributes
-    ----------
-    total
-        Shape (k, k), SI, symmetric: the first 6 i rows are displacements of i interfaces.
-    cells, centres, sizes
-        Each cell's part of the diagonal, (k, cells), its centre, (cells, 3), and diameter, m.
-    """
-
+    # Shape (k, k), SI, symmetric: the first 6 i rows are displacements of i interfaces
     total: Array
+    # cells, centres, sizes: each cell's part of the diagonal, (k, cells), its centre, (cells, 3),
+    # and diameter, m.
     cells: Array
     centres: Array
     sizes: Array
@@ -91,10 +71,7 @@ def recovered_error(solver: Solver) -> RecoveredError:
 
     A strain of heat is the same in both fields that are compared, and cancels.
 
-    Raises
-    ------
-    SolveFailed
-        As `Solver.linear` does.
+    Raises SolveFailed as `Solver.linear` does.
     """
     pieces = list(_pieces(solver))
     points = solver.component.mesh.points

@@ -36,18 +36,11 @@ changes in proportion."""
 
 
 class Roundness(NamedTuple):
-    """What bending the edges changes.
+    """What bending the edges changes."""
 
-    Attributes
-    ----------
-    change
-        Shape (6 i, k): the compliance with straight edges, less that with bent ones, in its units.
-    turn
-        The largest turn from facet to facet that was taken for a round surface, rad.
-    """
-
+    # Shape (6 i, k): the compliance with straight edges, less that with bent ones, in its units
     change: Array
-    turn: float
+    turn: float  # the largest turn from facet to facet that was taken for a round surface, rad
 
 
 def roundness(solver: Solver) -> Roundness | None:
@@ -55,10 +48,7 @@ def roundness(solver: Solver) -> Roundness | None:
 
     It costs a linear solve. Of mesh files alone: other meshes are made on their geometry.
 
-    Raises
-    ------
-    SolveFailed
-        If the bent cells cannot be solved however little they are bent.
+    Raises SolveFailed if the bent cells cannot be solved however little they are bent.
     """
     component = solver.component
     source = component.bundle and component.bundle.mesh

@@ -45,10 +45,7 @@ def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solve
     Generators and geometries make the mesh anew with cells `factor` times as small; a mesh file's
     cells are halved, its edges kept as they are.
 
-    Raises
-    ------
-    BundleError
-        If the mesh fails.
+    Raises BundleError if the mesh fails.
     """
     component = solver.component
     bundle, limit = component.bundle, float("inf") if most is None else most

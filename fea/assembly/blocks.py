@@ -30,26 +30,14 @@ def filled_cells(
 ) -> list[tuple[CellBlock, CellStiffness]]:
     """Return the cells in parts of one law each, with their stiffness.
 
-    Parameters
-    ----------
-    mesh
-        The cells.
-    materials
-        What they may be made of.
-    numbers
-        For each block of the mesh, shape (cells,): the index of each cell's material.
-    integration
-        ``"reduced"`` or ``"full"``, for hex20.
-    axes
-        Shape (3, 3): row i is the mesh's axis i in those that the bundle is written in; the same
-        unless given.
-    origin
-        Shape (3,), m: where the mesh's points are counted from, in the bundle's axes.
-
-    Raises
-    ------
-    SolveFailed
-        ``inverted_elements`` or ``locking_material``.
+    mesh: the cells.
+    materials: what they may be made of.
+    numbers: for each block of the mesh, shape (cells,): the index of each cell's material.
+    integration: ``"reduced"`` or ``"full"``, for hex20.
+    axes: shape (3, 3): row i is the mesh's axis i in those that the bundle is written in; the same
+    unless given.
+    origin: shape (3,), m: where the mesh's points are counted from, in the bundle's axes.
+    Raises SolveFailed: ``inverted_elements`` or ``locking_material``.
     """
     frame = np.eye(3) if axes is None else axes
     start = np.zeros(3) if origin is None else origin
@@ -76,10 +64,7 @@ def sorted_cells(
     shape (cells,), bool (both dimensionless), their law, and whether their volumetric strain is
     projected.
 
-    Raises
-    ------
-    SolveFailed
-        ``locking_material``.
+    Raises SolveFailed: ``locking_material``.
     """
     poisson = np.array([material.poisson_ratio for material in materials])
     laws = np.array([LAWS.index(material.law) for material in materials])

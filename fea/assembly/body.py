@@ -34,13 +34,9 @@ class Movable:
     A sliding node keeps its three unknowns: in a held direction the stiffness is replaced by a
     number that joins it to nothing, so no other displacement depends on it.
 
-    Parameters
-    ----------
-    free
-        Shape (n,), bool: the nodes whose displacement is unknown.
-    held
-        Of a component: sliding nodes, shape (k,), and projectors on their held directions, shape
-        (k, 3, 3), dimensionless. Those that are not free count for nothing.
+    free: shape (n,), bool: the nodes whose displacement is unknown.
+    held: of a component: sliding nodes, shape (k,), and projectors on their held directions, shape
+    (k, 3, 3), dimensionless. Those that are not free count for nothing.
     """
 
     def __init__(self, free: Array, held: tuple[Array, Array]) -> None:
@@ -80,16 +76,10 @@ class Movable:
 class ElasticBody:
     """Cells, and the free nodes in their order of elimination.
 
-    Parameters
-    ----------
-    mesh
-        Every point belongs to a cell.
-    filled
-        Its cells with their material, see `fea.assembly.blocks.filled_cells`.
-    free
-        Shape (n,), bool: the nodes whose displacement is unknown.
-    held
-        The nodes that slide, see `Movable`.
+    mesh: every point belongs to a cell.
+    filled: its cells with their material, see `fea.assembly.blocks.filled_cells`.
+    free: shape (n,), bool: the nodes whose displacement is unknown.
+    held: the nodes that slide, see `Movable`.
     """
 
     def __init__(
@@ -175,21 +165,10 @@ class ElasticBody:
     ) -> tuple[Array, float, float]:
         """Return the internal nodal forces, the strain energy and the least det F.
 
-        Parameters
-        ----------
-        displacement
-            Shape (n, 3), m.
-        step
-            The last step of Newton's method, two fields of shape (n, 3), m: see `tangent`.
-
-        Returns
-        -------
-        forces
-            Shape (n, 3), N.
-        energy
-            J.
-        least
-            Smallest determinant of the deformation gradient over all quadrature points.
+        displacement: shape (n, 3), m.
+        step: the last step of Newton's method, two fields of shape (n, 3), m: see `tangent`.
+        Returns forces: shape (n, 3), N. energy: J. least: Smallest determinant of the deformation
+        gradient over all quadrature points.
         """
         total, energy, least = np.zeros_like(displacement), 0.0, np.inf
         for part, nodes in zip(self.parts, self.cells, strict=True):
@@ -208,17 +187,13 @@ class ElasticBody:
     ) -> Tangent:
         """Return the tangent stiffness.
 
-        Parameters
-        ----------
-        displacement
-            Shape (n, 3), m; None for the undeformed state.
-        step
-            Of Newton's method, the last one: the displacement it aimed at and the change, both
-            linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is the one
-            extrapolated linearly from the state before that step: the iteration of Magisano,
-            Leonetti and Garcea ("mixed integration points", 2017). Slender parts need several
-            times fewer iterations with it, as a large step's false membrane strain no longer
-            stiffens the next one. The two tangents agree as the steps vanish.
+        displacement: shape (n, 3), m; None for the undeformed state.
+        step: of Newton's method, the last one: the displacement it aimed at and the change, both
+        linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is the one
+        extrapolated linearly from the state before that step: the iteration of Magisano, Leonetti
+        and Garcea ("mixed integration points", 2017). Slender parts need several times fewer
+        iterations with it, as a large step's false membrane strain no longer stiffens the next one.
+        The two tangents agree as the steps vanish.
         """
         return Tangent(self, displacement, step)
 
@@ -228,15 +203,8 @@ class ElasticBody:
         More exact than the stiffness matrix times the field: the matrix holds a rigid motion's zero
         force only to roundoff of its entries.
 
-        Parameters
-        ----------
-        fields
-            Shape (n, 3, k), m.
-
-        Returns
-        -------
-        Array
-            Shape (n, 3, k), N.
+        fields: shape (n, 3, k), m.
+        Result: shape (n, 3, k), N.
         """
         total = np.zeros_like(fields)
         for part, nodes in zip(self.parts, self.cells, strict=True):
@@ -250,15 +218,8 @@ class ElasticBody:
     def strain_energy_products(self, fields: Array) -> Array:
         """Return twice the mutual strain energies of small displacements, from their strains.
 
-        Parameters
-        ----------
-        fields
-            Shape (n, 3, k), m.
-
-        Returns
-        -------
-        Array
-            Shape (k, k), J.
+        fields: shape (n, 3, k), m.
+        Result: shape (k, k), J.
         """
         total = np.zeros((fields.shape[2],) * 2)
         for part, nodes in zip(self.parts, self.cells, strict=True):
@@ -274,17 +235,9 @@ class ElasticBody:
     def third(self, displacement: Array, fields: Array) -> Array:
         """Return the strain energy's third derivatives along fields.
 
-        Parameters
-        ----------
-        displacement
-            Shape (n, 3), m.
-        fields
-            Shape (n, 3, k), m.
-
-        Returns
-        -------
-        Array
-            Shape (k, k, k), J.
+        displacement: shape (n, 3), m.
+        fields: shape (n, 3, k), m.
+        Result: shape (k, k, k), J.
         """
         return self._integral(CellStiffness.third, displacement, fields)
 
@@ -379,17 +332,9 @@ class Tangent:
 
         Of other fields the product is right at the given nodes alone.
 
-        Parameters
-        ----------
-        fields
-            Shape (n, 3, k), m.
-        nodes
-            Where a field may differ from zero.
-
-        Returns
-        -------
-        Array
-            Shape (n, 3, k), N.
+        fields: shape (n, 3, k), m.
+        nodes: where a field may differ from zero.
+        Result: shape (n, 3, k), N.
         """
         total = np.zeros_like(fields)
         moved = np.zeros(len(fields), dtype=bool)

@@ -38,11 +38,8 @@ _PROJECTED = 2.0  # times that where pressure is an unknown of its own: more, an
 def estimate(component: ComponentModel) -> dict[str, Any]:
     """Return the estimated seconds and bytes of one solve.
 
-    Returns
-    -------
-    dict
-        ``unknowns`` (without fixed nodes), ``linear_seconds``, ``nonlinear_seconds``,
-        ``memory_bytes`` and ``basis``, a sentence.
+    Result: ``unknowns`` (without fixed nodes), ``linear_seconds``, ``nonlinear_seconds``,
+    ``memory_bytes`` and ``basis``, a sentence.
     """
     mesh = component.mesh
     free = np.ones(len(mesh.points), dtype=bool)

@@ -25,11 +25,8 @@ _COMPARED = ("youngs_modulus", "poisson_ratio", "density", "thermal_expansion", 
 def listing(deck: DeckContent) -> dict[str, Any]:
     """Return the lines of each keyword that is read or compared, and ignored, and the elements.
 
-    Returns
-    -------
-    dict
-        ``read`` and ``ignored``: line numbers by keyword. ``elements``: by type, their number and
-        what else they are than in the deck, often nothing.
+    Result: ``read`` and ``ignored``: line numbers by keyword. ``elements``: by type, their number
+    and what else they are than in the deck, often nothing.
     """
     elements = {name: {"count": n, "instead": _instead(name)} for name, n in deck.elements.items()}
     read, ignored = (

@@ -48,13 +48,9 @@ def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
 def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
     """Return a problem for each body that supports and coupling do not hold.
 
-    Parameters
-    ----------
-    component, bodies
-        What is looked at, and the bodies it falls into.
-    pairs
-        Shape (k, 2), int64: indices of nodes in one place
-        (`fea.inspection.bodies.coincident_nodes`).
+    component, bodies: what is looked at, and the bodies it falls into.
+    pairs: shape (k, 2), int64: indices of nodes in one place
+    (`fea.inspection.bodies.coincident_nodes`).
     """
     if bodies.count > _MOST_BODIES:
         message = (
@@ -133,11 +129,8 @@ _ROUNDOFF = 1e-14  # of a stiffness, relative to the largest
 def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     """Return for each body the motions left to it.
 
-    Returns
-    -------
-    list of Array
-        Each of shape (k, 6), m: translation of the mesh's centre and rotation times the mesh's
-        size, orthonormal; k = 0 for a body without free motion.
+    Result: each of shape (k, 6), m: translation of the mesh's centre and rotation times the mesh's
+    size, orthonormal; k = 0 for a body without free motion.
     """
     equations = _Equations(component, bodies)
     equations.hold_supports()

@@ -25,21 +25,13 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     To first order stresses are linear in the wrench, and the von Mises stress is a norm of them:
     no wrench of the range has a larger one than the worst of its corners.
 
-    Parameters
-    ----------
-    solver
-        Nothing is made of a component whose bundle tells no `yield_strength`.
-    nonlinear
-        Whether a nonlinear component is solved at that corner; else its stresses stay first order.
-
-    Returns
-    -------
-    strength
-        For each material that has cells: ``region``, ``largest`` (Pa), ``at`` (m, in the mesh's
-        axes), ``wrench`` (N and N·m), each further input by its name, ``yield_strength``
-        (Pa or None), ``first_order``.
-    warnings
-        Where a material yields, or von Mises says nothing of it; why stresses are first order.
+    solver: Nothing is made of a component whose bundle tells no `yield_strength`.
+    nonlinear: whether a nonlinear component is solved at that corner; else its stresses stay first
+    order.
+    Returns strength: for each material that has cells: ``region``, ``largest`` (Pa), ``at`` (m, in
+    the mesh's axes), ``wrench`` (N and N·m), each further input by its name, ``yield_strength`` (Pa
+    or None), ``first_order``. warnings: where a material yields, or von Mises says nothing of it;
+    why stresses are first order.
     """
     component = solver.component
     if all(material.yield_strength is None for material in component.materials):

@@ -35,24 +35,15 @@ def solver_of(component: ComponentModel) -> tuple[Solver | None, list[BundleProb
 def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[BundleProblem]]:
     """Solve six unit loads and return what that tells, and what would stop a solve.
 
-    Parameters
-    ----------
-    solver
-        The component's.
-    cost
-        As `fea.check.cost.estimate` has it: what takes too long is not tried.
-
-    Returns
-    -------
-    result
-        ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a material tells no
-        density), ``sag``: the interfaces' displacement under own weight, where ``gravity`` is
-        given; ``deflection``: the largest of each output over the load range by the linear
-        compliance, six numbers an interface, m and rad; None where it was not tried or ``failed``
-        (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone, where
-        they are inputs.
-    problems
-        ``mechanism`` and ``ill_conditioned``, in the words of the failure.
+    solver: the component's.
+    cost: as `fea.check.cost.estimate` has it: what takes too long is not tried.
+    Returns result: ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a
+    material tells no density), ``sag``: the interfaces' displacement under own weight, where
+    ``gravity`` is given; ``deflection``: the largest of each output over the load range by the
+    linear compliance, six numbers an interface, m and rad; None where it was not tried or
+    ``failed`` (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone,
+    where they are inputs. problems: ``mechanism`` and ``ill_conditioned``, in the words of the
+    failure.
     """
     points, bundle = solver.component.mesh.points, solver.component.bundle
     component = solver.component
@@ -135,22 +126,13 @@ def _problem(failure: SolveFailed) -> BundleProblem:
 def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], list[BundleProblem]]:
     """Return what the component weighs and how slowly it swings, and what stands in the way.
 
-    Parameters
-    ----------
-    solver
-        Of the component; its materials without a density weigh nothing.
-    riding
-        The rigid mass on the interface; None for none.
-
-    Returns
-    -------
-    vibration
-        ``mass`` (kg, of the component; None without any density), ``first_frequency`` (Hz),
-        ``motion`` of the interfaces (6 numbers each, m and rad, of length one), ``riding_mass``
-        (kg), ``condensed_mass`` to the interfaces (6 x 6 each, kg to kg·m^2); empty where neither
-        bundle nor argument tells a mass, or no frequency was found.
-    warnings
-        Why not, or that some materials count as weightless.
+    solver: of the component; its materials without a density weigh nothing.
+    riding: the rigid mass on the interface; None for none.
+    Returns vibration: ``mass`` (kg, of the component; None without any density),
+    ``first_frequency`` (Hz), ``motion`` of the interfaces (6 numbers each, m and rad, of length
+    one), ``riding_mass`` (kg), ``condensed_mass`` to the interfaces (6 x 6 each, kg to kg·m^2);
+    empty where neither bundle nor argument tells a mass, or no frequency was found. warnings: Why
+    not, or that some materials count as weightless.
     """
     component = solver.component
     silent = [material.region for material in component.materials if material.density is None]

@@ -45,10 +45,7 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
 
     A number has 20 characters at the most, which is all that CalculiX reads of one.
 
-    Raises
-    ------
-    SolveFailed
-        ``bad_deck`` if a placeholder is missing: its load would have no effect.
+    Raises SolveFailed: ``bad_deck`` if a placeholder is missing: its load would have no effect.
     """
     missing = missing_placeholders(deck)
     if missing:
@@ -65,27 +62,13 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
 def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tuple[Array, int]:
     """Run a deck once, in a folder made for it.
 
-    Parameters
-    ----------
-    deck
-        What to run.
-    wrench
-        Shape (6,), N and N·m, with the moment that the deck takes.
-    folder
-        Where its files are put and stay; must not exist yet.
-    progress
-        Called while it runs, as far as the reader can tell.
-
-    Returns
-    -------
-    displacement, unknowns
-        Shape (6,), m and rad; degrees of freedom, 0 if unknown.
-
-    Raises
-    ------
-    SolveFailed
-        ``bad_deck``, ``no_solver``, ``timed_out``, ``solver_failed``, ``not_converged`` or
-        ``bad_output``.
+    deck: what to run.
+    wrench: shape (6,), N and N·m, with the moment that the deck takes.
+    folder: where its files are put and stay; must not exist yet.
+    progress: called while it runs, as far as the reader can tell.
+    Returns displacement, unknowns: shape (6,), m and rad; degrees of freedom, 0 if unknown.
+    Raises SolveFailed: ``bad_deck``, ``no_solver``, ``timed_out``, ``solver_failed``,
+    ``not_converged`` or ``bad_output``.
     """
     metres = UNITS[deck.unit]
     loads = np.concatenate([wrench[:3], wrench[3:] / metres])
@@ -170,23 +153,11 @@ def run_command(
     raises, whatever it raises, the program and all that it started in its process group are gone;
     they are also gone soon after this program is killed.
 
-    Parameters
-    ----------
-    command
-        The program and its arguments.
-    printed
-        File for its standard output and errors.
-    timeout
-        Seconds.
-    watch
-        Called a few times a second while it runs.
-
-    Raises
-    ------
-    OSError
-        If the program cannot be started.
-    OutOfTime
-        If `timeout` is over.
+    command: the program and its arguments.
+    printed: file for its standard output and errors.
+    timeout: seconds.
+    watch: called a few times a second while it runs.
+    Raises OSError if the program cannot be started. Raises OutOfTime if `timeout` is over.
     """
     deadline = time.monotonic() + timeout
     with printed.open("wb") as file:
@@ -247,18 +218,10 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     A program that is not installed here is a warning and no mistake of the bundle: solves may run
     elsewhere, and one that does not says so.
 
-    Returns
-    -------
-    dict
-        Its ``file``, ``program`` (the path found, or None), ``reader``, ``moment``, ``unit`` and
-        ``timeout`` (s).
-    list of Problem
-        What may keep a solve from working.
-
-    Raises
-    ------
-    BundleError
-        If the deck lacks a placeholder, or what its reader depends on.
+    Result: its ``file``, ``program`` (the path found, or None), ``reader``, ``moment``, ``unit``
+    and ``timeout`` (s).
+    Result: what may keep a solve from working.
+    Raises BundleError if the deck lacks a placeholder, or what its reader depends on.
     """
     content = deck.file.read_bytes()
     where = (

@@ -60,19 +60,11 @@ _CORNERS = {"wedge15": 6}
 def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:
     """Write the undeformed mesh with a displacement at each point.
 
-    Parameters
-    ----------
-    path
-        Ends in ``.vtu``.
-    component
-        Its mesh, materials, supports and section.
-    displacements
-        Shape (n, 3), m, in the mesh's own axes. "Warp by vector" shows the part displaced.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    path: ends in ``.vtu``.
+    component: its mesh, materials, supports and section.
+    displacements: shape (n, 3), m, in the mesh's own axes. "Warp by vector" shows the part
+    displaced.
+    Raises OSError if the file cannot be written.
     """
     mesh = component.mesh
     sections = np.concatenate([interface.section.node_ids for interface in component.interfaces])

@@ -24,21 +24,11 @@ _OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Cells that hang together by whole faces.
+    """Cells that hang together by whole faces."""
 
-    Attributes
-    ----------
-    count
-        How many bodies there are; numbered from the one with the most cells.
-    cells
-        Number of cells of each, shape (count,), int64, dimensionless.
-    nodes
-        The nodes of each, shape (k,), int64: indices, ascending.
-    """
-
-    count: int
-    cells: Array
-    nodes: list[Array]
+    count: int  # how many bodies there are; numbered from the one with the most cells
+    cells: Array  # number of cells of each, shape (count,), int64, dimensionless
+    nodes: list[Array]  # the nodes of each, shape (k,), int64: indices, ascending
 
 
 def bodies_of(mesh: Mesh) -> Bodies:

@@ -71,13 +71,9 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
 def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
     """Return a warning for the unmerged nodes of each two bodies, and of slits within one.
 
-    Parameters
-    ----------
-    mesh, bodies
-        A mesh, and what it falls into.
-    pairs
-        Shape (k, 2), int64: indices of nodes in one place
-        (`fea.inspection.bodies.coincident_nodes`).
+    mesh, bodies: a mesh, and what it falls into.
+    pairs: shape (k, 2), int64: indices of nodes in one place
+    (`fea.inspection.bodies.coincident_nodes`).
     """
     owner = np.zeros(len(mesh.points), dtype=np.int64)
     for number, nodes in enumerate(bodies.nodes):

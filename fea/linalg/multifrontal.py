@@ -55,17 +55,10 @@ In columns of 256 a flange whose largest is 705 takes 10 % longer, to save 2 MB 
 
 
 class Condensed(NamedTuple):
-    """Minus the condensed stiffness of one boundary, N/m; above its diagonal nothing is meant.
+    """Minus the condensed stiffness of one boundary, N/m; above its diagonal nothing is meant."""
 
-    Attributes
-    ----------
-    starts
-        First unknown of each block column, and after the last one.
-    blocks
-        For each block column from a to b of n unknowns, shape (n - a, b - a), in Fortran's order.
-    """
-
-    starts: list[int]
+    starts: list[int]  # first unknown of each block column, and after the last one
+    # For each block column from a to b of n unknowns, shape (n - a, b - a), in Fortran's order
     blocks: list[Array]
 
     def holding(self, unknown: int) -> tuple[int, Array]:
@@ -75,21 +68,12 @@ class Condensed(NamedTuple):
 
 
 class Route(NamedTuple):
-    """Where what a child hands on goes in its parent.
+    """Where what a child hands on goes in its parent."""
 
-    Attributes
-    ----------
-    places
-        Shape (n,), ascending: of the child's unknowns among the m + b of the parent.
-    pivots
-        How many of them are eliminated in the parent.
-    stretches
-        First, last + 1 and place of the first: unknowns whose places have no gap, in one block
-        column of the child and one of the parent, in their order.
-    """
-
-    places: Array
-    pivots: int
+    places: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
+    pivots: int  # how many of them are eliminated in the parent
+    # First, last + 1 and place of the first: unknowns whose places have no gap, in one block column
+    # of the child and one of the parent, in their order.
     stretches: list[tuple[int, int, int]]
 
 
@@ -102,13 +86,9 @@ def columns_of(unknowns: int) -> list[int]:
 def products(left: Array, right: Array, square: Callable[[Array], Array] | None) -> Condensed:
     """Return the lower triangle of left^T right, which is symmetric.
 
-    Parameters
-    ----------
-    left, right
-        Shape (m, n): N^0.5/m^0.5 both, or N/m and dimensionless; in Fortran's order.
-    square
-        Gives the lower triangle of X^T X for the columns X of `right` faster than the product,
-        where `left` is `right`.
+    left, right: shape (m, n): N^0.5/m^0.5 both, or N/m and dimensionless; in Fortran's order.
+    square: gives the lower triangle of X^T X for the columns X of `right` faster than the product,
+    where `left` is `right`.
     """
     count = right.shape[1]
     starts = columns_of(count)
@@ -151,14 +131,9 @@ def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
     A stretch of columns at a time, whose rows in A may have gaps: stretch by stretch in both
     directions would be thousands of additions of a few numbers each.
 
-    Parameters
-    ----------
-    A
-        Shape (m, m), N/m: stiffness of the unknowns that are eliminated, the lower triangle.
-    B
-        Shape (m, b), N/m: the same with the boundary.
-    part, way
-        Of the child.
+    A: shape (m, m), N/m: stiffness of the unknowns that are eliminated, the lower triangle.
+    B: shape (m, b), N/m: the same with the boundary.
+    part, way: of the child.
     """
     places, count, stretches = way
     across = [
@@ -197,25 +172,15 @@ class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
 class MultifrontalFactor:
     """A factorised stiffness matrix.
 
-    Parameters
-    ----------
-    dissection
-        The order of elimination.
-    leaf
-        Gives the matrix of each leaf, N/m; called when the leaf is due, so that few are in memory.
-
-    Attributes
-    ----------
-    definite
-        Whether the matrix is positive definite.
-    pivot_ratio
-        The least ratio of a pivot to the diagonal entry it came from: what elimination left of the
-        stiffness there. Near roundoff it says that some motion has no stiffness. 0 if the matrix
-        is not definite.
-    weakest
-        Position of the unknown with that ratio.
-    diagonal
-        Shape (unknowns,): that of the matrix.
+    dissection: the order of elimination.
+    leaf: gives the matrix of each leaf, N/m; called when the leaf is due, so that few are in
+    memory.
+    definite: whether the matrix is positive definite.
+    pivot_ratio: the least ratio of a pivot to the diagonal entry it came from: what elimination
+    left of the stiffness there. Near roundoff it says that some motion has no stiffness. 0 if the
+    matrix is not definite.
+    weakest: position of the unknown with that ratio.
+    diagonal: shape (unknowns,): that of the matrix.
     """
 
     @_ONE_THREAD
@@ -245,15 +210,8 @@ class MultifrontalFactor:
     def solve(self, loads: Array) -> Array:
         """Solve for several load cases.
 
-        Parameters
-        ----------
-        loads
-            Shape (unknowns, k), N, in the order of elimination.
-
-        Returns
-        -------
-        Array
-            Shape (unknowns, k), m, in the same order.
+        loads: shape (unknowns, k), N, in the order of elimination.
+        Result: shape (unknowns, k), m, in the same order.
         """
         x = np.array(loads, dtype=float, order="C")
         for part, front in zip(self._dissection.substructures, self._fronts, strict=True):

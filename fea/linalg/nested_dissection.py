@@ -65,12 +65,8 @@ class Incidence(NamedTuple):
 def incidence(cells: list[Array], free: Array) -> Incidence:
     """Return the incidence of all cells and free nodes.
 
-    Parameters
-    ----------
-    cells
-        The nodes of each cell, indices.
-    free
-        Shape (mesh nodes,), bool: the nodes whose displacement is unknown.
+    cells: the nodes of each cell, indices.
+    free: shape (mesh nodes,), bool: the nodes whose displacement is unknown.
     """
     nodes = np.concatenate(cells) if cells else np.empty(0, dtype=np.int64)
     owners = np.repeat(np.arange(len(cells)), [len(own) for own in cells])
@@ -83,10 +79,7 @@ def incidence(cells: list[Array], free: Array) -> Incidence:
 class Cutter:
     """Cuts sets of the cells of one mesh.
 
-    Parameters
-    ----------
-    centres
-        Shape (cells, 3), m: where each cell is.
+    centres: shape (cells, 3), m: where each cell is.
     """
 
     def __init__(self, centres: Array) -> None:
@@ -96,12 +89,8 @@ class Cutter:
     def halves(self, cells: Array, pairs: Incidence) -> list[tuple[Array, Incidence]]:
         """Return two sets of cells, each with its incidence.
 
-        Parameters
-        ----------
-        cells
-            Shape (c,), int64: numbers of at least two cells, dimensionless.
-        pairs
-            Their incidence.
+        cells: shape (c,), int64: numbers of at least two cells, dimensionless.
+        pairs: their incidence.
         """
         beyond = self._best(cells, pairs)
         self._rank[cells] = beyond
@@ -164,28 +153,18 @@ def _on_both_sides(ranks: Array, starts: Array, count: int) -> Array:
 
 @dataclass(eq=False)
 class Substructure:
-    """One node of the tree. Positions count unknowns in the order of elimination.
+    """One node of the tree. Positions count unknowns in the order of elimination."""
 
-    Attributes
-    ----------
-    cells
-        Shape (c,), int64: indices of the cells of a leaf; empty for a branch.
-    start, stop
-        The unknowns eliminated here are the positions start .. stop - 1.
-    boundary
-        Shape (b,), int64: ascending positions of the unknowns handed on to the parent.
-    children
-        Numbers of the two parts in `Dissection.substructures`; empty for a leaf.
-    places
-        For each child, shape (b of the child,), int64: where its boundary lies among this one's
-        unknowns (eliminated first, then the boundary).
-    """
-
-    cells: Array
+    cells: Array  # shape (c,), int64: indices of the cells of a leaf; empty for a branch
+    # Numbers of the two parts in `Dissection.substructures`; empty for a leaf
     children: tuple[int, ...]
+    # start, stop: the unknowns eliminated here are the positions start .. stop - 1
     start: int = 0
     stop: int = 0
+    # Shape (b,), int64: ascending positions of the unknowns handed on to the parent
     boundary: Array = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    # For each child, shape (b of the child,), int64: where its boundary lies among this one's
+    # unknowns (eliminated first, then the boundary).
     places: tuple[Array, ...] = ()
 
     @property
@@ -208,20 +187,11 @@ class Substructure:
 
 @dataclass(frozen=True, eq=False)
 class Dissection:
-    """The tree in the order of elimination, children before parents.
+    """The tree in the order of elimination, children before parents."""
 
-    Attributes
-    ----------
-    substructures
-        All nodes of the tree.
-    nodes
-        Shape (free nodes,): indices of mesh nodes in the order of elimination.
-    positions
-        Shape (mesh nodes,): place of each mesh node in that order, -1 for nodes that are not free.
-    """
-
-    substructures: tuple[Substructure, ...]
-    nodes: Array
+    substructures: tuple[Substructure, ...]  # all nodes of the tree
+    nodes: Array  # shape (free nodes,): indices of mesh nodes in the order of elimination
+    # Shape (mesh nodes,): place of each mesh node in that order, -1 for nodes that are not free
     positions: Array
 
     @property
@@ -233,14 +203,9 @@ class Dissection:
 def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
     """Cut a mesh into nested substructures.
 
-    Parameters
-    ----------
-    cells
-        The nodes of each cell.
-    centres
-        Shape (cells, 3), m: where each cell is.
-    free
-        Shape (mesh nodes,), bool: the nodes whose displacement is unknown.
+    cells: the nodes of each cell.
+    centres: shape (cells, 3), m: where each cell is.
+    free: shape (mesh nodes,), bool: the nodes whose displacement is unknown.
     """
     builder = _Builder(cells, free, Cutter(centres))
     builder.cut(np.arange(len(cells)), incidence(cells, free))

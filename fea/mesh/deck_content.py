@@ -28,10 +28,7 @@ def integrations(text: str) -> list[str]:
 def deck_text(path: Path) -> str:
     """Return a deck's text with newlines alone: UTF-8, or UTF-16 by its mark or its zero bytes.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    Raises OSError if the file cannot be read.
     """
     raw = path.read_bytes()
     encoding = "utf-8-sig"
@@ -45,12 +42,8 @@ def deck_text(path: Path) -> str:
 def in_si(quantity: str, unit: str) -> float:
     """Return the factor from a deck's consistent units to SI.
 
-    Parameters
-    ----------
-    quantity
-        A key of ``[[material]]``, ``length``, ``force`` or ``moment``; others have no unit.
-    unit
-        The deck's length unit, a key of `fea.spec.schema.UNITS`.
+    quantity: a key of ``[[material]]``, ``length``, ``force`` or ``moment``; others have no unit.
+    unit: the deck's length unit, a key of `fea.spec.schema.UNITS`.
     """
     length, force = UNITS[unit], _FORCES.get(unit, 1.0)
     stress = force / length**2
@@ -79,27 +72,17 @@ class HeldGroup:
 
 @dataclass
 class CoupledGroup:
-    """A group that a reference point moves, or whose mean that point follows.
+    """A group that a reference point moves, or whose mean that point follows."""
 
-    Attributes
-    ----------
-    where, group
-        Line and keyword, and the name of a facet or node group.
-    kind
-        "rigid" or "distributed".
-    point
-        Of the reference point, in the deck's length unit; empty where it has no node.
-    held
-        Freedoms of the point that a support holds, in numbers 0 to 5.
-    loads
-        Force and moment on the point in the deck's units.
-    """
-
+    # where, group: line and keyword, and the name of a facet or node group
     where: str
     group: str
-    kind: str
+    kind: str  # "rigid" or "distributed"
+    # Of the reference point, in the deck's length unit; empty where it has no node
     point: tuple[float, ...] = ()
+    # Freedoms of the point that a support holds, in numbers 0 to 5
     held: set[int] = field(default_factory=set)
+    # Force and moment on the point in the deck's units
     loads: list[float] = field(default_factory=lambda: [0.0] * 6)
 
 

@@ -97,10 +97,7 @@ class FaceFinder:
     So a group may be drawn with 4-node facets, or 9-node ones, on 20-node hexahedra: it gets the
     faces of the cells it lies on.
 
-    Parameters
-    ----------
-    blocks
-        The solid cells.
+    blocks: the solid cells.
     """
 
     def __init__(self, blocks: tuple[CellBlock, ...]) -> None:
@@ -111,12 +108,8 @@ class FaceFinder:
     def find(self, kind: str, nodes: Array) -> tuple[list[FacetBlock], int]:
         """Return the faces with the corners of the facets `nodes`, and how many have none.
 
-        Parameters
-        ----------
-        kind
-            Kind of the facets.
-        nodes
-            Shape (f, k): indices of their nodes, corners first.
+        kind: kind of the facets.
+        nodes: shape (f, k): indices of their nodes, corners first.
         """
         count = corners_of(kind)
         sought = np.unique(np.sort(nodes[:, :count], axis=1), axis=0)

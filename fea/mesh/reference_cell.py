@@ -68,42 +68,22 @@ _MASS_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (4, 3)}
 
 @dataclass(frozen=True, eq=False)
 class ReferenceElement:
-    """Shape functions tabulated at quadrature points, all dimensionless.
+    """Shape functions tabulated at quadrature points, all dimensionless."""
 
-    Attributes
-    ----------
-    kind
-        A kind of cell or facet of `fea.mesh.mesh`.
-    values
-        Shape (points, nodes): N_a at each point.
-    slopes
-        Shape (points, nodes, dimension): dN_a/dxi at each point.
-    weights
-        Shape (points,): quadrature weights; their sum is the reference volume.
-    """
-
-    kind: str
-    values: Array
-    slopes: Array
-    weights: Array
+    kind: str  # a kind of cell or facet of `fea.mesh.mesh`
+    values: Array  # shape (points, nodes): N_a at each point
+    slopes: Array  # shape (points, nodes, dimension): dN_a/dxi at each point
+    weights: Array  # shape (points,): quadrature weights; their sum is the reference volume
 
 
 @cache
 def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
     """Tabulate one kind of cell or facet.
 
-    Parameters
-    ----------
-    kind
-        A key of `fea.mesh.mesh.NODES_PER_CELL` or `fea.mesh.mesh.NODES_PER_FACET`.
-    integration
-        ``"reduced"`` gives hex20 its 2x2x2 points; ``"mass"`` is fine enough for products of two
-        shape functions; every other kind has one rule.
-
-    Raises
-    ------
-    KeyError
-        If the kind is unknown.
+    kind: a key of `fea.mesh.mesh.NODES_PER_CELL` or `fea.mesh.mesh.NODES_PER_FACET`.
+    integration: ``"reduced"`` gives hex20 its 2x2x2 points; ``"mass"`` is fine enough for products
+    of two shape functions; every other kind has one rule.
+    Raises KeyError if the kind is unknown.
     """
     if kind in _GAUSS_POINTS:
         count = 2 if (kind == "hex20" and integration == "reduced") else _GAUSS_POINTS[kind]

@@ -39,22 +39,13 @@ _WHOLE = 64
 
 
 class _Pattern(NamedTuple):
-    """How one kind splits.
+    """How one kind splits."""
 
-    Attributes
-    ----------
-    children
-        Shape (children, nodes): places by number.
-    weights
-        Shape (corners, places), uint64: of the corners at each place, in parts of `_WHOLE`. Where
-        two cells meet they have the same corners' weights at the same point.
-    values
-        Shape (places, nodes): the parent's shape functions.
-    """
-
-    children: Array
+    children: Array  # shape (children, nodes): places by number
+    # Shape (corners, places), uint64: of the corners at each place, in parts of `_WHOLE`. Where two
+    # cells meet they have the same corners' weights at the same point.
     weights: Array
-    values: Array
+    values: Array  # shape (places, nodes): the parent's shape functions
 
 
 @cache

@@ -75,10 +75,7 @@ def reader_names() -> tuple[str, ...]:
 def reader_named(name: str) -> DeckReader:
     """Return the reader of that name.
 
-    Raises
-    ------
-    KeyError
-        If there is none.
+    Raises KeyError if there is none.
     """
     if name in _BUILT_IN:
         return _BUILT_IN[name]()

@@ -22,58 +22,40 @@ MOST_POINTS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class SolveFields:
-    """Surface and stresses of one solve, in the undeformed frame of the first interface.
+    """Surface and stresses of one solve, in the undeformed frame of the first interface."""
 
-    Attributes
-    ----------
-    linear
-        Whether the slopes are the whole answer: fields = slopes @ inputs, a temperature among them
-        from its reference.
-    vertices, triangles
-        Shape (v, 3), m, undeformed, and (t, 3), int32.
-    whole_vertices
-        Of the outer surface before it was simplified.
-    displacement, displacement_slopes
-        Shapes (v, 3), m, and (v, 3, k), m/N, m/(N·m) and m/K: its change with the inputs.
-    stress, stress_slopes
-        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, k), Pa/N, Pa/(N·m), Pa/K;
-        p = 0 where there are more points than `MOST_POINTS`.
-    places, materials
-        Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`.
-    regions
-        The materials' regions.
-    weight
-        Whether the component's own weight acts.
-    largest, largest_at, largest_region
-        The largest von Mises stress over all integration points, Pa, its place, m, and region.
-    """
-
+    # Whether the slopes are the whole answer: fields = slopes @ inputs, a temperature among them
+    # from its reference.
     linear: bool
+    # vertices, triangles: shape (v, 3), m, undeformed, and (t, 3), int32
     vertices: Array
     triangles: Array
-    whole_vertices: int
+    whole_vertices: int  # of the outer surface before it was simplified
+    # displacement, displacement_slopes: Shapes (v, 3), m, and (v, 3, k), m/N, m/(N·m) and m/K: its
+    # change with the inputs.
     displacement: Array
     displacement_slopes: Array
+    # stress, stress_slopes: Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, k),
+    # Pa/N, Pa/(N·m), Pa/K; p = 0 where there are more points than `MOST_POINTS`.
     stress: Array
     stress_slopes: Array
+    # places, materials: Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`
     places: Array
     materials: Array
-    regions: tuple[str, ...]
+    regions: tuple[str, ...]  # the materials' regions
+    # largest, largest_at, largest_region: the largest von Mises stress over all integration points,
+    # Pa, its place, m, and region.
     largest: float
     largest_at: tuple[float, float, float]
     largest_region: str
-    weight: bool = False
+    weight: bool = False  # whether the component's own weight acts
 
 
 def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
     """Return the fields of a solution.
 
-    Parameters
-    ----------
-    component, body
-        What was solved; the body in the interface frame.
-    solution
-        With its `tangents`.
+    component, body: what was solved; the body in the interface frame.
+    solution: with its `tangents`.
     """
     linear, axes = not component.analysis.nonlinear, component.axes
     hangs = component.analysis.gravity is not None
@@ -140,21 +122,11 @@ _TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles between some of a mesh's nodes; all are indices.
+    """Triangles between some of a mesh's nodes; all are indices."""
 
-    Attributes
-    ----------
-    nodes
-        Shape (v,), int64: which node of the mesh each vertex is.
-    triangles
-        Shape (t, 3), int32: vertices, anticlockwise seen from outside.
-    whole
-        How many nodes the outer surface has; more than the vertices if it was simplified.
-    """
-
-    nodes: Array
-    triangles: Array
-    whole: int
+    nodes: Array  # shape (v,), int64: which node of the mesh each vertex is
+    triangles: Array  # shape (t, 3), int32: vertices, anticlockwise seen from outside
+    whole: int  # how many nodes the outer surface has; more than the vertices if it was simplified
 
 
 def surface_of(mesh: Mesh, most: int = MOST_VERTICES) -> Surface:

@@ -21,19 +21,10 @@ _ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # xx, yy, zz, xy, xz, 
 def places_of(component: ComponentModel, points: Array) -> tuple[Array, Array]:
     """Return places and materials of the integration points, in the order of `ElasticBody.parts`.
 
-    Parameters
-    ----------
-    component
-        Its mesh's cells and their materials.
-    points
-        Shape (n, 3), m: the mesh's points, in the frame of the result.
-
-    Returns
-    -------
-    places
-        Shape (p, 3), m, undeformed.
-    materials
-        Shape (p,), int32: index of each point's material.
+    component: its mesh's cells and their materials.
+    points: shape (n, 3), m: the mesh's points, in the frame of the result.
+    Returns places: shape (p, 3), m, undeformed. materials: shape (p,), int32: index of each point's
+    material.
     """
     places, materials = [], []
     for kind, nodes, numbers in _parts(component):
@@ -69,25 +60,13 @@ def cauchy_stress(
 ) -> tuple[Array, Array]:
     """Return the Cauchy stresses of a displaced body, and their change with the inputs.
 
-    Parameters
-    ----------
-    body
-        The cells.
-    displacement
-        Shape (n, 3), m.
-    tangents
-        Shape (n, 3, k): its change with the inputs, m per unit of each.
-    temperature
-        K from the reference.
-    loads
-        How many inputs there are before the temperature, where that is one.
-
-    Returns
-    -------
-    stresses
-        Shape (p, 6), Pa: xx, yy, zz, xy, xz, yz.
-    changes
-        Shape (p, 6, k), Pa per unit of each.
+    body: the cells.
+    displacement: shape (n, 3), m.
+    tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
+    temperature: K from the reference.
+    loads: how many inputs there are before the temperature, where that is one.
+    Returns stresses: shape (p, 6), Pa: xx, yy, zz, xy, xz, yz. changes: shape (p, 6, k), Pa per
+    unit of each.
     """
     stresses, changes = [], []
     own = body.at(temperature)

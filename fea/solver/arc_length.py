@@ -31,23 +31,14 @@ _LEAST_COSINE = 0.7  # cosine of a path that bends no more than it should in one
 
 
 class Ending(NamedTuple):
-    """Why the path was not followed further.
+    """Why the path was not followed further."""
 
-    Attributes
-    ----------
-    kind
-        ``"reached"``: the whole load, by stable states all along; ``"limit"``: the load has a
-        maximum on the path; ``"bifurcation"``: the states become unstable while the load still
-        grows; ``"lost"``: no equilibrium was found further on.
-    factor
-        Of the load: the greatest that was found to have a stable state on this path.
-    found
-        The last state found, beyond the whole load if it was reached.
-    """
-
+    # ``"reached"``: the whole load, by stable states all along; ``"limit"``: the load has a maximum
+    # on the path; ``"bifurcation"``: the states become unstable while the load still grows;
+    # ``"lost"``: no equilibrium was found further on.
     kind: str
-    factor: float
-    found: Equilibrium
+    factor: float  # of the load: the greatest that was found to have a stable state on this path
+    found: Equilibrium  # the last state found, beyond the whole load if it was reached
 
 
 class _Point(NamedTuple):
@@ -62,20 +53,12 @@ class _Point(NamedTuple):
 class ArcPath:
     """Follows the path of one wrench from an equilibrium on it.
 
-    Parameters
-    ----------
-    system
-        The equations.
-    direction
-        Shape (k,): the inputs per unit of the size.
-    whole
-        The size of the full load.
-    start
-        A stable equilibrium at the load factor `factor`, with its tangent.
-    step
-        Change of the load factor to begin with.
-    report
-        Called with a load factor; returns a function that is called after each iteration.
+    system: the equations.
+    direction: shape (k,): the inputs per unit of the size.
+    whole: the size of the full load.
+    start: a stable equilibrium at the load factor `factor`, with its tangent.
+    step: Change of the load factor to begin with.
+    report: called with a load factor; returns a function that is called after each iteration.
     """
 
     def __init__(
@@ -101,10 +84,7 @@ class ArcPath:
     def follow(self, accept: Callable[[Equilibrium, float], None]) -> Ending:
         """Step until the whole load is reached or cannot be.
 
-        Parameters
-        ----------
-        accept
-            Called with each stable state below the whole load, and its factor.
+        accept: called with each stable state below the whole load, and its factor.
         """
         for _ in range(_MOST_STEPS):
             ahead = self._step()

@@ -30,19 +30,10 @@ def buckling_factors(
 ) -> tuple[float, float]:
     """Return how many times a load, and the opposite load, the part carries before it buckles.
 
-    Parameters
-    ----------
-    system
-        The equations, in the interface frame.
-    fields
-        Shape (n, 3), m: the small displacements under the load.
-    temperature
-        K from the reference: a part of the load.
-
-    Returns
-    -------
-    tuple of float
-        Both positive; infinite where no such load buckles it.
+    system: the equations, in the interface frame.
+    fields: shape (n, 3), m: the small displacements under the load.
+    temperature: K from the reference: a part of the load.
+    Result: Both positive; infinite where no such load buckles it.
     """
     matrix = geometric_stiffness(system.body.at(temperature, finite=False), fields)
     if not matrix.count_nonzero():

@@ -57,23 +57,12 @@ class LoadPath:
     either tangent says. Where no step is short enough the path is followed by its length
     (`fea.solver.arc_length`), to the whole load or to the load at which the part gives way.
 
-    Parameters
-    ----------
-    system
-        The equations.
-    wrench
-        Shape (k,): the inputs, as of `Balance.wrench`; not zero.
-    progress
-        Called with the fraction done and a message.
-    rest
-        The equilibrium at no wrench, under the component's own weight (`hang`); None without.
-
-    Attributes
-    ----------
-    history
-        All iterations, those of steps taken back as well.
-    work
-        External work so far, J.
+    system: the equations.
+    wrench: shape (k,): the inputs, as of `Balance.wrench`; not zero.
+    progress: called with the fraction done and a message.
+    rest: the equilibrium at no wrench, under the component's own weight (`hang`); None without.
+    history: all iterations, those of steps taken back as well.
+    work: External work so far, J.
     """
 
     def __init__(
@@ -100,19 +89,11 @@ class LoadPath:
     ) -> Equilibrium:
         """Step to the full wrench.
 
-        Parameters
-        ----------
-        check
-            Called with each converged balance; raises SolveFailed to stop.
-        guess
-            A state near the one sought, such as that of a nearby wrench. What it leads to must
-            pass as one step from no load to the whole; else it is as if there were no guess.
-
-        Raises
-        ------
-        SolveFailed
-            ``not_converged``, ``snap_through`` or ``ill_conditioned``, or what `check` raises;
-            with the history and the last state.
+        check: called with each converged balance; raises SolveFailed to stop.
+        guess: a state near the one sought, such as that of a nearby wrench. What it leads to must
+        pass as one step from no load to the whole; else it is as if there were no guess.
+        Raises SolveFailed: ``not_converged``, ``snap_through`` or ``ill_conditioned``, or what
+        `check` raises; with the history and the last state.
         """
         try:
             equilibrium = None if guess is None else self._try_guess(guess)
@@ -279,17 +260,9 @@ class LoadPath:
 def hang(system: System, check: Callable[[Balance], None]) -> Equilibrium:
     """Return the equilibrium under the component's own weight and no wrench.
 
-    Parameters
-    ----------
-    system
-        With its weight.
-    check
-        As of `LoadPath.follow`.
-
-    Raises
-    ------
-    SolveFailed
-        As `LoadPath.follow` does, the weight in place of the wrench.
+    system: with its weight.
+    check: as of `LoadPath.follow`.
+    Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench.
     """
     assert system.weight is not None
     growing = System(system.body, system.coupling, pull=system.weight[:, :, None])

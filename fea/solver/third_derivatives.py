@@ -68,18 +68,10 @@ def load_rates(coupling: Coupling, balance: Balance, compliance: Array) -> Array
 def third_derivatives(system: System, balance: Balance, tangent: Linearisation) -> Array:
     """Return the third derivatives of the complementary energy by the loads (F, mu).
 
-    Parameters
-    ----------
-    system
-        The equations.
-    balance, tangent
-        A state in balance, and the tangent there.
-
-    Returns
-    -------
-    Array
-        Shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
-        where one is that of a locked freedom.
+    system: the equations.
+    balance, tangent: a state in balance, and the tangent there.
+    Result: shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
+    where one is that of a locked freedom.
     """
     state, inputs, coupling = balance.state, balance.wrench, system.coupling
     active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))

@@ -25,23 +25,13 @@ _SEED = 20170726  # of the start vector: the same bundle gives the same digits
 class Riding:
     """The rigid mass that stands on the interface.
 
-    Attributes
-    ----------
-    mass
-        kg, zero or more.
-    inertia
-        Shape (3, 3), kg·m^2: about its centre of mass, in the interface frame.
-    centre
-        Shape (3,), m: its centre of mass from the interface point, in the interface frame.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite, the mass negative, or the inertia not symmetric and positive.
+    Raises ValueError if a number is not finite, the mass negative, or the inertia not symmetric and
+    positive.
     """
 
-    mass: float
-    inertia: Array
+    mass: float  # kg, zero or more
+    inertia: Array  # shape (3, 3), kg·m^2: about its centre of mass, in the interface frame
+    # Shape (3,), m: its centre of mass from the interface point, in the interface frame
     centre: Array
 
     def __post_init__(self) -> None:
@@ -65,10 +55,7 @@ class Riding:
     ) -> Riding:
         """Return it from three principal moments or six (xx, yy, zz, xy, xz, yz), kg·m^2.
 
-        Raises
-        ------
-        ValueError
-            If there are other than none, three or six moments, or as the class does.
+        Raises ValueError if there are other than none, three or six moments, or as the class does.
         """
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
         place = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
@@ -96,24 +83,13 @@ class Riding:
 
 @dataclass(frozen=True, eq=False)
 class Vibration:
-    """The first natural oscillation about the unloaded state.
+    """The first natural oscillation about the unloaded state."""
 
-    Attributes
-    ----------
-    mass
-        Of the component itself, kg.
-    frequency
-        Hz.
-    interface
-        Shape (6 i,): the motion of the i interfaces in it, m and rad, of length one.
-    condensed
-        Shape (6 i, 6 i): the component's mass as the interfaces' motion accelerates it, kg, kg·m
-        and kg·m^2; zero at locked freedoms.
-    """
-
-    mass: float
-    frequency: float
-    interface: Array
+    mass: float  # of the component itself, kg
+    frequency: float  # Hz
+    interface: Array  # shape (6 i,): the motion of the i interfaces in it, m and rad, of length one
+    # Shape (6 i, 6 i): the component's mass as the interfaces' motion accelerates it, kg, kg·m and
+    # kg·m^2; zero at locked freedoms.
     condensed: Array
 
 
@@ -124,22 +100,12 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     solves are made with. The frequency is Rayleigh's quotient of the motion found, with the strain
     energy from the strains: right to the square of the motion's error.
 
-    Parameters
-    ----------
-    system
-        The equations, in the interface frame.
-    mass
-        Shape (n, n), kg, from `fea.solver.vibration`; without entries the component is massless.
-    riding
-        What stands on the interface.
-
-    Raises
-    ------
-    ValueError
-        If nothing has a mass, or what has one cannot move: locked freedoms hold it; or if a mass
-        stands on one of several interfaces.
-    SolveFailed
-        ``mechanism`` or ``ill_conditioned``.
+    system: the equations, in the interface frame.
+    mass: shape (n, n), kg, from `fea.solver.vibration`; without entries the component is massless.
+    riding: what stands on the interface.
+    Raises ValueError if nothing has a mass, or what has one cannot move: locked freedoms hold it;
+    or if a mass stands on one of several interfaces. Raises SolveFailed: ``mechanism`` or
+    ``ill_conditioned``.
     """
     active, count = system.coupling.active, system.coupling.freedoms
     interface_mass = np.zeros((count, count))
@@ -287,17 +253,9 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
 
     It is the same for each of the three components of a displacement, so it stands once.
 
-    Parameters
-    ----------
-    mesh
-        The cells, in any frame.
-    density
-        For each block of the mesh, shape (cells,), kg/m^3.
-
-    Returns
-    -------
-    csr_array
-        Shape (n, n), kg; the sum of its entries is the whole mass.
+    mesh: the cells, in any frame.
+    density: for each block of the mesh, shape (cells,), kg/m^3.
+    Returns csr_array: shape (n, n), kg; the sum of its entries is the whole mass.
     """
     count = len(mesh.points)
     total = csr_array((count, count))

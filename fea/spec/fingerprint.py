@@ -52,10 +52,8 @@ _DROPPED = re.compile("[bB].*[sSl].*B|[sl].*S|S.*[sSl]|l.*l")
 def fingerprint(parts: Mapping[str, Any]) -> str:
     """Return 16 hexadecimal digits for the parts of a bundle.
 
-    Parameters
-    ----------
-    parts
-        The fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked at.
+    parts: the fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked
+    at.
     """
     further = {scalar.name: scalar for scalar in parts.get("further", ())}
     heated = TEMPERATURE in further

@@ -24,14 +24,9 @@ class Keys:
     Each reading method takes a key; it notes a `BundleProblem` and returns None if the value will
     not do. `close` notes the keys that no method has read.
 
-    Parameters
-    ----------
-    table
-        The parsed table.
-    problems
-        The list that all tables of one file share.
-    where
-        The path of this table, empty for the whole file.
+    table: the parsed table.
+    problems: the list that all tables of one file share.
+    where: the path of this table, empty for the whole file.
     """
 
     def __init__(

@@ -115,10 +115,8 @@ def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
 def opened(path: Path) -> Iterator[Any]:
     """Open a geometry file, bodies that touch glued to each other; yields the module gmsh.
 
-    Raises
-    ------
-    BundleError
-        If gmsh is not there, the file cannot be read or holds no solid body, or gmsh fails.
+    Raises BundleError if gmsh is not there, the file cannot be read or holds no solid body, or gmsh
+    fails.
     """
     try:
         import gmsh

@@ -27,18 +27,11 @@ def choose_faces(
 ) -> dict[str, list[int]]:
     """Return the numbers of the faces of each group; notes choices that name none.
 
-    Parameters
-    ----------
-    gmsh
-        With the file open.
-    faces
-        All there are.
-    groups
-        What the bundle says.
-    size
-        Cell size, m: the scale of what counts as near.
-    problems
-        Mistakes are added.
+    gmsh: with the file open.
+    faces: all there are.
+    groups: what the bundle says.
+    size: Cell size, m: the scale of what counts as near.
+    problems: Mistakes are added.
     """
     chosen = {}
     for name, choice in groups.items():

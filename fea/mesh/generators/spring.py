@@ -21,25 +21,16 @@ class Spring:
     The wire's centre line climbs about the z axis from (D/2, 0, 0) to the height `free_length`,
     turning from x to y. Both ends are cut square to the wire. Facet groups: ``bottom``, ``top``
     (the two cuts), ``side``.
-
-    Attributes
-    ----------
-    wire_diameter, mean_diameter, free_length
-        Of the wire, of the helix of its centre line, and that helix's height.
-    active_turns
-        Turns from cut to cut.
-    cells_per_turn
-        Layers of cells in one turn.
-    core
-        Cells across the core of the section, which has core^2 + 4 core cells.
     """
 
+    # wire_diameter, mean_diameter, free_length: of the wire, of the helix of its centre line, and
+    # that helix's height.
     wire_diameter: float = metres()
     mean_diameter: float = metres()
     free_length: float = metres()
-    active_turns: float = positive("turns")
-    cells_per_turn: int = count(26, least=6)
-    core: int = count(1)
+    active_turns: float = positive("turns")  # Turns from cut to cut
+    cells_per_turn: int = count(26, least=6)  # Layers of cells in one turn
+    core: int = count(1)  # cells across the core of the section, which has core^2 + 4 core cells
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""

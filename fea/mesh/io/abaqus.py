@@ -78,10 +78,8 @@ class Deck:
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
     """Return what a deck defines of a mesh; `take` gets each keyword after it.
 
-    Raises
-    ------
-    MeshFileError
-        If a line cannot be understood, or nodes and elements come by a keyword that is not read.
+    Raises MeshFileError if a line cannot be understood, or nodes and elements come by a keyword
+    that is not read.
     """
     deck = Deck()
     for keyword in read_keywords(deck_text(path)):
@@ -211,10 +209,7 @@ def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> li
 def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> str:
     """Return the key of a set that a field names, in the frame, else in the assembly.
 
-    Raises
-    ------
-    MeshFileError
-        If there is none.
+    Raises MeshFileError if there is none.
     """
     instance, _, last = name.rpartition(".")
     own = deck.frames.get(instance.upper())

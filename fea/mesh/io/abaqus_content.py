@@ -165,10 +165,8 @@ class _Reader:
 def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     """Read the mesh of a deck and what else is in it.
 
-    Raises
-    ------
-    MeshFileError
-        As `fea.mesh.io.abaqus.parsed` does, or if a keyword has its rows in another file.
+    Raises MeshFileError as `fea.mesh.io.abaqus.parsed` does, or if a keyword has its rows in
+    another file.
     """
     reader = _Reader()
     deck = parsed(path, reader.take)

@@ -51,10 +51,7 @@ def read_ansys(text: str) -> Translated:
 
     Each LSWRITE and SOLVE ends a load case; without any, the archive is of one.
 
-    Raises
-    ------
-    MeshFileError
-        If a block cannot be read, or cells are collapsed to pyramids.
+    Raises MeshFileError if a block cannot be read, or cells are collapsed to pyramids.
     """
     archive = _Archive(nonlinear=bool(re.search(r"^\s*NLGEOM\s*,\s*(ON|1)", text, re.I | re.M)))
     lines = enumerate(text.splitlines(), start=1)

@@ -67,10 +67,8 @@ class Keyword:
 def read_keywords(text: str) -> Iterator[Keyword]:
     """Yield the blocks of a deck in the assembly, those of a part where an instance places it.
 
-    Raises
-    ------
-    MeshFileError
-        If an instance is of no part, a part comes twice, or parts have no instances.
+    Raises MeshFileError if an instance is of no part, a part comes twice, or parts have no
+    instances.
     """
     if not re.search(r"^\s*\*INSTANCE\b", text, re.I | re.M):
         yield from _without_instances(text)

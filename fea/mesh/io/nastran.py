@@ -53,10 +53,7 @@ class _Bulk(Translated):
 def read_nastran(text: str) -> Translated:
     """Return what a bulk data file holds: regions PSOLID_1, groups RBE2_7, a case a subcase.
 
-    Raises
-    ------
-    MeshFileError
-        If a card cannot be read, or nodes are in a coordinate system of their own.
+    Raises MeshFileError if a card cannot be read, or nodes are in a coordinate system of their own.
     """
     control, *bulk = re.split(r"^\s*BEGIN[ \t,]+BULK.*$", text, maxsplit=1, flags=re.I | re.M)
     bulk, control = (bulk[0], control) if bulk else (control, "")

@@ -31,45 +31,27 @@ class MeshFileError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class RawMesh:
-    """Everything in a mesh file, in the file's length unit.
+    """Everything in a mesh file, in the file's length unit."""
 
-    Attributes
-    ----------
-    points
-        Shape (n, 3); some may belong to no cell.
-    blocks
-        (kind, nodes) of cells, facets and lines, in the order of the file; nodes of shape (m, k),
-        int64.
-    element_sets
-        For each name, one array of element numbers per block, shape (m,), int64.
-    node_sets
-        For each name, the nodes' numbers, shape (k,), int64.
-    facet_sets
-        Facet groups that the file defines as faces of cells.
-    """
-
-    points: Array
+    points: Array  # shape (n, 3); some may belong to no cell
+    # (kind, nodes) of cells, facets and lines, in the order of the file; nodes of shape (m, k),
+    # int64.
     blocks: list[Block]
+    # For each name, one array of element numbers per block, shape (m,), int64
     element_sets: Mapping[str, list[Array]] = field(default_factory=dict)
+    # For each name, the nodes' numbers, shape (k,), int64
     node_sets: Mapping[str, Array] = field(default_factory=dict)
+    # Facet groups that the file defines as faces of cells
     facet_sets: Mapping[str, list[Block]] = field(default_factory=dict)
 
 
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     """Return the mesh: scaled, one block for each kind, without points that no cell uses.
 
-    Parameters
-    ----------
-    raw
-        As read.
-    metres
-        The file's length unit in metres.
-
-    Raises
-    ------
-    MeshFileError
-        If there are no solid cells, some of a kind that cannot be solved, points that there are
-        not, or facets in a group that are not faces of a cell.
+    raw: as read.
+    metres: the file's length unit in metres.
+    Raises MeshFileError if there are no solid cells, some of a kind that cannot be solved, points
+    that there are not, or facets in a group that are not faces of a cell.
     """
     kinds = [kind for kind, nodes in raw.blocks if len(nodes)]
     known = {*NODES_PER_CELL, *NODES_PER_FACET, *NODES_PER_LINE}

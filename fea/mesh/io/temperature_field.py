@@ -27,20 +27,12 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     A node at a point of the file has its rise, others that of linear interpolation between points,
     or of the nearest point outside of them. Points of one plane or line are interpolated in it.
 
-    Parameters
-    ----------
-    nodes
-        Shape (n, 3), m.
-    field
-        A CSV file with one line of names, then x, y, z (m, in the mesh's axes) and the temperature.
-    reference
-        The temperature without strain, in the unit of the file's.
-
-    Raises
-    ------
-    BundleError
-        If the file has not four finite numbers a line below a line of names, gives a point two
-        temperatures or lies far from the part, or if nothing is heated.
+    nodes: shape (n, 3), m.
+    field: a CSV file with one line of names, then x, y, z (m, in the mesh's axes) and the
+    temperature.
+    reference: the temperature without strain, in the unit of the file's.
+    Raises BundleError if the file has not four finite numbers a line below a line of names, gives a
+    point two temperatures or lies far from the part, or if nothing is heated.
     """
     with field.open(encoding="utf-8", errors="replace") as file:
         names = [name.strip().strip('"').lower()[:1] for name in file.readline().split(",")]
