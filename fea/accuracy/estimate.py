@@ -75,15 +75,15 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     result["cell_size"] = float(np.median(np.concatenate(lengths)))
     if bundle is None or solver.component.analysis.nonlinear:
         return result
-    found = beyond_linear(second or solver, bundle.acting)
-    known = bool(np.isfinite(found.deviation).all())
+    beyond = beyond_linear(second or solver, bundle.acting)
+    known = bool(np.isfinite(beyond.deviation).all())
     basis = "nonlinear solves at two opposite corners of the load range"
-    if found.why:
-        basis += f", a part of them since {found.why}"
+    if beyond.why:
+        basis += f", a part of them since {beyond.why}"
     return result | {
-        "linearity": found.deviation.tolist() if known else None,
+        "linearity": beyond.deviation.tolist() if known else None,
         "linearity_basis": basis,
-        "buckling": found.buckling,
+        "buckling": beyond.buckling,
     }
 
 
@@ -99,17 +99,17 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     # What straight edges across round surfaces change, and the cells round for 1 %.
     own = np.diag(compliance)
     share = float(np.abs(np.diag(round_.change)[own > 0] / own[own > 0]).max())
-    words = (
+    cause = (
         f"straight edges across round surfaces, which turn by up to {np.degrees(round_.turn):.3g} "
         f"degrees a cell, change it by {100 * share:.2g} %"
     )
     if share > FINE:
         # The change grows with the square of the turn.
         cells = int(np.ceil(2 * np.pi / (round_.turn * np.sqrt(FINE / share))))
-        words = f"{words}; with {cells} cells round it is 1 %"
-    found = _report(compliance, np.array(errors), f"{basis}; {words}")
-    rounded = {"mesh": np.abs(errors[-1]).tolist(), "share": share, "basis": words}
-    return found | {"rounded": rounded}
+        cause = f"{cause}; with {cells} cells round it is 1 %"
+    report = _report(compliance, np.array(errors), f"{basis}; {cause}")
+    rounded = {"mesh": np.abs(errors[-1]).tolist(), "share": share, "basis": cause}
+    return report | {"rounded": rounded}
 
 
 def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
@@ -118,9 +118,9 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     There are no parts where nothing tells the error.
     """
     compliance, bundle = solver.linear.compliance, solver.component.bundle
-    found = kept(bundle, compliance.shape)
-    if found is not None:
-        return [found[0]], found[1]
+    study = kept(bundle, compliance.shape)
+    if study is not None:
+        return [study[0]], study[1]
     recovered = recovered_error(solver)
     lacks = 0.5 * _MARGIN * recovered.total[: len(compliance)]
     try:
@@ -166,7 +166,7 @@ def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
     mesh = np.abs(errors).sum(axis=0)
     own = np.sqrt(np.diag(mesh))
     mesh[:, : len(own)] += _MIXED * np.outer(own, own)
-    found = {"mesh": mesh.tolist(), "mesh_basis": basis}
+    report = {"mesh": mesh.tolist(), "mesh_basis": basis}
     # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.
     loads = len(compliance)
     diagonal = np.diag(compliance)
@@ -179,7 +179,7 @@ def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
     # Further inputs are no generalised forces of an interface: their rows are zero.
     added = np.zeros(compliance.T.shape)
     added[:loads] = stiffness @ errors.sum(axis=0)[:, :loads] @ stiffness
-    return found | {"mesh_stiffness": added.tolist()}
+    return report | {"mesh_stiffness": added.tolist()}
 
 
 def accuracy_or_why(solver: Solver) -> dict[str, Any]:
@@ -197,8 +197,8 @@ def accuracy_or_why(solver: Solver) -> dict[str, Any]:
 
 def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:
     """Return the same of a component that an outside solver answers for: nothing is known."""
-    words = "an outside solver's own mesh: the deck's author knows how far it is off"
-    return {"mesh": None, "mesh_basis": words, **_largest(bundle)}
+    why = "an outside solver's own mesh: the deck's author knows how far it is off"
+    return {"mesh": None, "mesh_basis": why, **_largest(bundle)}
 
 
 def _largest(bundle: Bundle | None) -> dict[str, list[float]]:
@@ -210,7 +210,7 @@ def _largest(bundle: Bundle | None) -> dict[str, list[float]]:
     if bundle is None:
         return {"loads": [1.0] * len(FREEDOMS)}
     largest = np.maximum(np.abs(bundle.acting.low), np.abs(bundle.acting.high))
-    idle = [one in own.locked for own in bundle.interfaces for one in FREEDOMS]
+    idle = [freedom in interface.locked for interface in bundle.interfaces for freedom in FREEDOMS]
     largest[: len(idle)][idle] = 0.0
-    zero = [0.0] * len(bundle.range.low) + [one.reference for one in bundle.further]
+    zero = [0.0] * len(bundle.range.low) + [scalar.reference for scalar in bundle.further]
     return {"loads": largest.tolist()} | ({"zero": zero} if any(zero) else {})

@@ -36,18 +36,11 @@ changes in proportion."""
 
 
 class Roundness(NamedTuple):
-    """What bending the edges changes.
+    """What bending the edges changes."""
 
-    Attributes
-    ----------
-    change
-        Shape (6 i, k): the compliance with straight edges, less that with bent ones, in its units.
-    turn
-        The largest turn from facet to facet that was taken for a round surface, rad.
-    """
-
+    # Shape (6 i, k): the compliance with straight edges, less that with bent ones, in its units
     change: Array
-    turn: float
+    turn: float  # the largest turn from facet to facet that was taken for a round surface, rad
 
 
 def roundness(solver: Solver) -> Roundness | None:
@@ -55,10 +48,7 @@ def roundness(solver: Solver) -> Roundness | None:
 
     It costs a linear solve. Of mesh files alone: other meshes are made on their geometry.
 
-    Raises
-    ------
-    SolveFailed
-        If the bent cells cannot be solved however little they are bent.
+    Raises SolveFailed if the bent cells cannot be solved however little they are bent.
     """
     component = solver.component
     source = component.bundle and component.bundle.mesh
@@ -70,12 +60,12 @@ def roundness(solver: Solver) -> Roundness | None:
     for part in _PARTS:
         mesh = replace(component.mesh, points=component.mesh.points + part * bows)
         try:
-            bent = Solver(replace(component, mesh=mesh)).linear.compliance
+            curved = Solver(replace(component, mesh=mesh)).linear.compliance
         except SolveFailed:
             if part == _PARTS[-1]:
                 raise
             continue
-        return Roundness((solver.linear.compliance - bent) / part, turn)
+        return Roundness((solver.linear.compliance - curved) / part, turn)
     raise AssertionError("the last part raises")
 
 
@@ -140,11 +130,11 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         if (apart > STRAIGHT * length[:, 0]).any():
             return np.zeros_like(bows), 0.0
         size = np.linalg.norm(bow, axis=1)
-        bent = np.flatnonzero(size > STRAIGHT * length[:, 0])
+        curved = np.flatnonzero(size > STRAIGHT * length[:, 0])
         # Of the facets at an edge that which bends it most counts.
-        bent = bent[np.argsort(size[bent])]
-        nodes = middles[bent, side]
-        bent = bent[size[bent] > np.linalg.norm(bows[nodes], axis=1)]
-        bows[middles[bent, side]] = bow[bent]
-        largest = max(largest, float(turn[bent].max(initial=0.0)))
+        curved = curved[np.argsort(size[curved])]
+        nodes = middles[curved, side]
+        curved = curved[size[curved] > np.linalg.norm(bows[nodes], axis=1)]
+        bows[middles[curved, side]] = bow[curved]
+        largest = max(largest, float(turn[curved].max(initial=0.0)))
     return bows, largest

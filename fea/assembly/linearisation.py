@@ -16,35 +16,20 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """A state and the forces in it under one wrench.
+    """A state and the forces in it under one wrench."""
 
-    Attributes
-    ----------
-    state
-        The configuration.
-    wrench
-        Shape (k,): the inputs, N and N·m of i interfaces; behind them the temperature, K from the
-        reference, if the body expands, and the accelerations that are inputs, m/s^2.
-    forces
-        Shape (n, 3), N: internal nodal forces, less those of weight and acceleration.
-    energy
-        Strain energy, J.
-    least_stretch
-        Smallest determinant of the deformation gradient.
-    nodal, border
-        What is out of balance: shape (n, 3), N, at the free nodes, zero at others; and shape
-        (border,), N and N·m for interface freedoms, m and m^2 for constraints.
-    heat
-        Norm of the nodal forces, N, and the energy, J, that heat alone has in a body held all over.
-    """
-
-    state: CoupledState
+    state: CoupledState  # the configuration
+    # Shape (k,): the inputs, N and N·m of i interfaces; behind them the temperature, K from the
+    # reference, if the body expands, and the accelerations that are inputs, m/s^2.
     wrench: Array
-    forces: Array
-    energy: float
-    least_stretch: float
+    forces: Array  # shape (n, 3), N: internal nodal forces, less those of weight and acceleration
+    energy: float  # Strain energy, J
+    least_stretch: float  # Smallest determinant of the deformation gradient
+    # nodal, border: what is out of balance: shape (n, 3), N, at the free nodes, zero at others; and
+    # shape (border,), N and N·m for interface freedoms, m and m^2 for constraints.
     nodal: Array
     border: Array
+    # Norm of the nodal forces, N, and the energy, J, that heat alone has in a body held all over
     heat: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -164,12 +149,8 @@ class Linearisation:
     def correction(self, balance: Balance) -> tuple[Array, Array]:
         """Return the changes that bring a nearby state into balance.
 
-        Returns
-        -------
-        nodes
-            Shape (n, 3), m: of the free nodes; the others are zero.
-        border
-            Shape (border,): of interface freedoms, m and rad, and of multipliers, N and N/m.
+        Returns nodes: shape (n, 3), m: of the free nodes; the others are zero. border: shape
+        (border,): of interface freedoms, m and rad, and of multipliers, N and N/m.
         """
         nodes, border = self.solve(balance.nodal[:, :, None], balance.border[:, None])
         return -nodes[:, :, 0], -border[:, 0]
@@ -177,19 +158,10 @@ class Linearisation:
     def solve(self, nodal: Array, border: Array) -> tuple[Array, Array]:
         """Solve the bordered equations for k load cases.
 
-        Parameters
-        ----------
-        nodal
-            Shape (n, 3, k), N.
-        border
-            Shape (border, k): N and N·m for interface freedoms, m and m^2 for constraints.
-
-        Returns
-        -------
-        nodes
-            Shape (n, 3, k), m: of the free nodes; the others are zero.
-        border
-            Shape (border, k).
+        nodal: shape (n, 3, k), N.
+        border: shape (border, k): N and N·m for interface freedoms, m and m^2 for constraints.
+        Returns nodes: shape (n, 3, k), m: of the free nodes; the others are zero. border: shape
+        (border, k).
         """
         moved = self.tangent.solve(nodal)
         carried = self._solve_border(border - contract(self._columns, moved))

@@ -10,28 +10,35 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.bundle.inputs_table import read_expansion
+from wrenchbook.fea.readers.registry import reader_named, reader_names
 from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import (
+    ACCELERATIONS,
     COUPLINGS,
     FREEDOMS,
     INTEGRATIONS,
     LAWS,
+    MOMENTS,
     ON_YIELD,
+    TEMPERATURE,
+    UNITS,
     Analysis,
     Bushing,
+    Deck,
     DeclaredRange,
     DeclaredTolerance,
     Interface,
     Material,
+    ScalarInput,
     Sliding,
     Supports,
 )
-from wrenchbook.fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys, bundle_file
 
 # Tables square loads and divide by them; the square root of the largest double, 1e154, is too near
 # since sums of such squares must be numbers too.
@@ -69,8 +76,8 @@ def read_supports(keys: Keys | None) -> Supports | None:
     if keys is None:
         return None
     fixed = keys.texts("fixed", required=False, least=1)
-    sliding = [_sliding(own) for own in keys.tables("sliding", required=False)]
-    bushings = [_bushing(own) for own in keys.tables("bushing", required=False)]
+    sliding = [_sliding(table) for table in keys.tables("sliding", required=False)]
+    bushings = [_bushing(entry) for entry in keys.tables("bushing", required=False)]
     if not any(keys):
         message = "holds nothing; write fixed, [[supports.sliding]] or [[supports.bushing]]"
         keys.problems.append(BundleProblem(keys.where, message))
@@ -133,15 +140,15 @@ def read_interfaces(top: Keys) -> list[tuple[Interface | None, DeclaredRange | N
         keys = top.table("interface", required=False)
         return [] if keys is None else [(_interface(keys), None)]
     has_mesh = "mesh" in top or "deck" in top
-    found = [_named_interface(keys, has_mesh) for keys in top.tables("interface")]
-    if len(found) == 1:
+    pairs = [_named_interface(keys, has_mesh) for keys in top.tables("interface")]
+    if len(pairs) == 1:
         top.wrong("interface", "is one alone; write [interface], without a name, or add others")
-    names = [own.name for own, _ in found if own is not None]
+    names = [own.name for own, _ in pairs if own is not None]
     if len(set(names)) < len(names):
         top.wrong("interface", "a name is there twice; each interface needs its own")
-    if sum(own is not None and own.held for own, _ in found) > 1:
+    if sum(own is not None and own.held for own, _ in pairs) > 1:
         top.wrong("interface", "only one can be held: it is the reference of all displacements")
-    return found
+    return pairs
 
 
 def _named_interface(keys: Keys, has_mesh: bool) -> tuple[Interface | None, DeclaredRange | None]:
@@ -235,11 +242,11 @@ def _bounds(keys: Keys, key: str, unit: str, may_rest: bool) -> list[tuple[float
     if len(loads) != 3:
         keys.wrong(key, f"must be three loads in {unit}, each a number or [low, high]")
         return []
-    found = [
+    pairs = [
         (0.0, 0.0) if may_rest and load == 0 else _bound(keys, f"{key}[{i}]", load, unit)
         for i, load in enumerate(loads)
     ]
-    return [pair for pair in found if pair is not None]
+    return [pair for pair in pairs if pair is not None]
 
 
 def _bound(keys: Keys, key: str, load: object, unit: str) -> tuple[float, float] | None:
@@ -320,7 +327,7 @@ def _orthotropic(keys: Keys) -> Orthotropic | None:
             )
         if point is None or axis is None:
             cylinder = None
-        elif not 1e-6 < math.sqrt(sum(one * one for one in axis)) < 1e6:
+        elif not 1e-6 < math.sqrt(sum(x * x for x in axis)) < 1e6:
             table.wrong("axis", "must be a direction: three numbers that are not all zero")
             cylinder = None
         else:
@@ -378,19 +385,13 @@ def read_axes(keys: Keys) -> np.ndarray | None:
     elif np.linalg.det(axes) < 0.0:
         keys.wrong("axes", "must be right-handed; turn one direction round")
     else:
-        return _orthonormal(axes.tolist())
+        # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so
+        # they must not depend on a machine's linear algebra library.
+        first, second, _ = axes.tolist()
+        x = _unit(first)
+        z = _unit(_cross(x, second))
+        return np.array([x, _unit(_cross(z, x)), z])
     return None
-
-
-def _orthonormal(axes: list[list[float]]) -> np.ndarray:
-    """Return directions written to a few digits as an exact frame with the same x.
-
-    In plain floats: the digits go into the fingerprint, so they must not depend on a machine's
-    linear algebra library.
-    """
-    x = _unit(axes[0])
-    z = _unit(_cross(x, axes[1]))
-    return np.array([x, _unit(_cross(z, x)), z])
 
 
 def _unit(v: list[float]) -> list[float]:
@@ -400,3 +401,143 @@ def _unit(v: list[float]) -> list[float]:
 
 def _cross(a: list[float], b: list[float]) -> list[float]:
     return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
+
+
+_LONGEST = 1e7  # seconds
+
+
+def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
+    """Return ``[deck]``."""
+    if keys is None:
+        return None
+    file = bundle_file(keys, "file", folder)
+    command = keys.texts("command", least=1, repeats=True)
+    output = keys.table("output")
+    reader, options = None, {}
+    name = None if output is None else output.choice("reader", reader_names())
+    if output is not None and name is not None:
+        reader = reader_named(name)
+        read = {key: output.text(key) for key in reader.keys}
+        output.close()
+        options = {"reader": name} | {key: text for key, text in read.items() if text is not None}
+    # The further files; all are put into one folder, so none may be in a subfolder.
+    names = keys.texts("files", required=False) or ()
+    others = []
+    for i, name in enumerate(names):
+        key = f"files[{i}]"
+        if Path(name).name != name:
+            keys.wrong(key, f'"{name}" is not directly in the bundle\'s folder; put it there')
+        elif file is not None and name == file.name:
+            keys.wrong(key, "is the deck itself; leave it out")
+        else:
+            each = bundle_file(Keys({key: name}, keys.problems, keys.where), key, folder)
+            others += [] if each is None else [each]
+    files = tuple(others)
+    unit = keys.choice("unit", tuple(UNITS), required=False) or "m"
+    timeout = keys.number("timeout", "s", above=0.0, below=_LONGEST, required=False)
+    moment = keys.choice("moment", MOMENTS, required=False)
+    keys.close()
+    if file is None or command is None or reader is None:
+        return None
+    moment = moment or reader.moment
+    return Deck(file, command, options, files, unit, timeout or 3600.0, moment)
+
+
+_UNITS = ("degC", "K")
+_ABSOLUTE_ZERO = {"degC": -273.15, "K": 0.0}
+_LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
+
+
+def read_inputs(top: Keys, folder: Path) -> tuple[ScalarInput, ...]:
+    """Return ``[inputs]``: the temperature and the three accelerations, those that are given."""
+    keys = top.table("inputs", required=False)
+    if keys is None:
+        return ()
+    warm = keys.table(TEMPERATURE, required=False)
+    pulled = keys.table("acceleration", required=False)
+    keys.close()
+    further = [] if warm is None else [_temperature(top, warm, folder)]
+    if pulled is not None:
+        sizes = pulled.numbers("range", len(ACCELERATIONS), "m/s^2") or []
+        pulled.close()
+        if sizes and min(sizes) <= 0:
+            message = "must be three numbers above 0 in m/s^2: each plus and minus its own"
+            pulled.wrong("range", message)
+        pairs = zip(ACCELERATIONS, sizes, strict=False)
+        further += [ScalarInput(name, "m/s^2", -size, size) for name, size in pairs]
+    return tuple(filter(None, further))
+
+
+def _temperature(top: Keys, keys: Keys, folder: Path) -> ScalarInput | None:
+    unit = keys.choice("unit", _UNITS, required=False) or _UNITS[0]
+    ends = keys.numbers("range", 2, unit)
+    reference = keys.number("reference", unit)
+    field = bundle_file(keys, "field", folder, required=False)
+    if field is not None and "mesh" not in top:
+        keys.wrong("field", "needs a [mesh]: a measured part has no nodes; leave it out")
+    keys.close()
+    if ends is None or reference is None:
+        return None
+    if ends[0] >= ends[1]:
+        keys.wrong("range", f"must rise from low to high, not [{ends[0]:g}, {ends[1]:g}]")
+    for key, lowest in (("range", min(ends)), ("reference", reference)):
+        if lowest < _ABSOLUTE_ZERO[unit]:
+            message = f"{lowest:g} {unit} is below absolute zero, {_ABSOLUTE_ZERO[unit]:g} {unit}"
+            keys.wrong(key, message)
+    return ScalarInput(TEMPERATURE, unit, ends[0], ends[1], reference, field)
+
+
+def read_expansion(keys: Keys, law: str | None) -> tuple[float, float, float] | None:
+    """Return a material's ``thermal_expansion`` in 1/K: a number, or three if it is orthotropic."""
+    key = "thermal_expansion"
+    if law == "orthotropic":
+        values = keys.numbers(key, 3, "1/K (along its axes)", required=False)
+    else:
+        value = keys.number(key, "1/K", required=False)
+        values = None if value is None else [value] * 3
+    if values is None:
+        return None
+    if max(map(abs, values)) > _LARGEST_EXPANSION:
+        message = f"is above {_LARGEST_EXPANSION:g} 1/K, more than any solid's; aluminium has 23e-6"
+        keys.wrong(key, message)
+    return values[0], values[1], values[2]
+
+
+def check_inputs(
+    top: Keys,
+    further: tuple[ScalarInput, ...],
+    materials: tuple[Material | None, ...],
+    interfaces: list[Interface | None],
+) -> None:
+    """Note what a component with further inputs lacks, or cannot have."""
+    names = [scalar.name for scalar in further]
+    if not names:
+        return
+    if "deck" in top:
+        message = "a [deck] takes none; the embedded solver and measured tables do"
+        top.wrong(further[0].key, message)
+    for interface in interfaces:
+        if interface is not None and interface.name in names:
+            top.wrong(
+                "interface", f'none may have the name "{interface.name}", which is an input\'s'
+            )
+    if TEMPERATURE in names:
+        for i, material in enumerate(materials):
+            if material is not None and material.thermal_expansion is None:
+                message = "missing; with [inputs.temperature] every material needs it, in 1/K"
+                top.wrong(f"material[{i}].thermal_expansion", message)
+            if material is not None and material.law == "neo-hookean":
+                message = (
+                    'takes no [inputs.temperature]; of small strains "isotropic" is the same law'
+                )
+                top.wrong(f"material[{i}].law", message)
+    if ACCELERATIONS[0] in names:
+        check_densities(top, materials, "[inputs.acceleration]")
+
+
+def check_densities(top: Keys, materials: tuple[Material | None, ...], key: str) -> None:
+    """Note the materials without the density that `key` needs."""
+    for i, material in enumerate(materials):
+        if material is not None and material.density is None:
+            message = f"missing; {key} needs each material's density, in kg/m^3"
+            top.wrong(f"material[{i}].density", message)

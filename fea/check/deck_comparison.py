@@ -25,16 +25,13 @@ _COMPARED = ("youngs_modulus", "poisson_ratio", "density", "thermal_expansion", 
 def listing(deck: DeckContent) -> dict[str, Any]:
     """Return the lines of each keyword that is read or compared, and ignored, and the elements.
 
-    Returns
-    -------
-    dict
-        ``read`` and ``ignored``: line numbers by keyword. ``elements``: by type, their number and
-        what else they are than in the deck, often nothing.
+    Result: ``read`` and ``ignored``: line numbers by keyword. ``elements``: by type, their number
+    and what else they are than in the deck, often nothing.
     """
     elements = {name: {"count": n, "instead": _instead(name)} for name, n in deck.elements.items()}
     read, ignored = (
-        {word: sorted(set(lines)) for word, lines in found.items()}  # of all instances of a part
-        for found in (deck.taken, deck.ignored)
+        {word: sorted(set(lines)) for word, lines in lines_of.items()}  # of all instances of a part
+        for lines_of in (deck.taken, deck.ignored)
     )
     return {"read": read, "ignored": ignored, "elements": elements}
 
@@ -59,23 +56,23 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     deck = component.mesh.deck
     if deck is None:
         return []
-    found = [f"{where} {words}" for where, words in deck.missing.items()]
-    found += _integrated(component, deck)
-    found += [words for one in deck.sections for words in _other_material(component, deck, one)]
+    messages = [f"{where} {text}" for where, text in deck.missing.items()]
+    integration = component.analysis.integration
+    messages += [
+        f'has {name}; [analysis] says integration = "{integration}" for it'
+        for name in deck.elements
+        if name.startswith("C3D20") and ("R" in name) != (integration == "reduced")
+    ]
+    messages += [
+        text for section in deck.sections for text in _other_material(component, deck, section)
+    ]
     cases = [
-        [words for one in case.supports for words in _freed(component, one)]
-        + [words for one in case.couplings for words in _uncoupled(component, one)]
+        [text for support in case.supports for text in _freed(component, support)]
+        + [text for coupled in case.couplings for text in _uncoupled(component, coupled)]
         for case in deck.cases
     ]
-    found += min(cases, key=len)  # a component is of one case of its deck
-    return [BundleProblem("mesh.file", words) for words in found]
-
-
-def _integrated(component: ComponentModel, deck: DeckContent) -> Iterator[str]:
-    own = component.analysis.integration
-    for name in deck.elements:
-        if name.startswith("C3D20") and ("R" in name) != (own == "reduced"):
-            yield f'has {name}; [analysis] says integration = "{own}" for it'
+    messages += min(cases, key=len)  # a component is of one case of its deck
+    return [BundleProblem("mesh.file", text) for text in messages]
 
 
 def _other_material(component: ComponentModel, deck: DeckContent, one: Any) -> Iterator[str]:
@@ -85,10 +82,10 @@ def _other_material(component: ComponentModel, deck: DeckContent, one: Any) -> I
     constants = deck.materials.get(one.material, {})
     for number in np.unique(np.concatenate([np.empty(0, dtype=int), *numbers])).tolist():
         material = component.bundle.materials[number]
-        words = f'{one.where} gives "{one.region}" the material "{one.material}"'
+        start = f'{one.where} gives "{one.region}" the material "{one.material}"'
         if material.law == "orthotropic":
             if "youngs_modulus" in constants:
-                yield f'{words}, which is isotropic; the component has law = "orthotropic"'
+                yield f'{start}, which is isotropic; the component has law = "orthotropic"'
             continue
         for key in filter(constants.__contains__, _COMPARED):
             own, other = getattr(material, key), constants[key] * in_si(key, unit)
@@ -97,7 +94,7 @@ def _other_material(component: ComponentModel, deck: DeckContent, one: Any) -> I
                 continue  # named with *PLASTIC itself
             if own is None or abs(own - other) > _SAME * abs(other):
                 yield (
-                    f"{words}: {key} {constants[key]:g}, with lengths in {unit} {other:.4g} in SI; "
+                    f"{start}: {key} {constants[key]:g}, with lengths in {unit} {other:.4g} in SI; "
                     f"the component has {'none' if own is None else format(own, '.4g')}"
                 )
 
@@ -105,8 +102,8 @@ def _other_material(component: ComponentModel, deck: DeckContent, one: Any) -> I
 def _freed(component: ComponentModel, one: HeldGroup) -> Iterator[str]:
     nodes = _nodes(component.mesh, one.group)
     nodes = np.setdiff1d(nodes, component.fixed_nodes)
-    held_ones = [own for own in component.interfaces if len(own.locked) == 6]
-    for interface in (*held_ones, *(own for own, _ in component.bushings)):
+    held_ones = [attached for attached in component.interfaces if len(attached.locked) == 6]
+    for interface in (*held_ones, *(bushing for bushing, _ in component.bushings)):
         nodes = np.setdiff1d(nodes, interface.section.node_ids)
     held = np.zeros((len(component.mesh.points), 3))
     sliding, projectors = component.sliding
@@ -122,21 +119,23 @@ def _freed(component: ComponentModel, one: HeldGroup) -> Iterator[str]:
 
 def _uncoupled(component: ComponentModel, one: CoupledGroup) -> Iterator[str]:
     nodes = _nodes(component.mesh, one.group)
-    attached = [*component.interfaces, *(own for own, _ in component.bushings)]
-    same = [own for own in attached if np.array_equal(own.section.node_ids, nodes)]
-    words = f'{one.where} makes "{one.group}" follow a point'
+    attached = [*component.interfaces, *(bushing for bushing, _ in component.bushings)]
+    same = [
+        interface for interface in attached if np.array_equal(interface.section.node_ids, nodes)
+    ]
+    start = f'{one.where} makes "{one.group}" follow a point'
     if not same:
         if np.setdiff1d(nodes, component.fixed_nodes).size:
-            yield f"{words}; no interface or bushing of the component has these nodes"
+            yield f"{start}; no interface or bushing of the component has these nodes"
         return
     if same[0].coupling != one.kind:
-        yield f'{words} as a "{one.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
+        yield f'{start} as a "{one.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
     point = np.array(one.point) * in_si("length", unit)
     size = np.ptp(component.mesh.points, axis=0).max()
     if one.point and np.abs(point - same[0].point).max() > _NEAR * size:
         here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
-        yield f"{words} at ({here}) m; {same[0].key}.point is ({there}) m"
+        yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
 
 
 def _nodes(mesh: Mesh, group: str) -> Array:

@@ -26,26 +26,18 @@ def each_interface(vector: Array) -> Array:
 
 def largest_rotation(displacement: Array) -> float:
     """Return the largest rotation, rad, among displacements of shape (6 i,), m and rad."""
-    return float(max(np.linalg.norm(own[3:]) for own in each_interface(displacement)))
+    return float(max(np.linalg.norm(interface[3:]) for interface in each_interface(displacement)))
 
 
 @dataclass(frozen=True, eq=False)
 class CoupledState:
-    """One configuration.
+    """One configuration."""
 
-    Attributes
-    ----------
-    nodes
-        Shape (n, 3), m: nodal displacements.
-    interface
-        Shape (6 i,), m and rad: translation and rotation vector of each of the i interfaces.
-    multipliers
-        Shape (6 i,), N and N/m: a distributed coupling's; node i feels w_i (l + m x b_i). Zero in a
-        rigid one. Those of bushings follow, then the bushings' motions, six each, m and rad.
-    """
-
-    nodes: Array
+    nodes: Array  # shape (n, 3), m: nodal displacements
+    # Shape (6 i,), m and rad: translation and rotation vector of each of the i interfaces
     interface: Array
+    # Shape (6 i,), N and N/m: a distributed coupling's; node i feels w_i (l + m x b_i). Zero in a
+    # rigid one. Those of bushings follow, then the bushings' motions, six each, m and rad.
     multipliers: Array
 
 
@@ -54,21 +46,15 @@ class Border(NamedTuple):
 
     With ties T, columns c and block d the whole tangent is
     [[K, K T + c], [(K T + c)^T, T^T K T + d]].
-
-    Attributes
-    ----------
-    ties
-        Shape (n, 3, border): how nodes that are no unknowns move with the border; dimensionless for
-        translations, m/rad for rotations.
-    columns
-        Shape (n, 3, border): the border's forces on free nodes, N over the unit of each unknown.
-    block
-        Shape (border, border): J over the units of both unknowns, so N/m, N and N·m for interface
-        freedoms.
     """
 
+    # Shape (n, 3, border): how nodes that are no unknowns move with the border; dimensionless for
+    # translations, m/rad for rotations.
     ties: Array
+    # Shape (n, 3, border): the border's forces on free nodes, N over the unit of each unknown
     columns: Array
+    # Shape (border, border): J over the units of both unknowns, so N/m, N and N·m for interface
+    # freedoms.
     block: Array
 
 
@@ -117,21 +103,13 @@ class SectionCoupling(ABC):
     ) -> tuple[Array, Array, Array]:
         """Return N, 3x3: the coupling's energy is linear in the rotation matrix R, and R : N in it.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shapes (s, 3), N, and (s, 3, k): internal nodal forces, and their change with k inputs.
-        fields
-            Shape (s, 3, k), m per unit of each: the nodes' change with the inputs.
-        border
-            Shape (6 + multipliers, k): the border's change with them.
-
-        Returns
-        -------
-        moments, changes, second
-            Shapes (3, 3), (3, 3, k) and (3, 3, k, k), N·m: N and its derivatives along the inputs.
+        state: the configuration.
+        forces: Shapes (s, 3), N, and (s, 3, k): internal nodal forces, and their change with k
+        inputs.
+        fields: shape (s, 3, k), m per unit of each: the nodes' change with the inputs.
+        border: shape (6 + multipliers, k): the border's change with them.
+        Returns moments, changes, second: Shapes (3, 3), (3, 3, k) and (3, 3, k, k), N·m: N and its
+        derivatives along the inputs.
         """
 
 
@@ -172,25 +150,14 @@ class Coupling:
     A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
     border moves all components, leave one that has.
 
-    Parameters
-    ----------
-    size
-        Number of the body's nodes.
-    sections
-        For each interface its coupling, its section's nodes, shape (s,), and its axes in those of
-        the body, shape (3, 3), a row each; None where they are the same. No two share a node.
-    active
-        Shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
-    anchors
-        Shape (a,), int64: nodes that are in no rigid section.
-    springs
-        The last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
-
-    Attributes
-    ----------
-    freedoms, motions, border
-        How many: 6 i of i interfaces; unknowns of the border that move something; all of them, the
-        multipliers last.
+    size: number of the body's nodes.
+    sections: for each interface its coupling, its section's nodes, shape (s,), and its axes in
+    those of the body, shape (3, 3), a row each; None where they are the same. No two share a node.
+    active: shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
+    anchors: shape (a,), int64: nodes that are in no rigid section.
+    springs: the last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
+    freedoms, motions, border: how many: 6 i of i interfaces; unknowns of the border that move
+    something; all of them, the multipliers last.
     """
 
     def __init__(
@@ -255,14 +222,10 @@ class Coupling:
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction; rigid sections are placed exactly.
 
-        Parameters
-        ----------
-        state
-            The state before.
-        nodes
-            Shape (n, 3), m: the correction of the free nodes.
-        border
-            Shape (border,): that of the interface freedoms, m and rad, and multipliers, N and N/m.
+        state: the state before.
+        nodes: shape (n, 3), m: the correction of the free nodes.
+        border: shape (border,): that of the interface freedoms, m and rad, and multipliers, N and
+        N/m.
         """
         motions, multipliers = self._unknowns(state)
         motions[self._moving] += border[: len(self._moving)]
@@ -279,21 +242,11 @@ class Coupling:
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return what is out of balance.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shape (n, 3), N: internal nodal forces in it.
-        wrench
-            Shape (6 i,), N and N·m.
-
-        Returns
-        -------
-        nodal
-            Shape (n, 3), N.
-        border
-            Shape (border,): N and N·m for interface freedoms, m and m^2 for constraints.
+        state: the configuration.
+        forces: shape (n, 3), N: internal nodal forces in it.
+        wrench: shape (6 i,), N and N·m.
+        Returns nodal: shape (n, 3), N. border: shape (border,): N and N·m for interface freedoms, m
+        and m^2 for constraints.
         """
         nodal, border = forces.copy(), np.zeros(self.border)
         loads = np.append(wrench, np.zeros(self._sprung))
@@ -309,14 +262,9 @@ class Coupling:
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return how the border joins the body's tangent.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shape (n, 3), N: internal nodal forces in it.
-        wrench
-            Shape (6 i,), N and N·m.
+        state: the configuration.
+        forces: shape (n, 3), N: internal nodal forces in it.
+        wrench: shape (6 i,), N and N·m.
         """
         # Field by field in memory, as the factorisation takes them.
         ties, columns = np.moveaxis(np.zeros((2, self.border, self._size, 3)), 1, 3)
@@ -354,20 +302,12 @@ class Coupling:
 
         Those of the springs, which are quadratic, are zero.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their change
-            with the inputs at the nodes that are `tied`.
-        fields, border
-            Shapes (n, 3, k), m per unit of each input, and (border, k): change with the inputs.
-
-        Returns
-        -------
-        Array
-            Shape (k, k, k), J over the units of three inputs.
+        state: the configuration.
+        forces: Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
+        change with the inputs at the nodes that are `tied`.
+        fields, border: Shapes (n, 3, k), m per unit of each input, and (border, k): change with the
+        inputs.
+        Result: shape (k, k, k), J over the units of three inputs.
         """
         total = np.zeros((border.shape[1],) * 3)
         for seat, own in self._parts(state):

@@ -26,12 +26,8 @@ class Distributed(SectionCoupling):
     Both are linear in u. Two multipliers l, m enforce them; node i then feels w_i (l + m x b_i).
     The interface displacement and the multipliers are the border.
 
-    Parameters
-    ----------
-    places
-        Shape (s, 3), m: the section's nodes, from the interface point.
-    weights
-        Shape (s,): area weights, of any scale.
+    places: shape (s, 3), m: the section's nodes, from the interface point.
+    weights: shape (s,): area weights, of any scale.
     """
 
     multipliers = PER_INTERFACE

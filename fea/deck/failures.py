@@ -32,9 +32,11 @@ def timed_out(program: str, seconds: float) -> SolveFailed:
     )
 
 
-def solver_failed(program: str, how: str, quoted: str, folder: Path) -> SolveFailed:
+def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:
     """Return the failure that a program reports, by its exit code or in its output."""
-    return SolveFailed("solver_failed", f'"{program}" {how}. It printed: {quoted}', _look(folder))
+    return SolveFailed(
+        "solver_failed", f'"{program}" {ending}. It printed: {quoted}', _look(folder)
+    )
 
 
 def not_converged(program: str, quoted: str) -> SolveFailed:

@@ -34,25 +34,15 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure of the shape of cells.
+    """One measure of the shape of cells."""
 
-    Attributes
-    ----------
-    name
-        Its key in the report.
-    of
-        From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit.
-    limit, larger_is_worse
-        From where on it is bad, and on which side.
-    words
-        What a bad cell is called.
-    """
-
-    name: str
+    name: str  # its key in the report
+    # From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit
     of: Callable[[Array, CellBlock], Array]
+    # limit, larger_is_worse: from where on it is bad, and on which side
     limit: float
     larger_is_worse: bool
-    words: str
+    words: str  # what a bad cell is called
 
 
 def scaled_jacobian(points: Array, block: CellBlock) -> Array:
@@ -119,11 +109,11 @@ def quality(mesh: Mesh) -> dict[str, dict[str, Any]]:
     return {measure.name: _worst(mesh, measure) for measure in MEASURES}
 
 
-def quality_warnings(found: dict[str, dict[str, Any]]) -> list[str]:
+def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
     """Return a sentence for each measure with cells beyond its limit."""
     warnings = []
     for measure in MEASURES:
-        one = found[measure.name]
+        one = measured[measure.name]
         if one["bad"]:
             place = ", ".join(f"{x:.4g}" for x in one["at"])
             warnings.append(

@@ -18,16 +18,9 @@ _COUNTS = {
 def refined(bundle: Bundle, factor: float) -> Bundle | None:
     """Return `bundle` with cells `factor` times as small along each direction.
 
-    Parameters
-    ----------
-    factor
-        Above 1 finer, below 1 coarser.
-
-    Returns
-    -------
-    Bundle or None
-        None if the mesh is a file, which only its author can refine. The fingerprint is that of
-        the original: what is solved with it must not become a row.
+    factor: Above 1 finer, below 1 coarser.
+    Result: None if the mesh is a file, which only its author can refine. The fingerprint is that of
+    the original: what is solved with it must not become a row.
     """
     mesh = bundle.mesh
     if mesh is None:

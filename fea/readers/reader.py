@@ -20,37 +20,20 @@ class OutputError(ValueError):
 
 @dataclass(frozen=True)
 class DeckRun:
-    """Where one run of a deck left its files.
+    """Where one run of a deck left its files."""
 
-    Attributes
-    ----------
-    folder
-        All of them.
-    job
-        The deck's name without its ending.
-    printed
-        The file with the program's standard output and errors.
-    """
-
-    folder: Path
-    job: str
-    printed: Path
+    folder: Path  # all of them
+    job: str  # the deck's name without its ending
+    printed: Path  # the file with the program's standard output and errors
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What was read.
+    """What was read."""
 
-    Attributes
-    ----------
-    displacement
-        Six finite numbers: translation (in the deck's length unit) and rotation vector (rad).
-    unknowns
-        Degrees of freedom solved for; 0 where the solver does not tell.
-    """
-
+    # Six finite numbers: translation (in the deck's length unit) and rotation vector (rad)
     displacement: tuple[float, ...]
-    unknowns: int = 0
+    unknowns: int = 0  # degrees of freedom solved for; 0 where the solver does not tell
 
 
 @dataclass(frozen=True)

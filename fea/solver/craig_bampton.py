@@ -28,29 +28,18 @@ _SEED = 19680701  # of the start vector: the same bundle gives the same digits
 
 @dataclass(frozen=True, eq=False)
 class CraigBampton:
-    """Stiffness and mass of f frames and n modes.
+    """Stiffness and mass of f frames and n modes."""
 
-    Attributes
-    ----------
-    names
-        Of the frames; that of supports is "base".
-    origins
-        Shape (f, 3), m: of the frames, undeformed, in the mesh's axes.
-    rotations
-        Shape (f, 3, 3): the columns are a frame's axes in the mesh's.
-    stiffness, mass
-        Shape (6 f + n, 6 f + n): of six freedoms a frame, then the modes; N/m, N, N·m and kg, kg·m,
-        kg·m^2 for frames, (rad/s)^2 and 1 for modes, kg^0.5 and kg^0.5·m between both.
-    held, free
-        Natural frequencies, Hz, ascending: with all frames held, shape (n,); and with the base
-        alone held, by these matrices, shape (6 f - 6 + n,).
-    """
-
-    names: tuple[str, ...]
-    origins: Array
-    rotations: Array
+    names: tuple[str, ...]  # of the frames; that of supports is "base"
+    origins: Array  # shape (f, 3), m: of the frames, undeformed, in the mesh's axes
+    rotations: Array  # shape (f, 3, 3): the columns are a frame's axes in the mesh's
+    # stiffness, mass: shape (6 f + n, 6 f + n): of six freedoms a frame, then the modes; N/m, N,
+    # N·m and kg, kg·m, kg·m^2 for frames, (rad/s)^2 and 1 for modes, kg^0.5 and kg^0.5·m between
+    # both.
     stiffness: Array
     mass: Array
+    # held, free: Natural frequencies, Hz, ascending: with all frames held, shape (n,); and with the
+    # base alone held, by these matrices, shape (6 f - 6 + n,).
     held: Array
     free: Array
 
@@ -65,22 +54,12 @@ def craig_bampton(
 ) -> CraigBampton:
     """Return the part's matrices, of so many modes with all frames held.
 
-    Parameters
-    ----------
-    mass
-        Shape (n, n), kg: `fea.solver.vibration.consistent_mass`.
-    points, body
-        Shape (n, 3), m: the nodes in the mesh's axes; and (3, 3): the axes of the equations'
-        fields in the mesh's, in rows.
-    frames
-        Of the base, and then of each interface that moves, the name, point (3,), m, and axes.
-
-    Raises
-    ------
-    ValueError
-        If freedoms are locked, nothing has a mass, or there are not so many modes.
-    SolveFailed
-        ``mechanism`` or ``ill_conditioned``.
+    mass: shape (n, n), kg: `fea.solver.vibration.consistent_mass`.
+    points, body: shape (n, 3), m: the nodes in the mesh's axes; and (3, 3): the axes of the
+    equations' fields in the mesh's, in rows.
+    frames: of the base, and then of each interface that moves, the name, point (3,), m, and axes.
+    Raises ValueError if freedoms are locked, nothing has a mass, or there are not so many modes.
+    Raises SolveFailed: ``mechanism`` or ``ill_conditioned``.
     """
     count = system.coupling.freedoms
     inertia = Inertia(system, mass, np.zeros((count, count)))
@@ -100,22 +79,18 @@ def craig_bampton(
     fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
     total = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
     energies = 0.5 * np.asarray(total + np.transpose(total))  # twice the kinetic ones of pairs
-    stiffness = _stiffness(compliance, moved, squares)
+    # The stiffness of base, interfaces and modes, from what the base moves (6 i, 6).
+    both = np.hstack([-moved, np.eye(len(compliance))])
+    first = both.shape[1]
+    stiffness = np.zeros((first + len(squares),) * 2)
+    stiffness[:first, :first] = both.T @ np.linalg.inv(compliance) @ both
+    stiffness[first:, first:] = np.diag(squares)
+    stiffness = 0.5 * (stiffness + stiffness.T)
     own = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
     names, origins, rows = zip(*frames, strict=True)
     turned = np.array(rows).swapaxes(1, 2)
-    held, free = (np.sqrt(one) / (2 * np.pi) for one in (squares, own))
+    held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, own))
     return CraigBampton(names, np.array(origins), turned, stiffness, energies, held, free)
-
-
-def _stiffness(compliance: Array, moved: Array, squares: Array) -> Array:
-    """Return the stiffness of base, interfaces and modes, from what the base moves (6 i, 6)."""
-    both = np.hstack([-moved, np.eye(len(compliance))])
-    frames, modes = both.shape[1], len(squares)
-    found = np.zeros((frames + modes,) * 2)
-    found[:frames, :frames] = both.T @ np.linalg.inv(compliance) @ both
-    found[frames:, frames:] = np.diag(squares)
-    return 0.5 * (found + found.T)
 
 
 def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Array]:
@@ -139,7 +114,7 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
 
 def _nodal(inertia: Inertia, motions: Array) -> Array:
     """Return all nodes' motions, shape (n, 3, k), of unknowns (size, k)."""
-    return np.stack([inertia.fields(one)[0] for one in motions.T], axis=2)
+    return np.stack([inertia.fields(motion)[0] for motion in motions.T], axis=2)
 
 
 def _rigid(arms: Array, axes: Array) -> Array:

@@ -68,18 +68,10 @@ def load_rates(coupling: Coupling, balance: Balance, compliance: Array) -> Array
 def third_derivatives(system: System, balance: Balance, tangent: Linearisation) -> Array:
     """Return the third derivatives of the complementary energy by the loads (F, mu).
 
-    Parameters
-    ----------
-    system
-        The equations.
-    balance, tangent
-        A state in balance, and the tangent there.
-
-    Returns
-    -------
-    Array
-        Shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
-        where one is that of a locked freedom.
+    system: the equations.
+    balance, tangent: a state in balance, and the tangent there.
+    Result: shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
+    where one is that of a locked freedom.
     """
     state, inputs, coupling = balance.state, balance.wrench, system.coupling
     active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))
@@ -107,10 +99,10 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
         once[:, :, coupling.active.size] = np.imag(ahead) / _COMPLEX_STEP
         bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
         twice[coupling.active.size, coupling.active.size] = contract(bend[:, :, None], fields)[0]
-        found = every_place(once + twice)
-        found[coupling.active.size, coupling.active.size, coupling.active.size] += (
+        heat = every_place(once + twice)
+        heat[coupling.active.size, coupling.active.size, coupling.active.size] += (
             _JERK @ energies / _WARMER**3
         )
-        own += found
+        own += heat
     tensor[np.ix_(active, active, active)] = -own
     return tensor

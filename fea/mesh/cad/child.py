@@ -10,7 +10,7 @@ import os
 import pickle
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -84,35 +84,26 @@ def main() -> None:
                 if not optimise:
                     gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)
                 gmsh.model.mesh.generate(3)
-                fields, arrays = _collected(gmsh, groups, regions)
+                # The mesh in gmsh, each body's cells and each chosen face's facets as one block.
+                tags, places, _ = gmsh.model.mesh.getNodes()
+                row = np.full(int(tags.max()) + 1, -1, dtype=np.int64)
+                row[tags.astype(np.int64)] = np.arange(len(tags))
+                faces = sorted({number for numbers in groups.values() for number in numbers})
+                bodies = [number for _, number in gmsh.model.getEntities(3)]
+                blocks = [_cells(gmsh, _TET10, n, row)[:, _TO_VTK] for n in bodies]
+                blocks += [_cells(gmsh, _TRI6, n, row) for n in faces]
+                sets = {}
+                for name in {**groups, **regions}:
+                    chosen = [n in regions.get(name, ()) for n in bodies]
+                    chosen += [n in groups.get(name, ()) for n in faces]
+                    sets[name] = np.flatnonzero(chosen).tolist()
+                content = {str(i): nodes for i, nodes in enumerate(blocks)}
+                fields, arrays = {"sets": sets}, {"points": places.reshape(-1, 3)} | content
     except BundleError as error:
         fields = {"problems": [asdict(problem) for problem in error.problems]}
     head = np.frombuffer(json.dumps(fields).encode(), dtype=np.uint8)
     with output:
         np.savez(output, head=head, **arrays)
-
-
-def _collected(
-    gmsh: Any, groups: Mapping[str, list[int]], regions: Mapping[str, list[int]]
-) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the mesh in gmsh, each body's cells and each chosen face's facets as one block.
-
-    ``sets`` has for each group and region the numbers of its blocks.
-    """
-    tags, places, _ = gmsh.model.mesh.getNodes()
-    row = np.full(int(tags.max()) + 1, -1, dtype=np.int64)
-    row[tags.astype(np.int64)] = np.arange(len(tags))
-    faces = sorted({number for numbers in groups.values() for number in numbers})
-    bodies = [number for _, number in gmsh.model.getEntities(3)]
-    blocks = [_cells(gmsh, _TET10, n, row)[:, _TO_VTK] for n in bodies]
-    blocks += [_cells(gmsh, _TRI6, n, row) for n in faces]
-    sets = {}
-    for name in {**groups, **regions}:
-        chosen = [n in regions.get(name, ()) for n in bodies]
-        chosen += [n in groups.get(name, ()) for n in faces]
-        sets[name] = np.flatnonzero(chosen).tolist()
-    arrays = {str(i): nodes for i, nodes in enumerate(blocks)}
-    return {"sets": sets}, {"points": places.reshape(-1, 3)} | arrays
 
 
 def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
@@ -124,10 +115,8 @@ def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
 def opened(path: Path) -> Iterator[Any]:
     """Open a geometry file, bodies that touch glued to each other; yields the module gmsh.
 
-    Raises
-    ------
-    BundleError
-        If gmsh is not there, the file cannot be read or holds no solid body, or gmsh fails.
+    Raises BundleError if gmsh is not there, the file cannot be read or holds no solid body, or gmsh
+    fails.
     """
     try:
         import gmsh
