@@ -234,7 +234,7 @@ class Workspace:
         known = self.errors.read(component.name, component.fingerprint)
         # A later solve of an earlier component of this name and setup may have refined it.
         if estimate is not None and (known is None or not known.can_grow):
-            self.errors.settle(component.name, component.fingerprint, estimate)
+            self.errors.record(component.name, component.fingerprint, estimate)
 
     def _on_added(self, component: Component) -> None:
         with suppress(TableBehindError):  # the ledger has rows of an earlier one of this name
