@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from wrenchbook.fea.component import build
 from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import Bundle
 
 Array = np.ndarray
@@ -115,9 +117,13 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
         source = bundle.mesh
         if source is None:
             raise ValueError("a component without a [mesh] is a table: nothing is meshed")
-        mesh = read_mesh(path, source.unit)
-        mesh = mesh if source.order is None else second_order(mesh)
-        solvers.append(Solver(build(bundle, mesh)))
+        try:
+            mesh = read_mesh(path, source.unit)
+            mesh = mesh if source.order is None else second_order(mesh)
+            solvers.append(Solver(build(bundle, mesh)))
+        except BundleError as error:
+            named = [replace(own, where=f"{path.name}: {own.where}") for own in error.problems]
+            raise BundleError(named) from None
     while not finer_meshes and len(solvers) < 3:
         refined = finer(solvers[-1], MOST_UNKNOWNS if len(solvers) > 1 else None, _STEP)
         if refined is None:

@@ -66,8 +66,9 @@ class _Proposal:
         """Return the case of a name, else the last; where cases differ, `decide` lists them."""
         cases = {case.name.upper(): case for case in self.deck.cases}
         if name is not None and name.upper() not in cases:
-            names = ", ".join(f'"{case.name}"' for case in cases.values())
-            raise BundleError([BundleProblem("case", f'the deck has no "{name}"; it has {names}')])
+            names = ", ".join(f'"{case.name}"' for case in cases.values() if case.name)
+            there = f"it has {names}" if names else "it has no steps: leave --case out"
+            raise BundleError([BundleProblem("case", f'the deck has no "{name}"; {there}')])
         case = cases[name.upper()] if name is not None else self.deck.cases[-1]
         alike: dict[str, list[str]] = {}
         for own in self.deck.cases:
@@ -231,9 +232,13 @@ def propose(
     if (folder / FILE_NAME).exists():
         raise BundleError([BundleProblem(str(folder), f"has a {FILE_NAME}; name a new folder")])
     text, left, decide = _deck_text(file)
-    folder.mkdir(parents=True, exist_ok=True)
     deck = folder / f"{file.stem}.inp"
-    deck.write_text(text, encoding="utf-8")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        deck.write_text(text, encoding="utf-8")
+    except OSError as error:
+        message = f"cannot be written ({error.strerror}); name a new folder"
+        raise BundleError([BundleProblem(str(folder), message)]) from None
     proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m", case)
     proposal.decide += decide
     if unit is None:
@@ -274,7 +279,10 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
         if file.suffix.lower() != ".inp":
             raise MeshFileError(f"is no .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand")
         return text, [], []
-    except (OSError, MeshFileError) as error:
+    except OSError as error:
+        message = f"cannot be read ({error.strerror}); name an input deck"
+        raise BundleError([BundleProblem(str(file), message)]) from None
+    except MeshFileError as error:
         raise BundleError([BundleProblem(file.name, str(error))]) from None
 
 
