@@ -73,7 +73,13 @@ def craig_bampton(
         raise ValueError(f"there are 1 to {inertia.size - freedoms - 1} modes, not {modes}")
     shapes, compliance = static_shapes(inertia)
     squares, motions = _held_modes(inertia, shapes, modes)
-    moved = np.concatenate([_frame_motion(own, point - origin, axes) for _, point, own in moving])
+    # Each frame's motion (6, 6), in its own axes, by that of the first frame.
+    turned = np.hstack([np.zeros((3, 3)), axes.T])
+    motions_of = [
+        np.vstack([own @ _rigid((point - origin)[None], axes)[0], own @ turned])
+        for _, point, own in moving
+    ]
+    moved = np.concatenate(motions_of)
     static = _nodal(inertia, shapes)
     base = np.einsum("ij,njk->nik", body, _rigid(points - origin, axes)) - static @ moved
     fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
@@ -124,9 +130,3 @@ def _rigid(arms: Array, axes: Array) -> Array:
     """
     translations = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
     return np.concatenate([translations, -skew(arms)], axis=2) @ np.kron(np.eye(2), axes.T)
-
-
-def _frame_motion(own: Array, arm: Array, axes: Array) -> Array:
-    """Return a frame's motion (6, 6), in its axes `own`, by that of another at an arm (3,), m."""
-    turned = np.hstack([np.zeros((3, 3)), axes.T])
-    return np.vstack([own @ _rigid(arm[None], axes)[0], own @ turned])
