@@ -71,8 +71,8 @@ class _Proposal:
             raise BundleError([BundleProblem("case", f'the deck has no "{name}"; {there}')])
         case = cases[name.upper()] if name is not None else self.deck.cases[-1]
         alike: dict[str, list[str]] = {}
-        for own in self.deck.cases:
-            alike.setdefault(own.summary(), []).append(f'"{own.name}"')
+        for other in self.deck.cases:
+            alike.setdefault(other.summary(), []).append(f'"{other.name}"')
         if len(alike) > 1 and name is None:
             parts = [f"{', '.join(names)} {summary}" for summary, names in alike.items()]
             more = [f"{len(parts) - _MOST_CASES} more"][: len(parts) > _MOST_CASES]
@@ -123,9 +123,9 @@ class _Proposal:
         pairs = [("all" if alone else section.region, section.material) for section in sections]
         lines = []
         for region, name in dict(pairs).items() if pairs else [("all", "")]:
-            own = self.deck.materials.get(name, {})
-            values = [f"{key} = {own[key] * in_si(key, self.unit):.9g}" for key in own]
-            lacking = [key for key in _ELASTIC if key not in own]
+            constants = self.deck.materials.get(name, {})
+            values = [f"{key} = {constants[key] * in_si(key, self.unit):.9g}" for key in constants]
+            lacking = [key for key in _ELASTIC if key not in constants]
             if lacking:
                 self.decide.append(f'material of "{region}": write its {" and ".join(lacking)}')
             lines += ["", "[[material]]", f"region = {_text(region)}", *values]
@@ -133,15 +133,15 @@ class _Proposal:
 
     def filled(self, sections: list[SolidSection]) -> bool:
         """Return whether each cell is in a section."""
-        own = zip(*(self.mesh.regions[section.region] for section in sections), strict=True)
-        pairs = zip(own, self.mesh.blocks, strict=True)
+        by_block = zip(*(self.mesh.regions[section.region] for section in sections), strict=True)
+        pairs = zip(by_block, self.mesh.blocks, strict=True)
         return all(np.unique(np.concatenate(cells)).size == len(block) for cells, block in pairs)
 
     def supports(self) -> list[str]:
-        own = [support for support in self.case.supports if support.group in self.groups]
-        fixed = [one.group for one in own if one.directions == "xyz"]
-        sliding = [one for one in own if one.directions != "xyz"]
-        if not own:
+        held = [support for support in self.case.supports if support.group in self.groups]
+        fixed = [slide.group for slide in held if slide.directions == "xyz"]
+        sliding = [slide for slide in held if slide.directions != "xyz"]
+        if not held:
             self.decide.append("supports: the deck holds nothing; name fixed groups")
             fixed = [_CHOOSE]
         names = ", ".join(map(_text, dict.fromkeys(fixed)))
@@ -157,46 +157,53 @@ class _Proposal:
 
     def interfaces(self) -> list[str]:
         """Return each coupling that is free, else the group with forces, as an interface."""
-        own = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
-        sections = {one.group for one in own} or set(list(self.case.loads)[:1])
+        groups = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
+        sections = {one.group for one in groups} or set(list(self.case.loads)[:1])
         self.left += [
             f'forces on "{group}", which is no interface'
             for group, loads in self.case.loads.items()
             if any(loads) and group not in sections
         ]
-        if not own:
+        if not groups:
             group, loads = next(iter(self.case.loads.items()), (_CHOOSE, [0.0] * 6))
             group = group if group in self.groups else _CHOOSE
             self.decide.append(f"interface: no free coupling in the deck; section = {group}")
-            own = [CoupledGroup("", group, "distributed", (), set(), loads)]
-        if len(own) == 1:
-            return ["", "[interface]", *self.interface(own[0]), "", "[range]", *self.range(own[0])]
+            groups = [CoupledGroup("", group, "distributed", (), set(), loads)]
+        if len(groups) == 1:
+            return [
+                "",
+                "[interface]",
+                *self.interface(groups[0]),
+                "",
+                "[range]",
+                *self.range(groups[0]),
+            ]
         lines = []
-        for one in own:
+        for one in groups:
             lines += ["", "[[interface]]", f"name = {_text(_name(one.group))}"]
             lines += [*self.interface(one), "[interface.range]", *self.range(one)]
         return lines
 
-    def interface(self, one: CoupledGroup) -> list[str]:
-        place = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in one.point)
-        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(one.held))
+    def interface(self, group: CoupledGroup) -> list[str]:
+        place = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
+        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
         return [
-            f"section = {_text(one.group)}",
+            f"section = {_text(group.group)}",
             *([f"point = [{place}]"] if place else []),
-            f"coupling = {_text(one.kind)}",
+            f"coupling = {_text(group.kind)}",
             *([f"locked = [{locked}]"] if locked else []),
         ]
 
-    def range(self, one: CoupledGroup) -> list[str]:
+    def range(self, group: CoupledGroup) -> list[str]:
         """Return plus and minus the largest force and moment, or those of a lever."""
-        force = max(map(abs, one.loads[:3])) * in_si("force", self.unit)
-        moment = max(map(abs, one.loads[3:])) * in_si("moment", self.unit)
+        force = max(map(abs, group.loads[:3])) * in_si("force", self.unit)
+        moment = max(map(abs, group.loads[3:])) * in_si("moment", self.unit)
         complete = force and moment
         force = force or moment / _LEVER or _FORCE
         moment = moment or force * _LEVER
         if not complete:
             why = f"the deck lacks force or moment; {force:.4g} N and {moment:.4g} N·m stand"
-            self.decide.append(f'range at "{one.group}": {why}')
+            self.decide.append(f'range at "{group.group}": {why}')
         return [
             f"{k} = [{v:.4g}, {v:.4g}, {v:.4g}]" for k, v in (("force", force), ("moment", moment))
         ]

@@ -185,8 +185,8 @@ def _look_at_component(
     attached = [_section(interface) for interface in component.interfaces]
     # The ranges of the inputs behind the loads, where there are any.
     inputs: dict[str, Any] = {}
-    if own := component.temperature:
-        inputs["temperature"] = {"low": own.low, "high": own.high, "reference": own.reference}
+    if warm := component.temperature:
+        inputs["temperature"] = {"low": warm.low, "high": warm.high, "reference": warm.reference}
     if component.accelerated:
         inputs["acceleration"] = [scalar.high for scalar in component.further[-3:]]
     counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}

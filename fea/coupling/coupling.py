@@ -131,8 +131,8 @@ class _Attachment(NamedTuple):
 
     def inwards(self, field: Array) -> Array:
         """Take a nodal field (n, 3, ...) of the body to the section: (s, 3, ...), in its axes."""
-        own = field[self.nodes]
-        return own if self.turn is None else np.einsum("ij,sj...->si...", self.turn, own)
+        local = field[self.nodes]
+        return local if self.turn is None else np.einsum("ij,sj...->si...", self.turn, local)
 
     def outwards(self, field: Array) -> Array:
         """Turn a field of the section, (s, 3) or (s, 3, k), into the body's axes."""
@@ -182,10 +182,10 @@ class Coupling:
         spring_of = [*[None] * (len(sections) - len(springs)), *springs]
         for number, (section, nodes, turn) in enumerate(sections):
             first = PER_INTERFACE * number
-            own = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
+            chosen_freedoms = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
             more = np.arange(section.multipliers)
-            chosen = np.concatenate([active[own] - first, PER_INTERFACE + more])
-            border = np.concatenate([own, self.border + more])
+            chosen = np.concatenate([active[chosen_freedoms] - first, PER_INTERFACE + more])
+            border = np.concatenate([chosen_freedoms, self.border + more])
             freedoms = slice(first, first + PER_INTERFACE)
             spring = spring_of[number]
             self._attachments.append(
@@ -213,7 +213,7 @@ class Coupling:
 
     def spring_energy(self, state: CoupledState) -> float:
         """Return the energy of the bushings' springs, J."""
-        parts = [(attached.spring, own.interface) for attached, own in self._parts(state)]
+        parts = [(attached.spring, local.interface) for attached, local in self._parts(state)]
         return float(sum(0.5 * q @ spring @ q for spring, q in parts if spring is not None))
 
     def spring_energies(self, border: Array) -> Array:
@@ -239,9 +239,9 @@ class Coupling:
         placed = state.nodes + nodes
         placed[self._anchors] += border[self._anchored].reshape(-1, 3)
         for attached in self._attachments:
-            own = attached.section.placed(motions[attached.freedoms])
-            if own is not None:
-                placed[attached.nodes] = attached.outwards(own)
+            local = attached.section.placed(motions[attached.freedoms])
+            if local is not None:
+                placed[attached.nodes] = attached.outwards(local)
         interface, sprung = np.split(motions, [self.freedoms])
         return CoupledState(placed, interface, np.append(multipliers, sprung))
 
@@ -256,13 +256,13 @@ class Coupling:
         """
         nodal, border = forces.copy(), np.zeros(self.border)
         loads = np.append(wrench, np.zeros(self._sprung))
-        for attached, own in self._parts(state):
+        for attached, local in self._parts(state):
             added, rest = attached.section.residual(
-                own, attached.inwards(forces), loads[attached.freedoms]
+                local, attached.inwards(forces), loads[attached.freedoms]
             )
             nodal[attached.nodes] += attached.outwards(added)
             if attached.spring is not None:
-                rest[:PER_INTERFACE] += attached.spring @ own.interface
+                rest[:PER_INTERFACE] += attached.spring @ local.interface
             border[attached.border] = rest[attached.chosen]
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
@@ -278,9 +278,9 @@ class Coupling:
         ties, columns = np.moveaxis(np.zeros((2, self.border, self._size, 3)), 1, 3)
         block = np.zeros((self.border, self.border))
         loads = np.append(wrench, np.zeros(self._sprung))
-        for attached, own in self._parts(state):
+        for attached, local in self._parts(state):
             found = attached.section.bordered(
-                own, attached.inwards(forces), loads[attached.freedoms]
+                local, attached.inwards(forces), loads[attached.freedoms]
             )
             if attached.spring is not None:
                 found.block[:PER_INTERFACE, :PER_INTERFACE] += attached.spring
@@ -302,11 +302,11 @@ class Coupling:
         Shape (border, 6 i), dimensionless; rows of constraints are zero.
         """
         columns = np.zeros((self.border, self.freedoms))
-        for attached, own in self._parts(state):
+        for attached, local in self._parts(state):
             if attached.spring is None:
-                columns[attached.border, attached.freedoms] = attached.section.wrench_columns(own)[
-                    attached.chosen
-                ]
+                columns[attached.border, attached.freedoms] = attached.section.wrench_columns(
+                    local
+                )[attached.chosen]
         return columns
 
     def third(
@@ -324,12 +324,12 @@ class Coupling:
         Result: shape (k, k, k), J over the units of three inputs.
         """
         total = np.zeros((border.shape[1],) * 3)
-        for attached, own in self._parts(state):
+        for attached, local in self._parts(state):
             moved = np.zeros((PER_INTERFACE + attached.section.multipliers, border.shape[1]))
             moved[attached.chosen] = border[attached.border]
             acting = attached.inwards(forces[0]), attached.inwards(forces[1])
-            moments = attached.section.arm_moments(own, acting, attached.inwards(fields), moved)
-            total += _third_of_rotation(own.interface[3:], moved[3:6], *moments)
+            moments = attached.section.arm_moments(local, acting, attached.inwards(fields), moved)
+            total += _third_of_rotation(local.interface[3:], moved[3:6], *moments)
         return total
 
     def displacement_rows(self, border: Array) -> Array:
@@ -344,10 +344,12 @@ class Coupling:
     def _parts(self, state: CoupledState) -> Iterator[tuple[_Attachment, CoupledState]]:
         motions, multipliers = self._unknowns(state)
         for attached in self._attachments:
-            own = attached.freedoms
+            freedoms = attached.freedoms
             yield (
                 attached,
-                CoupledState(attached.inwards(state.nodes), motions[own], multipliers[own]),
+                CoupledState(
+                    attached.inwards(state.nodes), motions[freedoms], multipliers[freedoms]
+                ),
             )
 
     def _unknowns(self, state: CoupledState) -> tuple[Array, Array]:

@@ -76,8 +76,8 @@ def craig_bampton(
     # Each frame's motion (6, 6), in its own axes, by that of the first frame.
     turned = np.hstack([np.zeros((3, 3)), axes.T])
     motions_of = [
-        np.vstack([own @ _rigid((point - origin)[None], axes)[0], own @ turned])
-        for _, point, own in moving
+        np.vstack([eigenvalues @ _rigid((point - origin)[None], axes)[0], eigenvalues @ turned])
+        for _, point, eigenvalues in moving
     ]
     moved = np.concatenate(motions_of)
     static = _nodal(inertia, shapes)
@@ -92,10 +92,10 @@ def craig_bampton(
     stiffness[:first, :first] = both.T @ np.linalg.inv(compliance) @ both
     stiffness[first:, first:] = np.diag(squares)
     stiffness = 0.5 * (stiffness + stiffness.T)
-    own = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
+    eigenvalues = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
     names, origins, rows = zip(*frames, strict=True)
     turned = np.array(rows).swapaxes(1, 2)
-    held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, own))
+    held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, eigenvalues))
     return CraigBampton(names, np.array(origins), turned, stiffness, energies, held, free)
 
 
@@ -105,13 +105,13 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
     By Lanczos' method with the inverse of the stiffness while the interfaces are held: a solve less
     the static shapes of what it moves them by.
     """
-    own = slice(inertia.first, inertia.first + inertia.active.size)
+    interface_rows = slice(inertia.first, inertia.first + inertia.active.size)
 
     def held(loads: Array) -> Array:
         moved = inertia.solved(loads)
-        return moved - shapes @ moved[own]
+        return moved - shapes @ moved[interface_rows]
 
-    mass, inverse = (Applied(inertia.size, one) for one in (inertia.times, held))
+    mass, inverse = (Applied(inertia.size, apply) for apply in (inertia.times, held))
     start = held(np.random.default_rng(_SEED).standard_normal(inertia.size))
     squares, motions = eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
     order = np.argsort(squares)
