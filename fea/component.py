@@ -109,9 +109,9 @@ class ComponentModel:
 
     def warming(self, inputs: Array) -> float:
         """Return the temperature among inputs, shape (k,), K from the reference; 0 if none is."""
-        own = self.temperature
+        warm = self.temperature
         place = len(FREEDOMS) * len(self.interfaces)
-        return 0.0 if own is None else float(inputs[place] - own.reference)
+        return 0.0 if warm is None else float(inputs[place] - warm.reference)
 
     @property
     def supported_nodes(self) -> Array:
@@ -184,11 +184,13 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     keys = [f"interface[{i}]" for i in range(len(bundle.interfaces))]
     keys = ["interface"] if len(keys) == 1 else keys
     pairs = zip(keys, bundle.interfaces, strict=True)
-    first, *others = [_attach(mesh, f"{key}.section", own, problems) for key, own in pairs]
+    first, *others = [_attach(mesh, f"{key}.section", source, problems) for key, source in pairs]
     holds = enumerate(bushing.hold for bushing in supports.bushings)
-    springs = [_attach(mesh, f"supports.bushing[{i}].group", own, problems) for i, own in holds]
-    for one in (first, *others, *springs):
-        sliding = _left_sliding(mesh, sliding, one, problems)
+    springs = [
+        _attach(mesh, f"supports.bushing[{i}].group", source, problems) for i, source in holds
+    ]
+    for hold in (first, *others, *springs):
+        sliding = _left_sliding(mesh, sliding, hold, problems)
     _check_apart(mesh, fixed, [first, *others, *springs], problems)
     if problems:
         raise BundleError(problems)
@@ -263,30 +265,35 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
 
 
 def _attach(
-    mesh: Mesh, key: str, own: Interface, problems: list[BundleProblem]
+    mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
 ) -> AttachedInterface:
-    nodes = group_nodes(mesh, key, own.section, problems)
+    nodes = group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            message = f'"{own.section}" lies on one line, so it has no rotation; take a face'
+            message = f'"{interface.section}" lies on one line, so it has no rotation; take a face'
             problems.append(BundleProblem(key, message))
-        if own.section in mesh.facet_groups:
-            section = section_of_facets(mesh.points, mesh.facet_groups[own.section])
+        if interface.section in mesh.facet_groups:
+            section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])
         else:
             facets = facets_within(outer_surface(mesh.blocks), nodes)
             if facets.blocks:
                 section = section_of_facets(mesh.points, facets, nodes)
             else:
                 section = section_of_nodes(mesh.points, nodes)
-    point = section.centre if own.point is None else own.point
+    point = section.centre if interface.point is None else interface.point
     table = key.rpartition(".")[0]
-    return AttachedInterface(table, own.name, section, point, own.axes, own.coupling, own.locked)
+    return AttachedInterface(
+        table, interface.name, section, point, interface.axes, interface.coupling, interface.locked
+    )
 
 
 def _left_sliding(
-    mesh: Mesh, sliding: tuple[Array, Array], own: AttachedInterface, problems: list[BundleProblem]
+    mesh: Mesh,
+    sliding: tuple[Array, Array],
+    attached: AttachedInterface,
+    problems: list[BundleProblem],
 ) -> tuple[Array, Array]:
     """Return the sliding nodes less those that a rigid coupling ties.
 
@@ -294,22 +301,22 @@ def _left_sliding(
     of a distributed one slide, so that their mean is not free.
     """
     nodes, projectors = sliding
-    shared = np.isin(nodes, own.section.node_ids)
+    shared = np.isin(nodes, attached.section.node_ids)
     if not shared.any() or (
-        own.coupling == "distributed" and shared.sum() < len(own.section.node_ids)
+        attached.coupling == "distributed" and shared.sum() < len(attached.section.node_ids)
     ):
         return sliding
-    arms = (mesh.points[nodes[shared]] - own.point) @ own.axes.T
-    active = np.array([name not in own.locked for name in FREEDOMS])
+    arms = (mesh.points[nodes[shared]] - attached.point) @ attached.axes.T
+    active = np.array([name not in attached.locked for name in FREEDOMS])
     motion = active * np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])  # any: metres, radians
     moved = motion[:3] + arms @ rotation_less_identity(motion[3:]).T
-    off = np.abs(projectors[shared] @ (moved @ own.axes)[:, :, None]).max()
-    if own.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
+    off = np.abs(projectors[shared] @ (moved @ attached.axes)[:, :, None]).max()
+    if attached.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
         message = (
             f"{shared.sum()} of its nodes slide by [supports], but its free motions would move "
             "them off; name fewer nodes, or lock these motions of a rigid interface (locked)"
         )
-        problems.append(BundleProblem(own.where, message))
+        problems.append(BundleProblem(attached.where, message))
     return nodes[~shared], projectors[~shared]
 
 
@@ -321,16 +328,16 @@ def _check_apart(
         if shared:
             message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
             problems.append(BundleProblem(interface.where, message))
-    for one, other in combinations(interfaces, 2):
-        nodes = np.intersect1d(one.section.node_ids, other.section.node_ids)
+    for first, second in combinations(interfaces, 2):
+        nodes = np.intersect1d(first.section.node_ids, second.section.node_ids)
         if nodes.size:
             place = ", ".join(f"{x:.4g}" for x in mesh.points[nodes[0]])
             message = (
-                f'"{other.name or other.key}" shares {nodes.size} nodes with '
-                f'"{one.name or one.key}", such as the one at ({place}) m; a node can follow one '
-                "interface only, so take sections apart"
+                f'"{second.name or second.key}" shares {nodes.size} nodes with '
+                f'"{first.name or first.key}", such as the one at ({place}) m; a node can follow '
+                "one interface only, so take sections apart"
             )
-            problems.append(BundleProblem(other.where, message))
+            problems.append(BundleProblem(second.where, message))
 
 
 def _spans_a_plane(points: Array) -> bool:

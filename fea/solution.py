@@ -97,9 +97,11 @@ def checked_wrench(
         for name in further:
             if name not in wrench:
                 raise ValueError(f'"{name}" is missing: it is an input of this component')
-        own = [np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names]
+        loads = [
+            np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names
+        ]
         wrench = np.concatenate(
-            own + [np.ravel(np.asarray(wrench[name], dtype=float)) for name in further]
+            loads + [np.ravel(np.asarray(wrench[name], dtype=float)) for name in further]
         )
     inputs = np.array(wrench, dtype=float)
     count = PER_INTERFACE * len(names) + len(further)

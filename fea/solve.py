@@ -439,15 +439,15 @@ def _warmed(
 
 
 def _section(
-    component: ComponentModel, own: AttachedInterface
+    component: ComponentModel, attached: AttachedInterface
 ) -> tuple[SectionCoupling, Array, Array | None]:
     """Return an interface's coupling, its nodes, and its axes in the body's if they differ."""
-    nodes = own.section.node_ids
-    places = ((component.mesh.points - own.point) @ own.axes.T)[nodes]
-    rigid = own.coupling == "rigid"
-    coupling = Rigid(places) if rigid else Distributed(places, own.section.weights)
-    same = np.array_equal(own.axes, component.axes)
-    return coupling, nodes, None if same else own.axes @ component.axes.T
+    nodes = attached.section.node_ids
+    places = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
+    rigid = attached.coupling == "rigid"
+    coupling = Rigid(places) if rigid else Distributed(places, attached.section.weights)
+    same = np.array_equal(attached.axes, component.axes)
+    return coupling, nodes, None if same else attached.axes @ component.axes.T
 
 
 def _anchors(component: ComponentModel) -> Array:
@@ -455,9 +455,9 @@ def _anchors(component: ComponentModel) -> Array:
     anchors = [np.empty(0, dtype=np.int64)]
     held = [interface for interface in component.interfaces if interface.locked == FREEDOMS]
     held = [] if component.fixed_nodes.size else held
-    for own in (*held, *(bushing for bushing, _ in component.bushings)):
-        if own.coupling == "distributed":
-            nodes = np.setdiff1d(own.section.node_ids, component.sliding[0])
+    for attached in (*held, *(bushing for bushing, _ in component.bushings)):
+        if attached.coupling == "distributed":
+            nodes = np.setdiff1d(attached.section.node_ids, component.sliding[0])
             arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)
             first = int(np.linalg.norm(arms, axis=1).argmax())
             away = arms - arms[first]

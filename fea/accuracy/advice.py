@@ -80,11 +80,11 @@ def over_tolerance(
 
 def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
     """Return a warning where straight edges across round surfaces change more than `FINE`."""
-    own = solver_error.get("rounded")
-    if own is None or own["share"] <= FINE:
+    rounded = solver_error.get("rounded")
+    if rounded is None or rounded["share"] <= FINE:
         return []
     remedy = "mesh in second order on the geometry, or more cells round; the error bar holds it"
-    return [BundleProblem("mesh.file", f"{own['basis']}: {remedy}")]
+    return [BundleProblem("mesh.file", f"{rounded['basis']}: {remedy}")]
 
 
 def _worst(errors: Array, allowed: Array) -> tuple[float, str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from wrenchbook.fea.component import build
 from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import Bundle
 
 Array = np.ndarray
@@ -53,8 +55,8 @@ class Study(NamedTuple):
         The finest is taken to lack what an error of first order would still, the slowest: it rules
         where stresses are singular, at clamped and at re-entrant edges.
         """
-        own, before, last = self.compliance[0], self.compliance[-2], self.compliance[-1]
-        return last - own + (last - before) / (self.sizes[-2] / self.sizes[-1] - 1)
+        coarsest, before, last = self.compliance[0], self.compliance[-2], self.compliance[-1]
+        return last - coarsest + (last - before) / (self.sizes[-2] / self.sizes[-1] - 1)
 
     @property
     def order(self) -> Array:
@@ -115,9 +117,16 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
         source = bundle.mesh
         if source is None:
             raise ValueError("a component without a [mesh] is a table: nothing is meshed")
-        mesh = read_mesh(path, source.unit)
-        mesh = mesh if source.order is None else second_order(mesh)
-        solvers.append(Solver(build(bundle, mesh)))
+        try:
+            mesh = read_mesh(path, source.unit)
+            mesh = mesh if source.order is None else second_order(mesh)
+            solvers.append(Solver(build(bundle, mesh)))
+        except BundleError as error:
+            named = [
+                replace(problem, where=f"{path.name}: {problem.where}")
+                for problem in error.problems
+            ]
+            raise BundleError(named) from None
     while not finer_meshes and len(solvers) < 3:
         refined = finer(solvers[-1], MOST_UNKNOWNS if len(solvers) > 1 else None, _STEP)
         if refined is None:
@@ -125,9 +134,9 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
         solvers.append(refined)
     volumes = [np.concatenate([cells for _, cells in solver.volumes]) for solver in solvers]
     sizes = [float(np.cbrt(cells.mean())) for cells in volumes]
-    for coarse, fine, one in zip(sizes, sizes[1:], solvers[1:], strict=False):
+    for coarse, fine, fine_solver in zip(sizes, sizes[1:], solvers[1:], strict=False):
         if coarse < LEAST_RATIO * fine:
-            nodes = len(one.component.mesh.points)
+            nodes = len(fine_solver.component.mesh.points)
             message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
             raise ValueError(
                 f"{message}, the one before of {1e3 * coarse:.4g} mm: give one with cells at most "
@@ -163,8 +172,8 @@ def write(bundle: Bundle, study: Study) -> Path:
 
 def names_of(bundle: Bundle) -> list[str]:
     """Return the names of the responses to their own loads, such as tool.uz/Fz; (6 i,)."""
-    own = [f"{interface.name}." if bundle.others else "" for interface in bundle.interfaces]
-    return [f"{name}{response}" for name in own for response in _RESPONSES]
+    prefixes = [f"{interface.name}." if bundle.others else "" for interface in bundle.interfaces]
+    return [f"{name}{response}" for name in prefixes for response in _RESPONSES]
 
 
 def _or_null(values: Array) -> list[float | None]:

@@ -97,8 +97,8 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
         return _report(compliance, np.array(errors), basis)
     errors.append(_ROUND * round_.change)
     # What straight edges across round surfaces change, and the cells round for 1 %.
-    own = np.diag(compliance)
-    share = float(np.abs(np.diag(round_.change)[own > 0] / own[own > 0]).max())
+    diagonal = np.diag(compliance)
+    share = float(np.abs(np.diag(round_.change)[diagonal > 0] / diagonal[diagonal > 0]).max())
     cause = (
         f"straight edges across round surfaces, which turn by up to {np.degrees(round_.turn):.3g} "
         f"degrees a cell, change it by {100 * share:.2g} %"

@@ -83,18 +83,20 @@ def recovered_error(solver: Solver) -> RecoveredError:
         loads = piece.fields.shape[1]
         total = totals.setdefault(piece.material, np.zeros((nodes, 2 * loads * 9)))
         volume = volumes.setdefault(piece.material, np.zeros(nodes))
-        own = piece.weights.sum(axis=1)
+        volumes_of_cells = piece.weights.sum(axis=1)
         fit = np.linalg.pinv(piece.functions)
         cells, places = piece.weights.shape
         by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, places, -1)
-        recovered = (fit @ by_cell) * own[:, None, None]  # at each cell's corners
+        recovered = (fit @ by_cell) * volumes_of_cells[:, None, None]  # at each cell's corners
         count = piece.corners.size
         entries = (np.ones(count), (piece.corners.ravel(), np.arange(count)))
         total += coo_array(entries, shape=(nodes, count)).tocsr() @ recovered.reshape(
             piece.corners.size, -1
         )
         volume += np.bincount(
-            piece.corners.ravel(), np.repeat(own, piece.corners.shape[1]), minlength=nodes
+            piece.corners.ravel(),
+            np.repeat(volumes_of_cells, piece.corners.shape[1]),
+            minlength=nodes,
         )
     smooth = {
         material: (
@@ -116,7 +118,7 @@ def _centres_and_diameters(points: Array, blocks: list[Array]) -> tuple[Array, A
     places = [points[corners] for corners in blocks]
     apart = [np.linalg.norm(place[:, :, None] - place[:, None], axis=-1) for place in places]
     centres = np.concatenate([place.mean(axis=1) for place in places])
-    return centres, np.concatenate([own.max(axis=(1, 2)) for own in apart])
+    return centres, np.concatenate([distances.max(axis=(1, 2)) for distances in apart])
 
 
 def _pieces(solver: Solver) -> Iterator[_Piece]:
@@ -133,11 +135,11 @@ def _pieces(solver: Solver) -> Iterator[_Piece]:
         functions = _corner_functions(kind, component.analysis.integration)
         corners = nodes[:, : functions.shape[1]]
         for material in np.unique(numbers).tolist():
-            own = numbers == material
+            chosen = numbers == material
             yield _Piece(
-                fields[:, :, own],
-                weights[own],
-                corners[own],
+                fields[:, :, chosen],
+                weights[chosen],
+                corners[chosen],
                 functions,
                 material,
                 part.projected,

@@ -102,9 +102,9 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     before, after = np.roll(points, 1, axis=1), np.roll(points, -1, axis=1)
     before[triangle, 3] = points[triangle, 1]
     after[triangle, 2] = points[triangle, 0]
-    one, other = before - points, after - points
-    cosine = np.einsum("fci,fci->fc", one, other)
-    size = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)
+    back, ahead = before - points, after - points
+    cosine = np.einsum("fci,fci->fc", back, ahead)
+    size = np.linalg.norm(back, axis=2) * np.linalg.norm(ahead, axis=2)
     angles = np.arccos(np.clip(cosine / np.where(size > 0, size, 1.0), -1.0, 1.0))
     angles[triangle, 2:] /= 2
     facet, corner = np.divmod(np.argsort(corners, axis=None, kind="stable"), 4)

@@ -43,15 +43,15 @@ def filled_cells(
     start = np.zeros(3) if origin is None else origin
     filled = []
     for block, number, chosen, law, projected in sorted_cells(mesh, materials, numbers):
-        own = CellBlock(block.kind, block.nodes[chosen])
+        part = CellBlock(block.kind, block.nodes[chosen])
         one_each = [materials[i] for i in number[chosen]]
-        gradients = cell_gradients(mesh.points, own, integration)
+        gradients = cell_gradients(mesh.points, part, integration)
         modes = None
         if projected:
-            modes = volume_modes(mesh.points, own, gradients.weights, integration)
-        values = reference_element(own.kind, integration).values
-        places = values @ mesh.points[own.nodes] @ frame + start
-        filled.append((own, _stiffness(law, gradients, one_each, modes, (frame, places))))
+            modes = volume_modes(mesh.points, part, gradients.weights, integration)
+        values = reference_element(part.kind, integration).values
+        places = values @ mesh.points[part.nodes] @ frame + start
+        filled.append((part, _stiffness(law, gradients, one_each, modes, (frame, places))))
     return filled
 
 
@@ -72,10 +72,10 @@ def sorted_cells(
         require_no_locking(block, poisson[number])
         for law in np.unique(laws[number]):
             projected = projects(block, poisson[number])
-            for own in (~projected, projected):
-                chosen = own & (laws[number] == law)
+            for sort in (~projected, projected):
+                chosen = sort & (laws[number] == law)
                 if chosen.any():
-                    yield block, number, chosen, LAWS[law], own is projected
+                    yield block, number, chosen, LAWS[law], sort is projected
 
 
 def _stiffness(
@@ -116,15 +116,15 @@ def _directions(
     """
     frame, places = where
     groups = []
-    for one in {id(material): material for material in materials}.values():
-        cells = np.array([k for k, material in enumerate(materials) if material is one])
-        own = one.orthotropic
-        if own is None:
+    for chosen in {id(material): material for material in materials}.values():
+        cells = np.array([k for k, material in enumerate(materials) if material is chosen])
+        orthotropic = chosen.orthotropic
+        if orthotropic is None:
             directions = np.broadcast_to(np.eye(3), (len(cells), 1, 3, 3))
         else:
-            at = places[cells] if own.cylinder else places[cells, :1]
-            directions = own.directions(at) @ frame.T
-        groups.append((one, cells, directions))
+            at = places[cells] if orthotropic.cylinder else places[cells, :1]
+            directions = orthotropic.directions(at) @ frame.T
+        groups.append((chosen, cells, directions))
     return groups
 
 
@@ -132,11 +132,11 @@ def _by_cell(
     parts: list[tuple[Material, Array, Array]], tensor: Callable[[Material, Array], Array]
 ) -> Array:
     """Return a tensor of each material's directions, by cell, (cells, points or 1, ...)."""
-    tensors = [(cells, tensor(one, directions)) for one, cells, directions in parts]
-    points = max(own.shape[1] for _, own in tensors)
+    tensors = [(cells, tensor(material, directions)) for material, cells, directions in parts]
+    points = max(tensor_of_cells.shape[1] for _, tensor_of_cells in tensors)
     out = np.empty((sum(len(cells) for cells, _ in tensors), points, *tensors[0][1].shape[2:]))
-    for cells, own in tensors:
-        out[cells] = own
+    for cells, tensor_of_cells in tensors:
+        out[cells] = tensor_of_cells
     return out
 
 

@@ -62,14 +62,14 @@ class Movable:
         touched = np.flatnonzero((places >= 0).any(axis=1))
         if not touched.size:
             return matrices
-        own, size = matrices[touched], matrices.shape[1]
+        local, size = matrices[touched], matrices.shape[1]
         held = np.zeros((touched.size, 3, nodes.shape[1], 3, nodes.shape[1]))
         cells, corners = np.nonzero(places[touched] >= 0)
         held[cells, :, corners, :, corners] = self._held[places[touched][cells, corners]]
-        held = held.reshape(own.shape)
+        held = held.reshape(local.shape)
         free = np.eye(size) - held
-        stiffness = np.abs(np.trace(own, axis1=1, axis2=2)) / size
-        matrices[touched] = free @ own @ free + stiffness[:, None, None] * held
+        stiffness = np.abs(np.trace(local, axis1=1, axis2=2)) / size
+        matrices[touched] = free @ local @ free + stiffness[:, None, None] * held
         return matrices
 
 
@@ -209,10 +209,10 @@ class ElasticBody:
         total = np.zeros_like(fields)
         for part, nodes in zip(self.parts, self.cells, strict=True):
             for first in range(0, len(nodes), _FIELDS_AT_A_TIME):
-                own = nodes[first : first + _FIELDS_AT_A_TIME]
-                moved = np.moveaxis(gather(fields, own), -1, 0)
+                local = nodes[first : first + _FIELDS_AT_A_TIME]
+                moved = np.moveaxis(gather(fields, local), -1, 0)
                 for k, forces in enumerate(part.small_strain_forces(moved, first)):
-                    total[:, :, k] += self._sum(forces, own)
+                    total[:, :, k] += self._sum(forces, local)
         return total
 
     def strain_energy_products(self, fields: Array) -> Array:
@@ -250,9 +250,9 @@ class ElasticBody:
         total = 0.0
         for part, nodes in zip(self.parts, self.cells, strict=True):
             for first in range(0, len(nodes), _FIELDS_AT_A_TIME):
-                own = nodes[first : first + _FIELDS_AT_A_TIME]
-                moved = np.moveaxis(gather(fields, own), -1, 0)
-                total = total + derivatives(part, gather(displacement, own), moved, first)
+                local = nodes[first : first + _FIELDS_AT_A_TIME]
+                moved = np.moveaxis(gather(fields, local), -1, 0)
+                total = total + derivatives(part, gather(displacement, local), moved, first)
         return np.asarray(total)
 
     def _sum(self, forces: Array, nodes: Array) -> Array:
@@ -298,16 +298,16 @@ class Tangent:
             for cells in _batches(np.arange(len(scatter.diagonal))):
                 places = scatter.diagonal[cells]
                 sizes = self._cells(number, cells)
-                own = (np.abs(sizes, out=sizes) @ scale[places][..., None])[..., 0]
-                sums += np.bincount(places.ravel(), own.ravel(), minlength=sums.size)
+                scaled = (np.abs(sizes, out=sizes) @ scale[places][..., None])[..., 0]
+                sums += np.bincount(places.ravel(), scaled.ravel(), minlength=sums.size)
         return float((scale * sums).max(initial=1.0))
 
     def _cells(self, number: int, cells: Array) -> Array:
         """Return the matrices of some cells of a block, shape (k, size, size), N/m."""
         nodes = self._body.cells[number][cells]
         moved = None if self._displacement is None else gather(self._displacement, nodes)
-        own = self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
-        return self._body.movable.apart(own, nodes)
+        matrices = self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
+        return self._body.movable.apart(matrices, nodes)
 
     def _leaf(self, number: int) -> Array:
         """Return the matrix of one leaf; a few leaves are made at once."""
@@ -315,14 +315,14 @@ class Tangent:
             self._ready.clear()  # what a factorisation that was given up has left
             leaves = self._body.leaves_from(number)
             for group, scatter in enumerate(self._body.scatter):
-                own = [leaf for leaf in leaves if leaf in scatter.leaves]
-                if not own:
+                due = [leaf for leaf in leaves if leaf in scatter.leaves]
+                if not due:
                     continue
-                counts = np.cumsum([0, *(len(scatter.leaves[leaf].cells) for leaf in own)])
+                counts = np.cumsum([0, *(len(scatter.leaves[leaf].cells) for leaf in due)])
                 matrices = self._cells(
-                    group, np.concatenate([scatter.leaves[leaf].cells for leaf in own])
+                    group, np.concatenate([scatter.leaves[leaf].cells for leaf in due])
                 )
-                for leaf, (first, last) in zip(own, pairwise(counts), strict=True):
+                for leaf, (first, last) in zip(due, pairwise(counts), strict=True):
                     part = scatter.leaves[leaf].sum(matrices[first:last])
                     self._ready[leaf] = self._ready[leaf] + part if leaf in self._ready else part
         return self._ready.pop(number)
@@ -341,10 +341,10 @@ class Tangent:
         moved[nodes] = True
         for number, cells in enumerate(self._body.cells):
             for touched in _batches(np.flatnonzero(moved[cells].any(axis=1))):
-                own = gather(fields, cells[touched])
+                local = gather(fields, cells[touched])
                 matrices = self._cells(number, touched)
-                forces = matrices @ own.reshape(*matrices.shape[:2], fields.shape[2])
-                np.add.at(total, cells[touched], np.moveaxis(forces.reshape(own.shape), 1, 2))
+                forces = matrices @ local.reshape(*matrices.shape[:2], fields.shape[2])
+                np.add.at(total, cells[touched], np.moveaxis(forces.reshape(local.shape), 1, 2))
         return total
 
     def solve(self, loads: Array) -> Array:
@@ -375,8 +375,8 @@ class _Scatter:
             if part.children or not cells.size:
                 continue
             size = part.eliminated + part.boundary.size
-            own = positions[cells]
-            local = np.where(own < 0, size, part.find(np.maximum(own, 0)))
+            columns = positions[cells]
+            local = np.where(columns < 0, size, part.find(np.maximum(columns, 0)))
             self.leaves[number] = _Leaf(cells, local, size)
 
 

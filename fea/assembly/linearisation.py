@@ -107,10 +107,10 @@ class Linearisation:
 
     @property
     def _softest_interface(self) -> tuple[float, Array]:
-        own = np.diagonal(self._block)
-        if not own.size or (own <= 0).any():
-            return 1.0, np.zeros(own.size)
-        scale = 1.0 / np.sqrt(own)
+        diagonal = np.diagonal(self._block)
+        if not diagonal.size or (diagonal <= 0).any():
+            return 1.0, np.zeros(diagonal.size)
+        scale = 1.0 / np.sqrt(diagonal)
         scaled = self.schur * scale[:, None] * scale
         ratios, motions = np.linalg.eigh(0.5 * (scaled + scaled.T))
         return float(ratios[0]), scale * motions[:, 0]
@@ -129,8 +129,8 @@ class Linearisation:
         if not (constraints or factor.definite) or not np.isfinite(self.schur).all():
             return False
         scale = self._border_scale
-        own = np.linalg.eigvalsh((self.schur + self.schur.T) * scale[:, None] * scale)
-        return factor.negatives + int((own < 0).sum()) == constraints
+        eigenvalues = np.linalg.eigvalsh((self.schur + self.schur.T) * scale[:, None] * scale)
+        return factor.negatives + int((eigenvalues < 0).sum()) == constraints
 
     @property
     def _least_compliance(self) -> float:
@@ -138,13 +138,13 @@ class Linearisation:
         active = self._coupling.active
         if not active.size:
             return 1.0
-        own = (self.wrench_columns.T @ self.border_response)[np.ix_(active, active)]
-        own = 0.5 * (own + own.T)
-        diagonal = np.diagonal(own)
+        compliance = (self.wrench_columns.T @ self.border_response)[np.ix_(active, active)]
+        compliance = 0.5 * (compliance + compliance.T)
+        diagonal = np.diagonal(compliance)
         if (diagonal <= 0).any():
             return -1.0
         scale = 1.0 / np.sqrt(diagonal)
-        return float(np.linalg.eigvalsh(own * scale[:, None] * scale)[0])
+        return float(np.linalg.eigvalsh(compliance * scale[:, None] * scale)[0])
 
     def correction(self, balance: Balance) -> tuple[Array, Array]:
         """Return the changes that bring a nearby state into balance.

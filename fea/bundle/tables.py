@@ -117,8 +117,8 @@ def _stiffness(keys: Keys) -> np.ndarray | None:
         read = [keys.as_numbers(f"stiffness[{i}]", row, count, unit) for i, row in enumerate(rows)]
         matrix = None if None in read else np.array(read)
     else:
-        own = keys.as_numbers("stiffness", rows, len(FREEDOMS), unit)
-        matrix = None if own is None else np.diag(own)
+        diagonal = keys.as_numbers("stiffness", rows, len(FREEDOMS), unit)
+        matrix = None if diagonal is None else np.diag(diagonal)
     if matrix is None:
         return None
     scale = np.sqrt(np.where(np.diagonal(matrix) > 0, np.diagonal(matrix), 1.0))
@@ -143,10 +143,10 @@ def read_interfaces(top: Keys) -> list[tuple[Interface | None, DeclaredRange | N
     pairs = [_named_interface(keys, has_mesh) for keys in top.tables("interface")]
     if len(pairs) == 1:
         top.wrong("interface", "is one alone; write [interface], without a name, or add others")
-    names = [own.name for own, _ in pairs if own is not None]
+    names = [interface.name for interface, _ in pairs if interface is not None]
     if len(set(names)) < len(names):
         top.wrong("interface", "a name is there twice; each interface needs its own")
-    if sum(own is not None and own.held for own, _ in pairs) > 1:
+    if sum(interface is not None and interface.held for interface, _ in pairs) > 1:
         top.wrong("interface", "only one can be held: it is the reference of all displacements")
     return pairs
 
@@ -169,12 +169,14 @@ def read_range(
     top: Keys, interfaces: list[tuple[Interface | None, DeclaredRange | None]]
 ) -> DeclaredRange | None:
     """Return ``[range]``, or the ranges of several interfaces, as `read_interfaces` has them."""
-    own = [one for _, one in interfaces if one is not None]
-    if not own:
+    ranges = [loads for _, loads in interfaces if loads is not None]
+    if not ranges:
         return _loads(top.table("range"))
     if top.table("range", required=False) is not None:
         top.wrong("range", "each [[interface]] has its own; write range = {force, moment} there")
-    low, high = (np.concatenate([getattr(one, end) for one in own]) for end in ("low", "high"))
+    low, high = (
+        np.concatenate([getattr(loads, end) for loads in ranges]) for end in ("low", "high")
+    )
     return DeclaredRange(low, high)
 
 
@@ -294,19 +296,26 @@ def read_material(keys: Keys) -> Material | None:
     region = keys.text("region")
     law = keys.choice("law", LAWS, required=False) or "isotropic"
     if law == "orthotropic":
-        own = _orthotropic(keys)
-        constants = None if own is None else (max(own.youngs_moduli), own.isotropic_ratio)
+        orthotropic = _orthotropic(keys)
+        constants = (
+            None
+            if orthotropic is None
+            else (max(orthotropic.youngs_moduli), orthotropic.isotropic_ratio)
+        )
     else:
         modulus = keys.number("youngs_modulus", "Pa", above=0.0)
         ratio = keys.number("poisson_ratio", "no unit", above=-1.0, below=0.5)
-        own, constants = None, None if modulus is None or ratio is None else (modulus, ratio)
+        orthotropic, constants = (
+            None,
+            None if modulus is None or ratio is None else (modulus, ratio),
+        )
     density = keys.number("density", "kg/m^3", above=0.0, required=False)
     strength = keys.number("yield_strength", "Pa", above=0.0, required=False)
     expansion = read_expansion(keys, law)
     keys.close()
     if region is None or constants is None:
         return None
-    return Material(region, *constants, density, strength, law, own, expansion)
+    return Material(region, *constants, density, strength, law, orthotropic, expansion)
 
 
 def _orthotropic(keys: Keys) -> Orthotropic | None:
@@ -337,22 +346,22 @@ def _orthotropic(keys: Keys) -> Orthotropic | None:
     if young is None or ratios is None or shears is None or axes is None:
         return None
     x, y, z = ((float(row[0]), float(row[1]), float(row[2])) for row in axes)
-    own = Orthotropic(young, ratios, shears, (x, y, z), cylinder)
-    if not own.stable:
+    material = Orthotropic(young, ratios, shears, (x, y, z), cylinder)
+    if not material.stable:
         message = (
             "no material has these: some strain would give energy back. Each |nu_ij| must be below "
             "sqrt(E_i / E_j); nu12 is the strain along 2 when pulled along 1 (nu21 = nu12 E2 / E1)"
         )
         keys.wrong("poisson_ratio", message)
         return None
-    if own.isotropic_ratio > MOST_ISOTROPIC_RATIO:
+    if material.isotropic_ratio > MOST_ISOTROPIC_RATIO:
         message = (
-            f"the material keeps its volume like an isotropic one of {own.isotropic_ratio:.3g}; "
-            f"orthotropic cells lock (are too stiff) above {MOST_ISOTROPIC_RATIO:g}"
+            f"the material keeps its volume like an isotropic one of {material.isotropic_ratio:.3g}"
+            f"; orthotropic cells lock (are too stiff) above {MOST_ISOTROPIC_RATIO:g}"
         )
         keys.wrong("poisson_ratio", message)
         return None
-    return own
+    return material
 
 
 def _three(

@@ -62,7 +62,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         rows.append(("two meshes show no order: give a third by --finer", []))
     pairs = zip(study["first_lacks"], study["values"][0], strict=True)
-    rows.append(("the first mesh lacks", [f"{100 * lack / own:.2g} %" for lack, own in pairs]))
+    rows.append(
+        (
+            "the first mesh lacks",
+            [f"{100 * lack / first_value:.2g} %" for lack, first_value in pairs],
+        )
+    )
     for label, texts in rows:
         print(f"{label:<26}{''.join(f'{text:>13}' for text in texts)}".rstrip())
     print(f"{file}: error bars of this component take it from here")

@@ -75,32 +75,32 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     return [BundleProblem("mesh.file", text) for text in messages]
 
 
-def _other_material(component: ComponentModel, deck: DeckContent, one: Any) -> Iterator[str]:
-    cells = component.mesh.regions.get(one.region, ())
-    numbers = [own[c] for own, c in zip(component.material_of_cells, cells, strict=False)]
+def _other_material(component: ComponentModel, deck: DeckContent, section: Any) -> Iterator[str]:
+    cells = component.mesh.regions.get(section.region, ())
+    numbers = [value[c] for value, c in zip(component.material_of_cells, cells, strict=False)]
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
-    constants = deck.materials.get(one.material, {})
+    constants = deck.materials.get(section.material, {})
     for number in np.unique(np.concatenate([np.empty(0, dtype=int), *numbers])).tolist():
         material = component.bundle.materials[number]
-        start = f'{one.where} gives "{one.region}" the material "{one.material}"'
+        start = f'{section.where} gives "{section.region}" the material "{section.material}"'
         if material.law == "orthotropic":
             if "youngs_modulus" in constants:
                 yield f'{start}, which is isotropic; the component has law = "orthotropic"'
             continue
         for key in filter(constants.__contains__, _COMPARED):
-            own, other = getattr(material, key), constants[key] * in_si(key, unit)
-            own = own[0] if isinstance(own, tuple) else own
-            if own is None and key == "yield_strength":
+            value, other = getattr(material, key), constants[key] * in_si(key, unit)
+            value = value[0] if isinstance(value, tuple) else value
+            if value is None and key == "yield_strength":
                 continue  # named with *PLASTIC itself
-            if own is None or abs(own - other) > _SAME * abs(other):
+            if value is None or abs(value - other) > _SAME * abs(other):
                 yield (
                     f"{start}: {key} {constants[key]:g}, with lengths in {unit} {other:.4g} in SI; "
-                    f"the component has {'none' if own is None else format(own, '.4g')}"
+                    f"the component has {'none' if value is None else format(value, '.4g')}"
                 )
 
 
-def _freed(component: ComponentModel, one: HeldGroup) -> Iterator[str]:
-    nodes = _nodes(component.mesh, one.group)
+def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
+    nodes = _nodes(component.mesh, group.group)
     nodes = np.setdiff1d(nodes, component.fixed_nodes)
     held_ones = [attached for attached in component.interfaces if len(attached.locked) == 6]
     for interface in (*held_ones, *(bushing for bushing, _ in component.bushings)):
@@ -108,32 +108,32 @@ def _freed(component: ComponentModel, one: HeldGroup) -> Iterator[str]:
     held = np.zeros((len(component.mesh.points), 3))
     sliding, projectors = component.sliding
     held[sliding] = np.diagonal(projectors, axis1=1, axis2=2)
-    ways = ["xyz".index(letter) for letter in one.directions]
+    ways = ["xyz".index(letter) for letter in group.directions]
     free = int((held[nodes][:, ways] < 1 - _NEAR).any(axis=1).sum())
     if free:
         yield (
-            f'{one.where} holds "{one.group}" along {", ".join(one.directions)}; {free} of its '
-            "nodes are free in the component: name it under [supports]"
+            f'{group.where} holds "{group.group}" along {", ".join(group.directions)}; {free} of '
+            "its nodes are free in the component: name it under [supports]"
         )
 
 
-def _uncoupled(component: ComponentModel, one: CoupledGroup) -> Iterator[str]:
-    nodes = _nodes(component.mesh, one.group)
+def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
+    nodes = _nodes(component.mesh, group.group)
     attached = [*component.interfaces, *(bushing for bushing, _ in component.bushings)]
     same = [
         interface for interface in attached if np.array_equal(interface.section.node_ids, nodes)
     ]
-    start = f'{one.where} makes "{one.group}" follow a point'
+    start = f'{group.where} makes "{group.group}" follow a point'
     if not same:
         if np.setdiff1d(nodes, component.fixed_nodes).size:
             yield f"{start}; no interface or bushing of the component has these nodes"
         return
-    if same[0].coupling != one.kind:
-        yield f'{start} as a "{one.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
+    if same[0].coupling != group.kind:
+        yield f'{start} as a "{group.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
-    point = np.array(one.point) * in_si("length", unit)
+    point = np.array(group.point) * in_si("length", unit)
     size = np.ptp(component.mesh.points, axis=0).max()
-    if one.point and np.abs(point - same[0].point).max() > _NEAR * size:
+    if group.point and np.abs(point - same[0].point).max() > _NEAR * size:
         here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
         yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
 

@@ -99,20 +99,20 @@ def _motions_in_words(component: ComponentModel, motions: Array) -> str:
 
 def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
     """Say how a free body lies to the others: apart, on shared nodes, or on coincident ones."""
-    own = bodies.nodes[number]
+    mine_nodes = bodies.nodes[number]
     others = [n for n in range(bodies.count) if n != number]
-    shared = {n: len(np.intersect1d(own, bodies.nodes[n])) for n in others}
+    shared = {n: len(np.intersect1d(mine_nodes, bodies.nodes[n])) for n in others}
     joined = max(shared, key=lambda n: shared[n])
     if shared[joined]:
         return (
             f"It hangs on part {joined + 1} by {shared[joined]} nodes on one line or point only: "
             "a hinge; join them by whole faces"
         )
-    mine = np.isin(pairs, own)
+    mine = np.isin(pairs, mine_nodes)
     twins = int((mine[:, 0] != mine[:, 1]).sum())
     if twins:
         return f"It has {twins} nodes in the places of another part's nodes: merge them"
-    gaps = {n: gap(mesh, own, bodies.nodes[n]) for n in others}
+    gaps = {n: gap(mesh, mine_nodes, bodies.nodes[n]) for n in others}
     nearest = min(gaps, key=lambda n: gaps[n])
     return (
         f"The nearest is part {nearest + 1}, {1e3 * gaps[nearest]:.3g} mm away and without a "
@@ -229,9 +229,11 @@ class _Equations:
                 self._add({number: tie, interface: -tie})
         else:
             weights = {n: np.repeat(section.weights[owner == n], 3) for n in moves_of}
-            own = {n: (moves.T * weights[n]) @ moves for n, moves in moves_of.items()}
-            mean = np.linalg.inv(sum(own.values(), np.zeros((6, 6))))
-            self._add({n: -mean @ one for n, one in own.items()} | {interface: np.eye(6)})
+            inertias = {n: (moves.T * weights[n]) @ moves for n, moves in moves_of.items()}
+            mean = np.linalg.inv(sum(inertias.values(), np.zeros((6, 6))))
+            self._add(
+                {n: -mean @ inertia for n, inertia in inertias.items()} | {interface: np.eye(6)}
+            )
         for name in attached.locked:
             self._add({interface: self._freedoms(attached)[FREEDOMS.index(name)][None]})
 

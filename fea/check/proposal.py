@@ -66,12 +66,13 @@ class _Proposal:
         """Return the case of a name, else the last; where cases differ, `decide` lists them."""
         cases = {case.name.upper(): case for case in self.deck.cases}
         if name is not None and name.upper() not in cases:
-            names = ", ".join(f'"{case.name}"' for case in cases.values())
-            raise BundleError([BundleProblem("case", f'the deck has no "{name}"; it has {names}')])
+            names = ", ".join(f'"{case.name}"' for case in cases.values() if case.name)
+            there = f"it has {names}" if names else "it has no steps: leave --case out"
+            raise BundleError([BundleProblem("case", f'the deck has no "{name}"; {there}')])
         case = cases[name.upper()] if name is not None else self.deck.cases[-1]
         alike: dict[str, list[str]] = {}
-        for own in self.deck.cases:
-            alike.setdefault(own.summary(), []).append(f'"{own.name}"')
+        for other in self.deck.cases:
+            alike.setdefault(other.summary(), []).append(f'"{other.name}"')
         if len(alike) > 1 and name is None:
             parts = [f"{', '.join(names)} {summary}" for summary, names in alike.items()]
             more = [f"{len(parts) - _MOST_CASES} more"][: len(parts) > _MOST_CASES]
@@ -122,9 +123,9 @@ class _Proposal:
         pairs = [("all" if alone else section.region, section.material) for section in sections]
         lines = []
         for region, name in dict(pairs).items() if pairs else [("all", "")]:
-            own = self.deck.materials.get(name, {})
-            values = [f"{key} = {own[key] * in_si(key, self.unit):.9g}" for key in own]
-            lacking = [key for key in _ELASTIC if key not in own]
+            constants = self.deck.materials.get(name, {})
+            values = [f"{key} = {constants[key] * in_si(key, self.unit):.9g}" for key in constants]
+            lacking = [key for key in _ELASTIC if key not in constants]
             if lacking:
                 self.decide.append(f'material of "{region}": write its {" and ".join(lacking)}')
             lines += ["", "[[material]]", f"region = {_text(region)}", *values]
@@ -132,15 +133,15 @@ class _Proposal:
 
     def filled(self, sections: list[SolidSection]) -> bool:
         """Return whether each cell is in a section."""
-        own = zip(*(self.mesh.regions[section.region] for section in sections), strict=True)
-        pairs = zip(own, self.mesh.blocks, strict=True)
+        by_block = zip(*(self.mesh.regions[section.region] for section in sections), strict=True)
+        pairs = zip(by_block, self.mesh.blocks, strict=True)
         return all(np.unique(np.concatenate(cells)).size == len(block) for cells, block in pairs)
 
     def supports(self) -> list[str]:
-        own = [support for support in self.case.supports if support.group in self.groups]
-        fixed = [one.group for one in own if one.directions == "xyz"]
-        sliding = [one for one in own if one.directions != "xyz"]
-        if not own:
+        held = [support for support in self.case.supports if support.group in self.groups]
+        fixed = [slide.group for slide in held if slide.directions == "xyz"]
+        sliding = [slide for slide in held if slide.directions != "xyz"]
+        if not held:
             self.decide.append("supports: the deck holds nothing; name fixed groups")
             fixed = [_CHOOSE]
         names = ", ".join(map(_text, dict.fromkeys(fixed)))
@@ -156,46 +157,53 @@ class _Proposal:
 
     def interfaces(self) -> list[str]:
         """Return each coupling that is free, else the group with forces, as an interface."""
-        own = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
-        sections = {one.group for one in own} or set(list(self.case.loads)[:1])
+        groups = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
+        sections = {one.group for one in groups} or set(list(self.case.loads)[:1])
         self.left += [
             f'forces on "{group}", which is no interface'
             for group, loads in self.case.loads.items()
             if any(loads) and group not in sections
         ]
-        if not own:
+        if not groups:
             group, loads = next(iter(self.case.loads.items()), (_CHOOSE, [0.0] * 6))
             group = group if group in self.groups else _CHOOSE
             self.decide.append(f"interface: no free coupling in the deck; section = {group}")
-            own = [CoupledGroup("", group, "distributed", (), set(), loads)]
-        if len(own) == 1:
-            return ["", "[interface]", *self.interface(own[0]), "", "[range]", *self.range(own[0])]
+            groups = [CoupledGroup("", group, "distributed", (), set(), loads)]
+        if len(groups) == 1:
+            return [
+                "",
+                "[interface]",
+                *self.interface(groups[0]),
+                "",
+                "[range]",
+                *self.range(groups[0]),
+            ]
         lines = []
-        for one in own:
+        for one in groups:
             lines += ["", "[[interface]]", f"name = {_text(_name(one.group))}"]
             lines += [*self.interface(one), "[interface.range]", *self.range(one)]
         return lines
 
-    def interface(self, one: CoupledGroup) -> list[str]:
-        place = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in one.point)
-        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(one.held))
+    def interface(self, group: CoupledGroup) -> list[str]:
+        place = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
+        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
         return [
-            f"section = {_text(one.group)}",
+            f"section = {_text(group.group)}",
             *([f"point = [{place}]"] if place else []),
-            f"coupling = {_text(one.kind)}",
+            f"coupling = {_text(group.kind)}",
             *([f"locked = [{locked}]"] if locked else []),
         ]
 
-    def range(self, one: CoupledGroup) -> list[str]:
+    def range(self, group: CoupledGroup) -> list[str]:
         """Return plus and minus the largest force and moment, or those of a lever."""
-        force = max(map(abs, one.loads[:3])) * in_si("force", self.unit)
-        moment = max(map(abs, one.loads[3:])) * in_si("moment", self.unit)
+        force = max(map(abs, group.loads[:3])) * in_si("force", self.unit)
+        moment = max(map(abs, group.loads[3:])) * in_si("moment", self.unit)
         complete = force and moment
         force = force or moment / _LEVER or _FORCE
         moment = moment or force * _LEVER
         if not complete:
             why = f"the deck lacks force or moment; {force:.4g} N and {moment:.4g} N·m stand"
-            self.decide.append(f'range at "{one.group}": {why}')
+            self.decide.append(f'range at "{group.group}": {why}')
         return [
             f"{k} = [{v:.4g}, {v:.4g}, {v:.4g}]" for k, v in (("force", force), ("moment", moment))
         ]
@@ -231,9 +239,13 @@ def propose(
     if (folder / FILE_NAME).exists():
         raise BundleError([BundleProblem(str(folder), f"has a {FILE_NAME}; name a new folder")])
     text, left, decide = _deck_text(file)
-    folder.mkdir(parents=True, exist_ok=True)
     deck = folder / f"{file.stem}.inp"
-    deck.write_text(text, encoding="utf-8")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        deck.write_text(text, encoding="utf-8")
+    except OSError as error:
+        message = f"cannot be written ({error.strerror}); name a new folder"
+        raise BundleError([BundleProblem(str(folder), message)]) from None
     proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m", case)
     proposal.decide += decide
     if unit is None:
@@ -274,7 +286,10 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
         if file.suffix.lower() != ".inp":
             raise MeshFileError(f"is no .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand")
         return text, [], []
-    except (OSError, MeshFileError) as error:
+    except OSError as error:
+        message = f"cannot be read ({error.strerror}); name an input deck"
+        raise BundleError([BundleProblem(str(file), message)]) from None
+    except MeshFileError as error:
         raise BundleError([BundleProblem(file.name, str(error))]) from None
 
 

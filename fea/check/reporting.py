@@ -87,6 +87,9 @@ def report(
         }
         if bundle.deck is not None:  # it answers in place of the embedded solver
             summary["deck"], warnings = deck_report(bundle.deck)
+            if riding is not None:
+                message = "no natural frequency: its solver gives none, the mass counts for nothing"
+                warnings.append(BundleProblem("deck", message))
             _warn(summary, warnings)
         elif bundle.mesh is not None:
             if bundle.mesh.geometry is not None:
@@ -182,8 +185,8 @@ def _look_at_component(
     attached = [_section(interface) for interface in component.interfaces]
     # The ranges of the inputs behind the loads, where there are any.
     inputs: dict[str, Any] = {}
-    if own := component.temperature:
-        inputs["temperature"] = {"low": own.low, "high": own.high, "reference": own.reference}
+    if warm := component.temperature:
+        inputs["temperature"] = {"low": warm.low, "high": warm.high, "reference": warm.reference}
     if component.accelerated:
         inputs["acceleration"] = [scalar.high for scalar in component.further[-3:]]
     counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
@@ -268,4 +271,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _numbers(text: str) -> list[float]:
-    return [float(word) for word in text.split(",")]
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        message = f'"{text}" must be numbers with commas between them, such as 1,1,0.5'
+        raise argparse.ArgumentTypeError(message) from None

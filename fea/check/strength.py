@@ -50,17 +50,17 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
         places, numbers = places_of(component, component.mesh.points)
         stresses = []
         for number in np.unique(numbers):
-            own = np.flatnonzero(numbers == number)
-            largest, corner, point = _worst(unit[own], loads)
+            points = np.flatnonzero(numbers == number)
+            largest, corner, point = _worst(unit[points], loads)
             material = component.materials[number]
             pairs = zip(component.further, corners[corner][count:].tolist(), strict=True)
             stresses.append(
                 {
                     "region": material.region,
                     "largest": largest,
-                    "at": places[own[point]].tolist(),
+                    "at": places[points[point]].tolist(),
                     "wrench": corners[corner][:count].tolist(),
-                    **{one.name: value + one.reference for one, value in pairs},
+                    **{scalar.name: value + scalar.reference for scalar, value in pairs},
                     "yield_strength": material.yield_strength,
                     "first_order": component.analysis.nonlinear,
                 }
@@ -100,16 +100,16 @@ def _at_large(
     """Put the nonlinear stresses at the worst corners in place of the first-order ones."""
     regions = [material.region for material in component.materials]
     places, numbers = places_of(component, component.mesh.points)
-    for one in stresses:
-        worst = [*one["wrench"], *(one[scalar.name] for scalar in component.further)]
+    for row in stresses:
+        worst = [*row["wrench"], *(row[scalar.name] for scalar in component.further)]
         try:
             stress = solver.stresses(solver.solve(worst))
         except SolveFailed as error:
             message = f'are of first order: the solve at a corner of [range] fails ("{error}")'
             return [BundleProblem("stresses", message)]
-        equivalent = np.where(numbers == regions.index(one["region"]), von_mises(stress), -1.0)
+        equivalent = np.where(numbers == regions.index(row["region"]), von_mises(stress), -1.0)
         point = int(equivalent.argmax())
-        one |= {
+        row |= {
             "largest": float(equivalent[point]),
             "at": places[point].tolist(),
             "first_order": False,
@@ -126,11 +126,11 @@ def _yielding(component: ComponentModel, stresses: list[dict[str, Any]]) -> list
         if material.law == "orthotropic":
             message = "is compared with the von Mises stress, a poor measure for such a material"
             problems.append(BundleProblem(key, message))
-        for one in stresses:
-            if one["region"] == material.region and one["largest"] > strength:
+        for row in stresses:
+            if row["region"] == material.region and row["largest"] > strength:
                 message = (
-                    f"is exceeded under the full range: {one['largest']:.4g} Pa, "
-                    f"{one['largest'] / strength:.2g} times it; materials here do not yield: "
+                    f"is exceeded under the full range: {row['largest']:.4g} Pa, "
+                    f"{row['largest'] / strength:.2g} times it; materials here do not yield: "
                     "answers there are too stiff. Narrow [range], or strengthen the part"
                 )
                 problems.append(BundleProblem(key, message))

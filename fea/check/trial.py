@@ -68,9 +68,9 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     first = len(bundle.range.low)
     groups = {"by_temperature": slice(first, first + 1), "by_acceleration": slice(-3, None)}
     present = solver.component.temperature is not None, solver.component.accelerated
-    for (name, own), there in zip(groups.items(), present, strict=True):
+    for (name, columns), there in zip(groups.items(), present, strict=True):
         if there:
-            result[name] = largest(compliance[:, own], low[own], high[own]).tolist()
+            result[name] = largest(compliance[:, columns], low[columns], high[columns]).tolist()
     return result, []
 
 

@@ -113,7 +113,7 @@ class SectionCoupling(ABC):
         """
 
 
-class _Seat(NamedTuple):
+class _Attachment(NamedTuple):
     """One section's place in the body and in the border.
 
     `turn` times a vector of the body is the interface's, None if equal; `freedoms` are those of
@@ -131,8 +131,8 @@ class _Seat(NamedTuple):
 
     def inwards(self, field: Array) -> Array:
         """Take a nodal field (n, 3, ...) of the body to the section: (s, 3, ...), in its axes."""
-        own = field[self.nodes]
-        return own if self.turn is None else np.einsum("ij,sj...->si...", self.turn, own)
+        local = field[self.nodes]
+        return local if self.turn is None else np.einsum("ij,sj...->si...", self.turn, local)
 
     def outwards(self, field: Array) -> Array:
         """Turn a field of the section, (s, 3) or (s, 3, k), into the body's axes."""
@@ -176,19 +176,21 @@ class Coupling:
         self._anchors = anchors
         self._anchored = np.arange(len(active), self.motions)
         self._size = size
-        self._seats: list[_Seat] = []
+        self._attachments: list[_Attachment] = []
         forced = [np.empty(0, dtype=int)]
         self.border = self.motions
         spring_of = [*[None] * (len(sections) - len(springs)), *springs]
         for number, (section, nodes, turn) in enumerate(sections):
             first = PER_INTERFACE * number
-            own = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
+            chosen_freedoms = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
             more = np.arange(section.multipliers)
-            chosen = np.concatenate([active[own] - first, PER_INTERFACE + more])
-            border = np.concatenate([own, self.border + more])
+            chosen = np.concatenate([active[chosen_freedoms] - first, PER_INTERFACE + more])
+            border = np.concatenate([chosen_freedoms, self.border + more])
             freedoms = slice(first, first + PER_INTERFACE)
             spring = spring_of[number]
-            self._seats.append(_Seat(section, nodes, turn, freedoms, chosen, border, spring))
+            self._attachments.append(
+                _Attachment(section, nodes, turn, freedoms, chosen, border, spring)
+            )
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
@@ -197,7 +199,11 @@ class Coupling:
     def tied(self) -> Array:
         """Nodes that follow an interface and are no unknowns, shape (k,), int64, indices."""
         still = np.zeros(PER_INTERFACE)
-        found = [seat.nodes for seat in self._seats if seat.section.placed(still) is not None]
+        found = [
+            attached.nodes
+            for attached in self._attachments
+            if attached.section.placed(still) is not None
+        ]
         return np.concatenate([self._anchors, *found])
 
     def start(self) -> CoupledState:
@@ -207,16 +213,16 @@ class Coupling:
 
     def spring_energy(self, state: CoupledState) -> float:
         """Return the energy of the bushings' springs, J."""
-        parts = [(seat.spring, own.interface) for seat, own in self._parts(state)]
+        parts = [(attached.spring, local.interface) for attached, local in self._parts(state)]
         return float(sum(0.5 * q @ spring @ q for spring, q in parts if spring is not None))
 
     def spring_energies(self, border: Array) -> Array:
         """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
-        for seat in self._seats:
-            if seat.spring is not None:
-                motions = border[seat.border[:PER_INTERFACE]]
-                total += motions.T @ seat.spring @ motions
+        for attached in self._attachments:
+            if attached.spring is not None:
+                motions = border[attached.border[:PER_INTERFACE]]
+                total += motions.T @ attached.spring @ motions
         return total
 
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
@@ -232,10 +238,10 @@ class Coupling:
         multipliers[self._forced] += border[self.motions :]
         placed = state.nodes + nodes
         placed[self._anchors] += border[self._anchored].reshape(-1, 3)
-        for seat in self._seats:
-            own = seat.section.placed(motions[seat.freedoms])
-            if own is not None:
-                placed[seat.nodes] = seat.outwards(own)
+        for attached in self._attachments:
+            local = attached.section.placed(motions[attached.freedoms])
+            if local is not None:
+                placed[attached.nodes] = attached.outwards(local)
         interface, sprung = np.split(motions, [self.freedoms])
         return CoupledState(placed, interface, np.append(multipliers, sprung))
 
@@ -250,12 +256,14 @@ class Coupling:
         """
         nodal, border = forces.copy(), np.zeros(self.border)
         loads = np.append(wrench, np.zeros(self._sprung))
-        for seat, own in self._parts(state):
-            added, rest = seat.section.residual(own, seat.inwards(forces), loads[seat.freedoms])
-            nodal[seat.nodes] += seat.outwards(added)
-            if seat.spring is not None:
-                rest[:PER_INTERFACE] += seat.spring @ own.interface
-            border[seat.border] = rest[seat.chosen]
+        for attached, local in self._parts(state):
+            added, rest = attached.section.residual(
+                local, attached.inwards(forces), loads[attached.freedoms]
+            )
+            nodal[attached.nodes] += attached.outwards(added)
+            if attached.spring is not None:
+                rest[:PER_INTERFACE] += attached.spring @ local.interface
+            border[attached.border] = rest[attached.chosen]
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
 
@@ -270,14 +278,18 @@ class Coupling:
         ties, columns = np.moveaxis(np.zeros((2, self.border, self._size, 3)), 1, 3)
         block = np.zeros((self.border, self.border))
         loads = np.append(wrench, np.zeros(self._sprung))
-        for seat, own in self._parts(state):
-            found = seat.section.bordered(own, seat.inwards(forces), loads[seat.freedoms])
-            if seat.spring is not None:
-                found.block[:PER_INTERFACE, :PER_INTERFACE] += seat.spring
-            at = np.ix_(seat.nodes, np.arange(3), seat.border)
-            ties[at] = seat.outwards(found.ties[:, :, seat.chosen])
-            columns[at] = seat.outwards(found.columns[:, :, seat.chosen])
-            block[np.ix_(seat.border, seat.border)] = found.block[np.ix_(seat.chosen, seat.chosen)]
+        for attached, local in self._parts(state):
+            found = attached.section.bordered(
+                local, attached.inwards(forces), loads[attached.freedoms]
+            )
+            if attached.spring is not None:
+                found.block[:PER_INTERFACE, :PER_INTERFACE] += attached.spring
+            at = np.ix_(attached.nodes, np.arange(3), attached.border)
+            ties[at] = attached.outwards(found.ties[:, :, attached.chosen])
+            columns[at] = attached.outwards(found.columns[:, :, attached.chosen])
+            block[np.ix_(attached.border, attached.border)] = found.block[
+                np.ix_(attached.chosen, attached.chosen)
+            ]
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
@@ -290,9 +302,11 @@ class Coupling:
         Shape (border, 6 i), dimensionless; rows of constraints are zero.
         """
         columns = np.zeros((self.border, self.freedoms))
-        for seat, own in self._parts(state):
-            if seat.spring is None:
-                columns[seat.border, seat.freedoms] = seat.section.wrench_columns(own)[seat.chosen]
+        for attached, local in self._parts(state):
+            if attached.spring is None:
+                columns[attached.border, attached.freedoms] = attached.section.wrench_columns(
+                    local
+                )[attached.chosen]
         return columns
 
     def third(
@@ -310,12 +324,12 @@ class Coupling:
         Result: shape (k, k, k), J over the units of three inputs.
         """
         total = np.zeros((border.shape[1],) * 3)
-        for seat, own in self._parts(state):
-            moved = np.zeros((PER_INTERFACE + seat.section.multipliers, border.shape[1]))
-            moved[seat.chosen] = border[seat.border]
-            acting = seat.inwards(forces[0]), seat.inwards(forces[1])
-            moments = seat.section.arm_moments(own, acting, seat.inwards(fields), moved)
-            total += _third_of_rotation(own.interface[3:], moved[3:6], *moments)
+        for attached, local in self._parts(state):
+            moved = np.zeros((PER_INTERFACE + attached.section.multipliers, border.shape[1]))
+            moved[attached.chosen] = border[attached.border]
+            acting = attached.inwards(forces[0]), attached.inwards(forces[1])
+            moments = attached.section.arm_moments(local, acting, attached.inwards(fields), moved)
+            total += _third_of_rotation(local.interface[3:], moved[3:6], *moments)
         return total
 
     def displacement_rows(self, border: Array) -> Array:
@@ -327,11 +341,16 @@ class Coupling:
         rows[self.active] = border[: len(self.active)]
         return rows
 
-    def _parts(self, state: CoupledState) -> Iterator[tuple[_Seat, CoupledState]]:
+    def _parts(self, state: CoupledState) -> Iterator[tuple[_Attachment, CoupledState]]:
         motions, multipliers = self._unknowns(state)
-        for seat in self._seats:
-            own = seat.freedoms
-            yield seat, CoupledState(seat.inwards(state.nodes), motions[own], multipliers[own])
+        for attached in self._attachments:
+            freedoms = attached.freedoms
+            yield (
+                attached,
+                CoupledState(
+                    attached.inwards(state.nodes), motions[freedoms], multipliers[freedoms]
+                ),
+            )
 
     def _unknowns(self, state: CoupledState) -> tuple[Array, Array]:
         """Return copies of the motions and multipliers of interfaces and bushings, six of each."""

@@ -239,8 +239,8 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     if problems:
         raise BundleError(problems)
     program = deck.command[0]
-    own = [file for file in deck.files if Path(program) == Path(file.name)]
-    program = program if own and "/" in program else shutil.which(program)
+    files = [file for file in deck.files if Path(program) == Path(file.name)]
+    program = program if files and "/" in program else shutil.which(program)
     summary = {
         "file": deck.file.name,
         "program": program,

@@ -98,19 +98,20 @@ def solve_deck(
             # each other's displacements (Betti). Compared is the work (J) of loads of these sizes:
             # a locked freedom may show roundoff.
             exchange = compliance * np.outer(sizes, sizes)
-            own = np.diagonal(exchange)
-            floor = _ROUNDOFF * float(np.abs(own).max())
-            if (own < -floor).any():
-                freedom = FREEDOMS[int(np.argmin(own))]
+            works = np.diagonal(exchange)
+            floor = _ROUNDOFF * float(np.abs(works).max())
+            if (works < -floor).any():
+                freedom = FREEDOMS[int(np.argmin(works))]
                 raise failures.not_reciprocal(f"The load on {freedom} moves it backwards.")
-            own = np.maximum(own, 0.0)
-            gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(own, own))
+            works = np.maximum(works, 0.0)
+            gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(works, works))
             i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
             if gap[i, j] > floor:
-                one, other = FREEDOMS[i], FREEDOMS[j]
+                first, second = FREEDOMS[i], FREEDOMS[j]
                 raise failures.not_reciprocal(
-                    f"A unit load on {other} moves {one} by {compliance[i, j]:.6e}, one on {one} "
-                    f"moves {other} by {compliance[j, i]:.6e}: in an elastic body the two agree."
+                    f"A unit load on {second} moves {first} by {compliance[i, j]:.6e}, one on "
+                    f"{first} moves {second} by {compliance[j, i]:.6e}: in an elastic body the two "
+                    "agree."
                 )
             work = float(loads @ displacement)
         solution = Solution(

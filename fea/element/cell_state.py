@@ -93,8 +93,8 @@ class CellState(ABC):
         They are the integral of E_a : C : E_b + S : E_ab, see `third`.
         """
         dF, dE, wdS = self.changes(fields)
-        own = dE.reshape(len(fields), -1) @ wdS.reshape(len(fields), -1).T
-        return own + _by_field(dF) @ _by_field(dF @ self.wS).T
+        along = dE.reshape(len(fields), -1) @ wdS.reshape(len(fields), -1).T
+        return along + _by_field(dF) @ _by_field(dF @ self.wS).T
 
     def third(self, fields: Array) -> Array:
         """Return the energy's third derivatives along k fields: (k, k, k), J.

@@ -116,11 +116,11 @@ class CellStiffness(ABC):
         """
         out = np.empty((len(cells), self.size, self.size))
         for start in range(0, len(cells), _CHUNK):
-            own = slice(start, start + _CHUNK)
-            state = self.state(cells[own], None if displacement is None else displacement[own])
+            chunk = slice(start, start + _CHUNK)
+            state = self.state(cells[chunk], None if displacement is None else displacement[chunk])
             if step is not None:
-                state.extrapolate(step[:, own])
-            state.tangent(out[own])
+                state.extrapolate(step[:, chunk])
+            state.tangent(out[chunk])
         return out
 
     def small_strain_forces(self, fields: Array, first: int = 0) -> Array:
@@ -131,9 +131,9 @@ class CellStiffness(ABC):
         """
         forces = np.empty_like(fields)
         for part in self._parts(fields.shape[1]):
-            own = slice(first + part.start, first + part.stop)
-            _, stress = self._small_strain(fields[:, part], own)
-            slopes = self.gradients.slopes[own]
+            chunk = slice(first + part.start, first + part.stop)
+            _, stress = self._small_strain(fields[:, part], chunk)
+            slopes = self.gradients.slopes[chunk]
             cells, points, _, nodes = slopes.shape
             stacked = stress.transpose(0, 1, 3, 2, 4).reshape(len(fields), cells, 3, 3 * points)
             forces[:, part] = stacked @ slopes.reshape(cells, 3 * points, nodes)
@@ -148,8 +148,8 @@ class CellStiffness(ABC):
         count = len(fields)
         total = np.zeros((count, count))
         for part in self._parts(fields.shape[1]):
-            own = slice(first + part.start, first + part.stop)
-            strain, stress = self._small_strain(fields[:, part], own)
+            chunk = slice(first + part.start, first + part.stop)
+            strain, stress = self._small_strain(fields[:, part], chunk)
             total += strain.reshape(count, -1) @ stress.reshape(count, -1).T
         return total
 
@@ -175,8 +175,8 @@ class CellStiffness(ABC):
     ) -> Array:
         total = 0.0
         for part in self._parts(fields.shape[1]):
-            own = slice(first + part.start, first + part.stop)
-            total = total + derivatives(self.state(own, displacement[part]), fields[:, part])
+            chunk = slice(first + part.start, first + part.stop)
+            total = total + derivatives(self.state(chunk, displacement[part]), fields[:, part])
         return np.asarray(total)
 
     def small_stresses(self, fields: Array) -> Array:

@@ -115,13 +115,13 @@ def _body(component: ComponentModel) -> Iterator[str]:
     # its own, whose displacement is that combination of the six freedoms.
     node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
     element = sum(len(block) for block in component.mesh.blocks) + 1
-    for i, (own, stiffness) in enumerate(component.bushings):
-        ref, place = node, _numbers(component.axes @ own.point)
+    for i, (bushing, stiffness) in enumerate(component.bushings):
+        ref, place = node, _numbers(component.axes @ bushing.point)
         yield f"*NODE\n{ref}, {place}\n{ref + 1}, {place}\n*NSET, NSET=BUSHING{i}"
-        yield from _rows(own.section.node_ids + 1)
+        yield from _rows(bushing.section.node_ids + 1)
         yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={ref}, ROT NODE={ref + 1}"
         node += 2
-        turn = np.kron(np.eye(2), own.axes @ component.axes.T)
+        turn = np.kron(np.eye(2), bushing.axes @ component.axes.T)
         sizes, motions = np.linalg.eigh(stiffness)
         for size, motion in zip(sizes, motions.T, strict=True):
             if size <= 0:
@@ -152,9 +152,13 @@ def _body(component: ComponentModel) -> Iterator[str]:
 def _materials(component: ComponentModel) -> Iterator[str]:
     for i, material in enumerate(component.materials):
         yield f"*MATERIAL, NAME=M{i}"
-        own = material.orthotropic
-        if own is not None:
-            constants = [*own.youngs_moduli, *own.poisson_ratios, *own.shear_moduli]
+        orthotropic = material.orthotropic
+        if orthotropic is not None:
+            constants = [
+                *orthotropic.youngs_moduli,
+                *orthotropic.poisson_ratios,
+                *orthotropic.shear_moduli,
+            ]
             yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"  # eight a line, the ninth on the next
             yield f"{_numbers(constants[:8])}\n{_numbers(constants[8:])}"
         # A hyperelastic deck is never linear.
@@ -186,9 +190,11 @@ def _set(kind: str, interface: AttachedInterface) -> str:
 def _sliding(component: ComponentModel) -> Iterator[str]:
     """Yield what holds sliding nodes: a boundary condition along an axis, or an equation."""
     nodes, held = component.sliding
-    for node, own in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
-        first = np.argsort(-np.diagonal(own))[: round(np.trace(own))]  # a dependent one each
-        rows = np.linalg.solve(own[np.ix_(first, first)], own[first])
+    for node, projector in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
+        first = np.argsort(-np.diagonal(projector))[
+            : round(np.trace(projector))
+        ]  # a dependent one each
+        rows = np.linalg.solve(projector[np.ix_(first, first)], projector[first])
         for axis, row in zip(first, rows, strict=True):
             others = [i for i in range(3) if i not in first and abs(row[i]) > _ROUNDOFF]
             terms = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
@@ -196,17 +202,17 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
             yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
 
 
-def _orientation(number: int, own: Orthotropic, axes: Array) -> Iterator[str]:
+def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:
     """Yield a material's directions by a point on its x-axis and one on its y-axis.
 
     Those about a cylinder's axis by two points of it.
     """
-    if own.cylinder is not None:
-        point, axial = np.array(own.cylinder) @ axes.T
+    if orthotropic.cylinder is not None:
+        point, axial = np.array(orthotropic.cylinder) @ axes.T
         yield f"*ORIENTATION, NAME=O{number}, SYSTEM=CYLINDRICAL"
         yield _numbers([*point, *(point + axial)])
         return
-    x, y, _ = np.array(own.axes) @ axes.T
+    x, y, _ = np.array(orthotropic.axes) @ axes.T
     yield f"*ORIENTATION, NAME=O{number}\n{_numbers([*x, *y])}"
 
 

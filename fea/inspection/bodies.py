@@ -46,8 +46,8 @@ def bodies_of(mesh: Mesh) -> Bodies:
     number = rank[label]
     pairs, first = [], 0
     for block in mesh.blocks:
-        own = np.repeat(number[first : first + len(block)], block.nodes.shape[1])
-        pairs.append(np.column_stack([own, block.nodes.ravel()]))
+        bodies = np.repeat(number[first : first + len(block)], block.nodes.shape[1])
+        pairs.append(np.column_stack([bodies, block.nodes.ravel()]))
         first += len(block)
     both = np.unique(np.concatenate(pairs), axis=0)
     cuts = np.searchsorted(both[:, 0], np.arange(1, count))

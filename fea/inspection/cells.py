@@ -113,14 +113,14 @@ def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
     """Return a sentence for each measure with cells beyond its limit."""
     warnings = []
     for measure in MEASURES:
-        one = measured[measure.name]
-        if one["bad"]:
-            place = ", ".join(f"{x:.4g}" for x in one["at"])
+        worst = measured[measure.name]
+        if worst["bad"]:
+            place = ", ".join(f"{x:.4g}" for x in worst["at"])
             warnings.append(
-                f"{one['bad']} cells are {measure.words} ({measure.name.replace('_', ' ')} "
+                f"{worst['bad']} cells are {measure.words} ({measure.name.replace('_', ' ')} "
                 f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
-                f"{one['kind']} near ({place}) m, has {one['worst']:.3g}); stresses and stiffness "
-                "there are not to be trusted"
+                f"{worst['kind']} near ({place}) m, has {worst['worst']:.3g}); stresses and "
+                "stiffness there are not to be trusted"
             )
     return warnings
 

@@ -153,6 +153,14 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high_corner - low_corner))
+    source = component.bundle.mesh if component.bundle else None
+    geometry = source.geometry if source else None
+    if geometry is not None and geometry.size > size:
+        message = (
+            f"is {geometry.size:.4g} m, more than the part's {size:.4g} m; if it was meant in mm, "
+            "write it in m"
+        )
+        problems.append(BundleProblem("mesh.size", message))
     for interface in component.interfaces:
         away = interface.point - np.clip(interface.point, low_corner, high_corner)
         lever = float(np.linalg.norm(away))

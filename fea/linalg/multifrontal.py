@@ -63,8 +63,8 @@ class Condensed(NamedTuple):
 
     def holding(self, unknown: int) -> tuple[int, Array]:
         """Return where the block column of an unknown starts, and it: shape (n - a, b - a), N/m."""
-        own = bisect_right(self.starts, unknown) - 1
-        return self.starts[own], self.blocks[own]
+        column = bisect_right(self.starts, unknown) - 1
+        return self.starts[column], self.blocks[column]
 
 
 class Route(NamedTuple):
@@ -249,18 +249,18 @@ class _CholeskyFront:
         return products(self.W, self.W, _square)
 
     def forward(self, x: Array, part: Substructure) -> None:
-        own = slice(part.start, part.stop)
-        y = _tfsm(1.0, self.L, x[own], uplo="L")
-        x[own] = y
+        rows = slice(part.start, part.stop)
+        y = _tfsm(1.0, self.L, x[rows], uplo="L")
+        x[rows] = y
         if part.boundary.size:
             x[part.boundary] -= self.W.T @ y
 
     def backward(self, x: Array, part: Substructure) -> None:
-        own = slice(part.start, part.stop)
-        y = x[own]
+        rows = slice(part.start, part.stop)
+        y = x[rows]
         if part.boundary.size:
             y = y - self.W @ x[part.boundary]
-        x[own] = _tfsm(1.0, self.L, y, uplo="L", trans="T")
+        x[rows] = _tfsm(1.0, self.L, y, uplo="L", trans="T")
 
 
 def _square(columns: Array) -> Array:
@@ -320,9 +320,9 @@ def _eliminate(dissection: Dissection, leaf: Leaf, kind: type) -> tuple[list, Ar
             front, handed_on = _branch(part, condensed, kind)
         else:
             matrix = leaf(number)
-            own = np.diagonal(matrix)
-            diagonal[part.start : part.stop] += own[: part.eliminated]
-            diagonal[part.boundary] += own[part.eliminated :]
+            diagonal_of_leaf = np.diagonal(matrix)
+            diagonal[part.start : part.stop] += diagonal_of_leaf[: part.eliminated]
+            diagonal[part.boundary] += diagonal_of_leaf[part.eliminated :]
             front, handed_on = _leaf(part, matrix, kind)
         fronts.append(front)
         condensed[number] = handed_on
@@ -345,11 +345,13 @@ _EMPTY = _EmptyFront()
 
 def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed]:
     """Return the front of a leaf and what it hands on."""
-    own, boundary = slice(0, part.eliminated), slice(part.eliminated, None)
+    pivots, boundary = slice(0, part.eliminated), slice(part.eliminated, None)
     matrix = matrix.T  # symmetric; so its columns lie together as a front's do
     front = _EMPTY
     if part.eliminated:
-        front = kind(matrix[own, own].copy(order="F"), matrix[own, boundary].copy(order="F"))
+        front = kind(
+            matrix[pivots, pivots].copy(order="F"), matrix[pivots, boundary].copy(order="F")
+        )
     handed_on = front.products(part.boundary.size)
     add_leaf(handed_on, matrix[boundary, boundary])
     return front, handed_on

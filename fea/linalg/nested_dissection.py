@@ -69,7 +69,7 @@ def incidence(cells: list[Array], free: Array) -> Incidence:
     free: shape (mesh nodes,), bool: the nodes whose displacement is unknown.
     """
     nodes = np.concatenate(cells) if cells else np.empty(0, dtype=np.int64)
-    owners = np.repeat(np.arange(len(cells)), [len(own) for own in cells])
+    owners = np.repeat(np.arange(len(cells)), [len(numbers) for numbers in cells])
     is_free = free[nodes]
     nodes, owners = nodes[is_free], owners[is_free]
     order = np.argsort(nodes, kind="stable")
@@ -134,10 +134,10 @@ def _directions(places: Array) -> Array:
     if len(places) <= _FEW_CELLS:
         return _AXES
     spread = places - places.mean(axis=0)
-    own = np.linalg.eigh(spread.T @ spread)[1].T
+    principal = np.linalg.eigh(spread.T @ spread)[1].T
     if len(places) < _MANY_CELLS:
-        return np.concatenate([_AXES, own])
-    return np.concatenate([_AXES, own, _DIAGONALS])
+        return np.concatenate([_AXES, principal])
+    return np.concatenate([_AXES, principal, _DIAGONALS])
 
 
 def _on_both_sides(ranks: Array, starts: Array, count: int) -> Array:

@@ -26,10 +26,10 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
     if mesh is None:
         return None
     if mesh.geometry is not None:
-        own = mesh.geometry
-        circle = max(3, round(own.circle * factor))
-        curvature = own.curvature and max(3, round(own.curvature * factor))
-        geometry = replace(own, size=own.size / factor, circle=circle, curvature=curvature)
+        meshing = mesh.geometry
+        circle = max(3, round(meshing.circle * factor))
+        curvature = meshing.curvature and max(3, round(meshing.curvature * factor))
+        geometry = replace(meshing, size=meshing.size / factor, circle=circle, curvature=curvature)
         return replace(bundle, mesh=replace(mesh, geometry=geometry))
     if mesh.generator is None or mesh.parameters is None:
         return None

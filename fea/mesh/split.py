@@ -92,18 +92,18 @@ def halved(mesh: Mesh) -> Mesh:
     keys = [_keys(names, nodes, pattern) for nodes, pattern in parents]
     points = [pattern.values @ mesh.points[nodes] for nodes, pattern in parents]
     known, first, number = np.unique(
-        np.concatenate([own.ravel() for own in keys]), return_index=True, return_inverse=True
+        np.concatenate([local.ravel() for local in keys]), return_index=True, return_inverse=True
     )
-    ends = np.cumsum([own.size for own in keys])[:-1]
+    ends = np.cumsum([local.size for local in keys])[:-1]
     numbers = [
-        part.reshape(own.shape) for part, own in zip(np.split(number, ends), keys, strict=True)
+        part.reshape(local.shape) for part, local in zip(np.split(number, ends), keys, strict=True)
     ]
     blocks = tuple(
         CellBlock(block.kind, _nodes(number, pattern))
         for block, number, (_, pattern) in zip(mesh.blocks, numbers, parents, strict=True)
     )
     regions = {
-        name: tuple((8 * own[:, None] + np.arange(8)).ravel() for own in cells)
+        name: tuple((8 * local[:, None] + np.arange(8)).ravel() for local in cells)
         for name, cells in mesh.regions.items()
     }
     faces = FaceFinder(mesh.blocks)
@@ -135,8 +135,8 @@ def _split_facets(group: FacetGroup, faces: FaceFinder, names: Array, known: Arr
     facets = [face for kind, nodes in group.blocks for face in faces.find(kind, nodes)[0]]
     return FacetGroup(
         tuple(
-            FacetBlock(kind, _nodes(np.searchsorted(known, _keys(names, own, pattern)), pattern))
-            for kind, own, pattern in ((kind, own, _pattern(kind)) for kind, own in facets)
+            FacetBlock(kind, _nodes(np.searchsorted(known, _keys(names, local, pattern)), pattern))
+            for kind, local, pattern in ((kind, local, _pattern(kind)) for kind, local in facets)
         )
     )
 

@@ -46,8 +46,8 @@ def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> 
         return np.concatenate(list(map(small_stress, bodies, parts)), axis=2)
     stresses = []
     for part, nodes in zip(body.parts, body.cells, strict=True):
-        own = part.small_stresses(np.moveaxis(gather(fields, nodes), -1, 0))
-        stresses.append(np.moveaxis(_six(own), 0, -1))
+        stress = part.small_stresses(np.moveaxis(gather(fields, nodes), -1, 0))
+        stresses.append(np.moveaxis(_six(stress), 0, -1))
     return np.concatenate(stresses)
 
 
@@ -69,8 +69,8 @@ def cauchy_stress(
     unit of each.
     """
     stresses, changes = [], []
-    own = body.at(temperature)
-    for part, nodes in zip(own.parts, body.cells, strict=True):
+    heated = body.at(temperature)
+    for part, nodes in zip(heated.parts, body.cells, strict=True):
         fields = np.moveaxis(gather(tangents, nodes), -1, 0)
         stress, slopes = part.cauchy_stresses(gather(displacement, nodes), fields)
         stresses.append(_six(stress))

@@ -164,8 +164,8 @@ class ArcPath:
             moved, edge = tangent.correction(balance)
             rate = self._rate(tangent)
             ties = tangent.border.ties
-            own = float(np.vdot(normal, moved + ties @ edge))
-            shift = -own / float(np.vdot(normal, rate[0] + ties @ rate[1]))
+            along = float(np.vdot(normal, moved + ties @ edge))
+            shift = -along / float(np.vdot(normal, rate[0] + ties @ rate[1]))
             nodes, border, more = moved + shift * rate[0], edge + shift * rate[1], shift
             size += more
         return None

@@ -49,9 +49,9 @@ def buckling_factors(
         stiffness = moved @ loads.T
         geometric = moved @ np.stack([stressed.times(motion) for motion in moved]).T
         # The best eigenvalues in a space of motions, and those of K-length one.
-        size, own = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+        size, vectors_of = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
         significant = size > 1e-12 * size.max(initial=0.0)
-        basis = own[:, significant] / np.sqrt(size[significant])
+        basis = vectors_of[:, significant] / np.sqrt(size[significant])
         values, vectors = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
         motions = (basis @ vectors).T @ moved
         ends = np.array([values.min(), values.max()])

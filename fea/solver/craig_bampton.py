@@ -73,7 +73,13 @@ def craig_bampton(
         raise ValueError(f"there are 1 to {inertia.size - freedoms - 1} modes, not {modes}")
     shapes, compliance = static_shapes(inertia)
     squares, motions = _held_modes(inertia, shapes, modes)
-    moved = np.concatenate([_frame_motion(own, point - origin, axes) for _, point, own in moving])
+    # Each frame's motion (6, 6), in its own axes, by that of the first frame.
+    turned = np.hstack([np.zeros((3, 3)), axes.T])
+    motions_of = [
+        np.vstack([eigenvalues @ _rigid((point - origin)[None], axes)[0], eigenvalues @ turned])
+        for _, point, eigenvalues in moving
+    ]
+    moved = np.concatenate(motions_of)
     static = _nodal(inertia, shapes)
     base = np.einsum("ij,njk->nik", body, _rigid(points - origin, axes)) - static @ moved
     fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
@@ -86,10 +92,10 @@ def craig_bampton(
     stiffness[:first, :first] = both.T @ np.linalg.inv(compliance) @ both
     stiffness[first:, first:] = np.diag(squares)
     stiffness = 0.5 * (stiffness + stiffness.T)
-    own = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
+    eigenvalues = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
     names, origins, rows = zip(*frames, strict=True)
     turned = np.array(rows).swapaxes(1, 2)
-    held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, own))
+    held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, eigenvalues))
     return CraigBampton(names, np.array(origins), turned, stiffness, energies, held, free)
 
 
@@ -99,13 +105,13 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
     By Lanczos' method with the inverse of the stiffness while the interfaces are held: a solve less
     the static shapes of what it moves them by.
     """
-    own = slice(inertia.first, inertia.first + inertia.active.size)
+    interface_rows = slice(inertia.first, inertia.first + inertia.active.size)
 
     def held(loads: Array) -> Array:
         moved = inertia.solved(loads)
-        return moved - shapes @ moved[own]
+        return moved - shapes @ moved[interface_rows]
 
-    mass, inverse = (Applied(inertia.size, one) for one in (inertia.times, held))
+    mass, inverse = (Applied(inertia.size, apply) for apply in (inertia.times, held))
     start = held(np.random.default_rng(_SEED).standard_normal(inertia.size))
     squares, motions = eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
     order = np.argsort(squares)
@@ -124,9 +130,3 @@ def _rigid(arms: Array, axes: Array) -> Array:
     """
     translations = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
     return np.concatenate([translations, -skew(arms)], axis=2) @ np.kron(np.eye(2), axes.T)
-
-
-def _frame_motion(own: Array, arm: Array, axes: Array) -> Array:
-    """Return a frame's motion (6, 6), in its axes `own`, by that of another at an arm (3,), m."""
-    turned = np.hstack([np.zeros((3, 3)), axes.T])
-    return np.vstack([own @ _rigid(arm[None], axes)[0], own @ turned])

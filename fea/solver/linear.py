@@ -107,8 +107,8 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
         more_nodes, more = start.solve(nodal, border_residual)
         nodes, moved = nodes - more_nodes, moved - more
         size = max(
-            _relative(more_nodes[..., own], nodes[..., own])
-            for own in (slice(first), *range(first, nodes.shape[2]))
+            _relative(more_nodes[..., group], nodes[..., group])
+            for group in (slice(first), *range(first, nodes.shape[2]))
         )
         if size <= _SMALL:
             break

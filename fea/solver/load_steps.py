@@ -240,8 +240,8 @@ class LoadPath:
             advance += [(after - before)[:3], spin]
         if self._system.body.expands:
             both, body = (self._balance, equilibrium.balance), self._system.body
-            middle = 0.5 * sum(self._system.temperature(one.wrench) for one in both)
-            before, after = (body.heat(one.state.nodes, middle)[1] for one in both)
+            middle = 0.5 * sum(self._system.temperature(motion.wrench) for motion in both)
+            before, after = (body.heat(motion.state.nodes, middle)[1] for motion in both)
             advance.append(np.array([before - after]))
         moved = equilibrium.balance.state.nodes - self._balance.state.nodes
         advance.append(contract(self._system.pull, moved[:, :, None])[:, 0])

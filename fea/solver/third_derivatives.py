@@ -85,8 +85,8 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
     body = system.body.at(system.temperature(inputs))
     changes = tangent.tangent.times(fields, coupling.tied)
     changes[:, :, coupling.active.size :] -= tangent.further
-    own = body.third(state.nodes, fields)
-    own += coupling.third(state, (balance.forces, changes), fields, border)
+    body_part = body.third(state.nodes, fields)
+    body_part += coupling.third(state, (balance.forces, changes), fields, border)
     if body.expands:
         # The strain energy's derivatives by the temperature, input number `place`.
         nodes, temperature = balance.state.nodes, system.temperature(balance.wrench)
@@ -103,6 +103,6 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
         heat[coupling.active.size, coupling.active.size, coupling.active.size] += (
             _JERK @ energies / _WARMER**3
         )
-        own += heat
-    tensor[np.ix_(active, active, active)] = -own
+        body_part += heat
+    tensor[np.ix_(active, active, active)] = -body_part
     return tensor

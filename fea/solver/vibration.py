@@ -42,11 +42,11 @@ class Riding:
             raise ValueError(f"a mass of {self.mass:g} kg cannot be; give zero or more")
         if not np.array_equal(self.inertia, self.inertia.T):
             raise ValueError("the inertia must be symmetric")
-        own = np.linalg.eigvalsh(self.inertia)
-        if own[0] < -1e-9 * max(own[2], 0.0):
+        moments = np.linalg.eigvalsh(self.inertia)
+        if moments[0] < -1e-9 * max(moments[2], 0.0):
             raise ValueError(
-                f"no body has the principal moments of inertia {own.tolist()} kg·m^2: none may be "
-                "negative"
+                f"no body has the principal moments of inertia {moments.tolist()} kg·m^2: none may "
+                "be negative"
             )
 
     @classmethod
@@ -114,7 +114,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     elif riding.matrix.any():
         raise ValueError("a mass on one of several interfaces is not there yet; leave it out")
     inertia = Inertia(system, mass, interface_mass)
-    own = float(mass.sum())
+    mass_of_part = float(mass.sum())
     if mass.nnz:
         # The motion of the lowest frequency, by Lanczos' method.
         masses, inverse = (
@@ -147,7 +147,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     square = stiffness / float(x @ inertia.times(x))
     bare = Inertia(system, mass, np.zeros((count, count)))
     frequency = float(np.sqrt(square) / (2 * np.pi))
-    return Vibration(own, frequency, _directed(interface), condensed_mass(bare))
+    return Vibration(mass_of_part, frequency, _directed(interface), condensed_mass(bare))
 
 
 def condensed_mass(inertia: Inertia) -> Array:
@@ -168,12 +168,12 @@ def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
 
     And the compliance of these freedoms, shape (k, k), m/N and its like.
     """
-    own = inertia.first + np.arange(inertia.active.size)
-    units = np.zeros((own.size, inertia.size))
-    units[np.arange(own.size), own] = 1.0
+    rows = inertia.first + np.arange(inertia.active.size)
+    units = np.zeros((rows.size, inertia.size))
+    units[np.arange(rows.size), rows] = 1.0
     moved = inertia.solved(units).T
-    compliance = 0.5 * (moved[own] + moved[own].T)
-    return np.linalg.solve(moved[own].T, moved.T).T, compliance
+    compliance = 0.5 * (moved[rows] + moved[rows].T)
+    return np.linalg.solve(moved[rows].T, moved.T).T, compliance
 
 
 class Inertia:
@@ -259,11 +259,11 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
     """
     count = len(mesh.points)
     total = csr_array((count, count))
-    for block, own in zip(mesh.blocks, density, strict=True):
+    for block, densities in zip(mesh.blocks, density, strict=True):
         # The mass matrix of each cell, shape (cells, nodes, nodes), kg.
         element = reference_element(block.kind, "mass")
         jacobian = mesh.points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes
-        weights = np.linalg.det(jacobian) * element.weights * own[:, None]
+        weights = np.linalg.det(jacobian) * element.weights * densities[:, None]
         products = element.values[:, :, None] * element.values[:, None, :]
         size = block.nodes.shape[1]
         entries = (weights @ products.reshape(len(products), -1)).reshape(len(block), size, size)

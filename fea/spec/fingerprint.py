@@ -69,8 +69,8 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
     }
     if parts["others"]:
         content["interface"] = [
-            {"name": one.name, "is": _interface(one)}
-            for one in (parts["interface"], *parts["others"])
+            {"name": interface.name, "is": _interface(interface)}
+            for interface in (parts["interface"], *parts["others"])
         ]
     densities = sorted(
         (material.region, material.density or 0.0) for material in parts["materials"]
@@ -127,8 +127,8 @@ def _material(material: Material, heated: bool) -> list[object]:
     if material.law != "isotropic":
         content.append(material.law)
     if material.orthotropic is not None:
-        own = asdict(material.orthotropic)
-        content.append({name: value for name, value in own.items() if value is not None})
+        constants = asdict(material.orthotropic)
+        content.append({name: value for name, value in constants.items() if value is not None})
     return [*content, material.thermal_expansion] if heated else content
 
 

@@ -65,7 +65,9 @@ def main() -> None:
         with opened(path) as gmsh:
             if geometry is None:
                 shapes = {"faces": faces_of(gmsh), "bodies": bodies_of(gmsh)}
-                fields = {key: [asdict(one) for one in own] for key, own in shapes.items()}
+                fields = {
+                    key: [asdict(entity) for entity in entities] for key, entities in shapes.items()
+                }
             else:
                 problems: list[BundleProblem] = []
                 size = geometry.size

@@ -111,7 +111,9 @@ def _nearest(
     kind, dimension = ("face", 2) if isinstance(shapes[0], Face) else ("body", 3)
     # Distances from a point, m, of all the shapes that can be nearest.
     margin = _NEAR * size
-    bound = {s.number: _to_box(point, s.low, s.high) for s in shapes}
+    place = np.array(point)
+    offs = {s.number: np.maximum(np.array(s.low) - place, place - s.high) for s in shapes}
+    bound = {number: float(np.linalg.norm(np.maximum(0.0, off))) for number, off in offs.items()}
     distances: dict[int, float] = {}
     vertex = gmsh.model.occ.addPoint(*(x / METRES for x in point))
     for number in sorted(bound, key=lambda n: bound[n]):
@@ -131,11 +133,6 @@ def _nearest(
         return nearest
     problems.append(BundleProblem(f"{where}.near", message))
     return []
-
-
-def _to_box(point: Place, low: Place, high: Place) -> float:
-    p, a, b = np.array(point), np.array(low), np.array(high)
-    return float(np.linalg.norm(np.maximum(0.0, np.maximum(a - p, p - b))))
 
 
 def _spans(numbers: list[int]) -> str:

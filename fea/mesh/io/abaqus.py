@@ -212,8 +212,8 @@ def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> 
     Raises MeshFileError if there is none.
     """
     instance, _, last = name.rpartition(".")
-    own = deck.frames.get(instance.upper())
-    for key in (own.key(last) if own else "", frame.key(name), name.upper()):
+    in_frame = deck.frames.get(instance.upper())
+    for key in (in_frame.key(last) if in_frame else "", frame.key(name), name.upper()):
         if key in sets:
             return key
     raise MeshFileError(f'names a set "{name}" that is not defined above it')
@@ -221,14 +221,14 @@ def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> 
 
 def _take_surface(deck: Deck, keyword: Keyword) -> None:
     by_node = keyword.options.get("TYPE", "ELEMENT").upper() == "NODE"
-    own = keyword.options["NAME"]
+    surface = keyword.options["NAME"]
     for name, *fields in keyword.rows:
         if by_node:
             _add(
                 deck,
                 deck.node_sets,
                 keyword.frame,
-                own,
+                surface,
                 named(deck, deck.node_sets, name, keyword.frame),
             )
             continue
@@ -238,7 +238,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
         entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
         deck.entries += len(entries)
         _few(range(deck.entries))
-        deck.surfaces.setdefault(_key(deck, keyword.frame, own), []).extend(entries)
+        deck.surfaces.setdefault(_key(deck, keyword.frame, surface), []).extend(entries)
 
 
 def _take_instance(deck: Deck, keyword: Keyword) -> None:
@@ -280,8 +280,8 @@ def set_names(deck: Deck, sets: Iterable[str]) -> dict[str, str]:
         short |= {key: key.removeprefix(start) for key in short if key.startswith(start)}
     times = Counter(short.values())
     return {
-        key: deck.names[key][-len(own) :] if times[own] == 1 else deck.names[key]
-        for key, own in short.items()
+        key: deck.names[key][-len(name) :] if times[name] == 1 else deck.names[key]
+        for key, name in short.items()
     }
 
 
@@ -312,7 +312,7 @@ def raw_mesh(deck: Deck) -> RawMesh:
             groups[key]: np.array([row[node] for node in ids if node in row], dtype=np.int64)
             for key, ids in deck.node_sets.items()
         },
-        {faces[key]: _faces(deck, row, own) for key, own in deck.surfaces.items()},
+        {faces[key]: _faces(deck, row, sides) for key, sides in deck.surfaces.items()},
     )
 
 

@@ -383,11 +383,14 @@ def _supports(
     together: dict[str, list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
         together[_directions(freedoms)].append(label)
-    held = [HeldGroup(where, key, _directions(own)) for key, (where, own) in by_set.items()]
+    held = [
+        HeldGroup(where, key, _directions(freedoms_held))
+        for key, (where, freedoms_held) in by_set.items()
+    ]
     for ways, labels in together.items():
         key = _set_of(reader, deck, labels, f"nodes_held_in_{ways}")
         held.append(HeldGroup(by_node[labels[0]][0], key, ways))
-    return [own for own in held if own.directions], of_couplings
+    return [freedoms_held for freedoms_held in held if freedoms_held.directions], of_couplings
 
 
 def _directions(freedoms: set[int]) -> str:

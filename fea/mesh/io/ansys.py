@@ -68,9 +68,9 @@ def read_ansys(text: str) -> Translated:
                 raise MeshFileError(f"line {number}: {word} cannot be read ({error})") from None
     if not archive.cases:
         archive.end_step("")
-    for name, own in archive.materials.items():
-        pair = own.pop("E", ""), own.pop("NU", "")
-        archive.constants[name] = ({"ELASTIC": ", ".join(pair)} if all(pair) else {}) | own
+    for name, constants in archive.materials.items():
+        pair = constants.pop("E", ""), constants.pop("NU", "")
+        archive.constants[name] = ({"ELASTIC": ", ".join(pair)} if all(pair) else {}) | constants
     return archive
 
 
@@ -168,20 +168,22 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
     if not fields[1].startswith("NODE"):
         archive.left[f"component {fields[0]} of elements"] += 1
         return
-    own = archive.groups[fields[0]]
+    members = archive.groups[fields[0]]
     for number in numbers:
-        own += (
-            [str(number)] if number > 0 else [str(i) for i in range(int(own[-1]) + 1, 1 - number)]
+        members += (
+            [str(number)]
+            if number > 0
+            else [str(i) for i in range(int(members[-1]) + 1, 1 - number)]
         )
 
 
 def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
     label, name, value, *more = fields if word == "MP" else (*fields[2:4], *fields[5:])
-    own = archive.materials.setdefault(f"MAT_{int(name)}", {})
+    constants = archive.materials.setdefault(f"MAT_{int(name)}", {})
     if label in _CONSTANTS:
         if word == "MP" or int(fields[4]) == 1:  # else a table's later rows
-            own[_CONSTANTS[label]] = value
-        first = own.get(_CONSTANTS[label], "")
+            constants[_CONSTANTS[label]] = value
+        first = constants.get(_CONSTANTS[label], "")
         archive.left[f"{label} at further temperatures"] += any(
             each != first for each in (value, *more) if each
         )

@@ -127,8 +127,8 @@ def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
             names = ", ".join(f"{kind} {number}" for number in alone)
             data.decide.append(f"the case control selects no {kind}; taken as cases: {names}")
             cases = {
-                f"{name} {kind} {number}".strip(): own | {kind: number}
-                for name, own in cases.items()
+                f"{name} {kind} {number}".strip(): selected | {kind: number}
+                for name, selected in cases.items()
                 for number in alone
             }
     return cases
@@ -194,10 +194,10 @@ def _material(data: _Bulk, name: str, fields: list[str]) -> None:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
-    own = data.constants[f"{name}_{fields[0]}"]
-    own["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
+    constants = data.constants[f"{name}_{fields[0]}"]
+    constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
     further = {"DENSITY": _real(fields[4]) * data.mass_factor, "EXPANSION": _real(fields[5])}
-    own |= {word: f"{value:.9g}" for word, value in further.items() if value}
+    constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
 def _section(data: _Bulk, name: str, fields: list[str]) -> None:

@@ -67,12 +67,12 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
         centre = points.mean(axis=0)
         _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
         axes = axes[sizes > _SAME * sizes[0]]
-        own, there = (points - centre) @ axes.T, (nodes[between] - centre) @ axes.T
+        here, there = (points - centre) @ axes.T, (nodes[between] - centre) @ axes.T
         if len(axes) == 1:
-            order = np.argsort(own[:, 0])
-            inside = np.interp(there[:, 0], own[order, 0], values[order], np.nan, np.nan)
+            order = np.argsort(here[:, 0])
+            inside = np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
         else:
-            inside = np.asarray(LinearNDInterpolator(own, values)(there))
+            inside = np.asarray(LinearNDInterpolator(here, values)(there))
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape
 

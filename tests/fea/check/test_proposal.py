@@ -10,6 +10,7 @@ from tests.fea.boxes import box
 from tests.fea.cae import make
 from tests.fea.written_deck import deck_lines
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check.proposal import main, propose
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.quality import folded_cells, volumes
@@ -160,6 +161,22 @@ def test_a_folder_with_a_component_is_not_overwritten(tmp_path):
     with pytest.raises(BundleError, match="name a new folder"):
         propose(make.HERE / "calculix.inp", tmp_path)
     assert (tmp_path / "component.toml").read_text() == "mine"
+
+
+def test_a_folder_that_cannot_be_made_and_a_deck_that_cannot_be_read_are_named(tmp_path, capsys):
+    (tmp_path / "file").write_text("no folder")
+    assert main([str(make.HERE / "calculix.inp"), str(tmp_path / "file")]) == 1
+    assert "cannot be written (File exists); name a new folder" in capsys.readouterr().out
+    for deck in (tmp_path / "none.inp", tmp_path):
+        assert main([str(deck), str(tmp_path / "new")]) == 1
+        assert f"{deck}: cannot be read" in capsys.readouterr().out
+
+
+def test_a_case_of_a_deck_without_steps_is_refused_with_what_to_do(tmp_path):
+    text = (SHIPPED / "link" / "link.inp").read_text(encoding="utf-8")
+    (tmp_path / "a.inp").write_text(text, encoding="utf-8")
+    with pytest.raises(BundleError, match='no "last"; it has no steps: leave --case out'):
+        propose(tmp_path / "a.inp", tmp_path / "new", case="last")
 
 
 def test_a_node_in_a_coordinate_system_of_its_own_is_refused_with_its_line(tmp_path):
