@@ -259,6 +259,8 @@ TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
 
 def _key(deck: Deck, frame: Frame, name: str) -> str:
     """Return a set's key; its name keeps the spelling of its first mention."""
+    if not name:
+        raise MeshFileError("has no name for its set; write NSET=NAME, ELSET=NAME or NAME=NAME")
     key = frame.key(name)
     deck.names.setdefault(key, f"{frame.name}.{name}" if frame.name else name)
     return key

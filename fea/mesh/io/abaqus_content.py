@@ -310,7 +310,10 @@ def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     step.begin(keyword)
     if "AMPLITUDE" in keyword.options:
         reader.lack(keyword, "varies by an amplitude; its values are taken as they are")
-    for target, freedom, value, *_ in keyword.rows:
+    for row in keyword.rows:
+        if len(row) < 3:
+            raise ValueError(f"{', '.join(row)} needs a node or set, a freedom and a value")
+        target, freedom, value = row[:3]
         key, labels = _target(deck, target, keyword.frame)
         if not 1 <= int(freedom) <= 6:
             raise ValueError(f"{freedom} is no force or moment")
