@@ -1,4 +1,4 @@
-"""What one solve gives back."""
+"""The result of one solve, and the check of its inputs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Solution:
     # for a part of the thermal strain's size), so that their difference measures the steps, not the
     # answer. NaN for a nonlinear deck.
     work: float
-    unknowns: int  # degrees of freedom solved for; 0 where a deck's solver does not tell
+    unknowns: int  # degrees of freedom solved for; 0 where a deck's solver does not print them
     # Wall time of this solve; what a `Solver` shares between solves is not counted again
     seconds: float
     # The iterations, in order; empty for a linear solve and a zero wrench

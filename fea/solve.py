@@ -163,7 +163,7 @@ class Solver:
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What an engineer should know: the warnings of `fea.check`, and how it is solved."""
+        """Notes for an engineer: the warnings of `fea.check`, and how it is solved."""
         notes = tuple(
             f"{warning.where}: {warning.message}" for warning in warnings_of(self.component)
         )
@@ -289,7 +289,7 @@ class Solver:
             solution = self._solve_linear(inputs, acting)
         else:
             solution = self._solve_nonlinear(inputs, acting, progress, start)
-        # Where the loads alone tell that nothing yields, no stresses of the answer are needed.
+        # Where the loads alone exclude that anything yields, no stresses of the answer are needed.
         by_loads = not (analysis.nonlinear or self._system.weight is not None or self.body.expands)
         if not (by_loads and np.abs(acting) @ self._most_used <= 1.0):
             exceeded = yielding(self.component, self._system.body, solution)

@@ -1,6 +1,6 @@
 """Warnings about a solver error that exceeds the tolerance, each with a remedy.
 
-It needs no mesh and no solver: whoever serves a table says it of an estimate that was stored.
+It needs no mesh and no solver: a server of tables has the stored estimate alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ WHERE = "tolerance"
 
 _OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 FINE = 0.01
-"""Of a compliance: what is asked of straight edges across round surfaces."""
+"""Of a compliance: the largest effect of straight edges across round surfaces without a warning."""
 
 _WORTH_A_MESH = 30.0
 """Times smaller, beyond which cells are no remedy any more: that is 27,000 times as many."""
@@ -28,7 +28,7 @@ _WORTH_A_MESH = 30.0
 def over_tolerance(
     solver_error: Mapping[str, Any] | None, translation: float, rotation: float
 ) -> list[BundleProblem]:
-    """Return what of `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
+    """Return warnings where `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
 
     No solve lowers it: a component whose mesh alone is over its tolerance has covered answers
     beyond it, each with a bar that says so. At the full range, all loads at once, with what solved

@@ -1,8 +1,8 @@
-"""What a linear component leaves out: nonlinear solves at a corner of its range, and buckling.
+"""Error of a linear component: nonlinear solves at a corner of its range, and buckling.
 
 The answers of a linear component are the first term of a series in the wrench; what is left out
 begins with the square. So its size at the corner where the interface turns most, taken from a
-nonlinear solve, tells it elsewhere: bar(w) = bar(corner) s(w)^2 with s the largest load over its
+nonlinear solve, gives it elsewhere: bar(w) = bar(corner) s(w)^2 with s the largest load over its
 range. The wrench opposite is solved too, since what pulls stiffens and what pushes buckles.
 """
 
@@ -22,7 +22,7 @@ from wrenchbook.fea.spec.schema import DeclaredRange
 Array = np.ndarray
 
 _PARTS = (1.0, 0.5, 0.25)
-"""Of the largest wrench to be tried, in turn: a smaller one tells as much where a larger fails."""
+"""Of the largest wrench to be tried, in turn: a smaller one shows as much where a larger fails."""
 
 _STEEP = 1.25
 """Buckling factor below which the corner itself is not tried: half the buckling load is."""
@@ -45,9 +45,7 @@ class BeyondLinear:
     why: str = ""  # what kept a nonlinear solve from an answer; often empty
 
 
-_MOST_REPORTED = (
-    10.0  # a factor beyond which nobody asks for it, and its continuation tells nothing
-)
+_MOST_REPORTED = 10.0  # a factor beyond which its continuation shows nothing
 
 
 def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:

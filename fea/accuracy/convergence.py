@@ -1,4 +1,4 @@
-"""What a component's compliance does as its cells become smaller, and what its own mesh lacks.
+"""Convergence of a component's compliance with smaller cells, and the error of its own mesh.
 
 Two or three meshes give the change; three also give the order p at which it shrinks, and with it
 the value at cells without size (Richardson 1911; Roache 1994). A linear problem is enough: the
@@ -50,7 +50,7 @@ class Study(NamedTuple):
 
     @property
     def lacking(self) -> Array:
-        """What the own mesh lacks, shape (6 i, k).
+        """Error of the component's own mesh, shape (6 i, k).
 
         The finest is taken to lack what an error of first order would still, the slowest: it rules
         where stresses are singular, at clamped and at re-entrant edges.

@@ -25,7 +25,7 @@ _MARGIN = 1.25
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
-    """Return what a component's own answers may be wrong by.
+    """Return the estimated error of a component's own answers.
 
     What `fea.accuracy.convergence` found of this setup is taken as it is. Else a second mesh is
     made: of a small mesh a finer one, of a large one a coarser one where one can be made. What the
@@ -115,7 +115,7 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
 def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     """Return the parts of the error that the size of cells makes, each (6 i, k), and the basis.
 
-    There are no parts where nothing tells the error.
+    There are no parts where the error is not known.
     """
     compliance, bundle = solver.linear.compliance, solver.component.bundle
     study = kept(bundle, compliance.shape)
@@ -183,7 +183,7 @@ def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
 
 
 def accuracy_or_why(solver: Solver) -> dict[str, Any]:
-    """Return what `accuracy_of` does, or ``mesh`` None and in ``mesh_basis`` why not.
+    """Return the result of `accuracy_of`, or ``mesh`` None and in ``mesh_basis`` why not.
 
     A part that can be solved has an answer whatever happens here: a coarser mesh can be too coarse
     for the shape, and memory can end.

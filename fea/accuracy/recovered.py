@@ -39,7 +39,7 @@ class _Piece(NamedTuple):
     corners: Array  # shape (cells, corners), int64: nodes
     functions: Array  # shape (points, corners): the linear shape functions of the corners
     material: int  # its number
-    # Whether volumetric strains are projected: those at the points then tell nothing
+    # Whether volumetric strains are projected: those at the points then show nothing
     projected: bool
 
 

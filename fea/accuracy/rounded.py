@@ -1,4 +1,4 @@
-"""What straight edges across a round surface change: the same cells, their edges bent.
+"""Effect of straight edges across a round surface: the same cells, their edges bent.
 
 Midside nodes that a first-order mesh is given, here or by another program, lie in the middle of
 straight edges. Where the facets of the surface turn little from one to the next they approximate a
@@ -36,7 +36,7 @@ changes in proportion."""
 
 
 class Roundness(NamedTuple):
-    """What bending the edges changes."""
+    """Effect of bending the edges."""
 
     # Shape (6 i, k): the compliance with straight edges, less that with bent ones, in its units
     change: Array
@@ -44,7 +44,7 @@ class Roundness(NamedTuple):
 
 
 def roundness(solver: Solver) -> Roundness | None:
-    """Return what straight edges across round surfaces change; None if there are none.
+    """Return the effect of straight edges across round surfaces; None if there are none.
 
     It costs a linear solve. Of mesh files alone: other meshes are made on their geometry.
 

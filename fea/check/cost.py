@@ -1,4 +1,4 @@
-"""What a solve will take, from the order of elimination alone.
+"""Time and memory of a solve, from the order of elimination alone.
 
 The factorisation's operations and the numbers it holds follow exactly from the tree of nested
 substructures (`fea.linalg.nested_dissection`): a front that eliminates m of m + b unknowns takes

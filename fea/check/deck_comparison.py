@@ -1,4 +1,4 @@
-"""What of an input deck a component reads and ignores, and where the two contradict each other."""
+"""Keywords of an input deck that a component reads or ignores, and their contradictions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def listing(deck: DeckContent) -> dict[str, Any]:
 
 
 def _instead(name: str) -> str:
-    """Say what an element of a deck is here, where it is not the same."""
+    """Return the element solved in place of a deck's, in words; empty where it is the same."""
     solid = _SOLID.fullmatch(name)
     if solid is None:
         return ""
@@ -52,7 +52,7 @@ def _instead(name: str) -> str:
 
 
 def contradictions(component: ComponentModel) -> list[BundleProblem]:
-    """Return what a component leaves out of its deck, and does in another way."""
+    """Return the contradictions of a component and its deck, and what of the deck it leaves out."""
     deck = component.mesh.deck
     if deck is None:
         return []

@@ -1,4 +1,4 @@
-"""What is wrong with a mesh and its supports: bodies that can move, found from the nodes alone.
+"""Faults of a mesh and its supports: bodies that can move, found from the nodes alone.
 
 Each body of the mesh counts as rigid, which it is at most, so every motion found here is a
 mechanism of the real part too; nothing is assembled or factorised. A body's motion is
@@ -98,7 +98,7 @@ def _motions_in_words(component: ComponentModel, motions: Array) -> str:
 
 
 def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
-    """Say how a free body lies to the others: apart, on shared nodes, or on coincident ones."""
+    """Return how a free body touches the others: not at all, at shared or coincident nodes."""
     mine_nodes = bodies.nodes[number]
     others = [n for n in range(bodies.count) if n != number]
     shared = {n: len(np.intersect1d(mine_nodes, bodies.nodes[n])) for n in others}
@@ -150,7 +150,7 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
 
 
 def describe(motion: Array, centre: Array, extent: float) -> str:
-    """Say a motion of `free_motions` in words.
+    """Return a motion of `free_motions` in words.
 
     The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
     """

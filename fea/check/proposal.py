@@ -250,7 +250,7 @@ def propose(
     proposal.decide += decide
     if unit is None:
         materials = proposal.deck.materials.values()
-        largest = max((material.get("youngs_modulus", 0.0) for material in materials), default=0.0)
+        largest = max([0.0, *(material.get("youngs_modulus", 0.0) for material in materials)])
         density = max((material.get("density", 0.0) for material in materials), default=0.0)
         unit = next(unit for least, unit in _UNITS if largest > least)
         if density > _IN_KILOGRAMS:

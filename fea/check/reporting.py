@@ -253,7 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("folder", type=Path, metavar="FOLDER", help="folder of the component bundle")
     try:
         options = parser.parse_args(arguments)
-        # The mass that the arguments tell; None if they tell none.
+        # The mass of the arguments; None without any.
         if options.mass is None and options.inertia is None and options.centre is None:
             riding = None
         else:

@@ -33,7 +33,7 @@ def solver_of(component: ComponentModel) -> tuple[Solver | None, list[BundleProb
 
 
 def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[BundleProblem]]:
-    """Solve six unit loads and return what that tells, and what would stop a solve.
+    """Solve six unit loads; return size, mass and deflection, and problems that stop a solve.
 
     solver: the component's.
     cost: as `fea.check.cost.estimate` has it: what takes too long is not tried.
@@ -124,7 +124,7 @@ def _problem(failure: SolveFailed) -> BundleProblem:
 
 
 def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], list[BundleProblem]]:
-    """Return what the component weighs and how slowly it swings, and what stands in the way.
+    """Return mass and first natural frequency of the component, and warnings.
 
     solver: of the component; its materials without a density weigh nothing.
     riding: the rigid mass on the interface; None for none.

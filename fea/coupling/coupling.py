@@ -77,7 +77,7 @@ class SectionCoupling(ABC):
 
     @abstractmethod
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what the coupling adds to the nodes, and what is out of balance in the border.
+        """Return the coupling's nodal forces, and the forces out of balance in the border.
 
         Internal forces have shape (s, 3), N, the wrench (6,), N and N·m; the results (s, 3), N, and
         (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
@@ -246,7 +246,7 @@ class Coupling:
         return CoupledState(placed, interface, np.append(multipliers, sprung))
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what is out of balance.
+        """Return the forces out of balance.
 
         state: the configuration.
         forces: shape (n, 3), N: internal nodal forces in it.

@@ -39,7 +39,7 @@ class Distributed(SectionCoupling):
         self._arms = places - self._centre
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what the multipliers push, and what is out of balance under a wrench (6,).
+        """Return the forces of the multipliers, and the forces out of balance under a wrench (6,).
 
         Shape (s, 3), N, at the nodes; shape (12,) in the interface freedoms, N and N·m, and in
         the six constraints, m and m^2.

@@ -63,7 +63,7 @@ def moment_unsettled(runs: int, gap: float) -> SolveFailed:
     """Return the failure of the search for the conjugate moment."""
     return SolveFailed(
         "not_converged",
-        f"After {runs} runs the deck's moment is still {gap:.1e} off the one that was asked for.",
+        f"After {runs} runs the deck's moment is still {gap:.1e} off the required one.",
         'If the deck takes moments about fixed axes, say moment = "spatial" in [deck]; else the '
         "part turns too much for its moment.",
     )

@@ -28,7 +28,7 @@ LOADS = ("FX", "FY", "FZ", "MX", "MY", "MZ")
 """The placeholders, each with a $ before it, in the order of the wrench contract."""
 
 PRINTED = "printed.txt"
-"""What the program wrote to its standard output and errors."""
+"""File of the program's standard output and errors."""
 
 _PLACEHOLDER = re.compile(rb"\$([FM][XYZ])\b")
 _MOST_QUOTED = 400  # characters
@@ -65,7 +65,7 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
     deck: what to run.
     wrench: shape (6,), N and N·m, with the moment that the deck takes.
     folder: where its files are put and stay; must not exist yet.
-    progress: called while it runs, as far as the reader can tell.
+    progress: called while it runs, as far as the reader knows.
     Returns displacement, unknowns: shape (6,), m and rad; degrees of freedom, 0 if unknown.
     Raises SolveFailed: ``bad_deck``, ``no_solver``, ``timed_out``, ``solver_failed``,
     ``not_converged`` or ``bad_output``.

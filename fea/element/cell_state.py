@@ -72,7 +72,7 @@ class CellState(ABC):
         """Write the tangent stiffness, shape (cells, size, size), N/m."""
 
     def changes(self, fields: Array) -> tuple[Array, Array, Array]:
-        """Return what fields, m, shape (k, cells, 3, nodes), change.
+        """Return the changes by fields, m, shape (k, cells, 3, nodes).
 
         All fields' 3x3 matrices stand one below the other, so that each product is one for all.
 

@@ -1,4 +1,4 @@
-"""What the cells of every material share: forces, energies and stresses, total Lagrangian.
+"""Common part of the cells of all materials: forces, energies and stresses, total Lagrangian.
 
 The unknowns of a cell are ordered component first, (ux of all nodes, uy of all nodes, uz of all
 nodes), which lets the products run as matrix products without moving anything first. The material

@@ -54,7 +54,7 @@ singular), hex20 by 10 % with the projection, and full integration of any kind b
 
 
 def locking(block: CellBlock, poisson: Array) -> str:
-    """Say which cells of a block would lock; an empty string if none would.
+    """Return which cells of a block would lock, in words; an empty string if none would.
 
     block: the cells.
     poisson: shape (cells,), dimensionless: their Poisson's ratios.

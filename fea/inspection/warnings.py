@@ -1,7 +1,7 @@
-"""What may make an answer wrong, found by looking at a component: nothing is solved.
+"""Warnings of what may make an answer wrong, from the component alone: nothing is solved.
 
 These are the warnings of `fea.check`, and the notes of every solution of the embedded solver, so
-that they reach whoever asks. They cost one pass over the cells and two searches among the nodes of
+that they reach every caller. They cost one pass over the cells and two searches among the nodes of
 the surface: less than the symbolic analysis before a solve.
 """
 

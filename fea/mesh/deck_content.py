@@ -1,4 +1,4 @@
-"""What an input deck has besides its mesh: materials, sections, and load cases.
+"""Content of an input deck besides its mesh: materials, sections, and load cases.
 
 All numbers are in the deck's own units, which no deck names; `in_si` takes its length unit and the
 forces that go with it.
@@ -88,7 +88,7 @@ class CoupledGroup:
 
 @dataclass
 class LoadCase:
-    """What acts in a step, load case or subcase of a deck; groups are the mesh's.
+    """Supports and loads of a step, load case or subcase of a deck; groups are the mesh's.
 
     `loads` are sums of forces on groups without a coupling, shape (6,).
     """
@@ -122,7 +122,7 @@ class LoadCase:
 
 @dataclass
 class DeckContent:
-    """What a deck has besides its mesh.
+    """Content of a deck besides its mesh.
 
     Attributes
     ----------

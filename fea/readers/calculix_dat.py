@@ -54,7 +54,7 @@ class CalculixDat:
         return Reading((*place, *rotation), int(counts[-1]) if counts else 0)
 
     def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return what ccx printed after ``*ERROR``; it may end with exit code 0 all the same."""
+        """Return the messages of ccx after ``*ERROR``; it may end with exit code 0 all the same."""
         errors = list(_errors(_text(run.printed)))
         if not errors:
             return None

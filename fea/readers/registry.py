@@ -49,7 +49,7 @@ class NumbersReader:
         return Reading(tuple(number(word, name) for word in texts))
 
     def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return None: the exit code tells."""
+        """Return None: the exit code shows a failure."""
         return None
 
     def stage(self, run: DeckRun) -> tuple[float, str] | None:

@@ -121,7 +121,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
             Applied(inertia.size, apply) for apply in (inertia.times, inertia.solved)
         )
         start = np.random.default_rng(_SEED).standard_normal(inertia.size)
-        # In this mode ARPACK multiplies by K^-1 and M alone; the first argument tells the size.
+        # In this mode ARPACK multiplies by K^-1 and M alone; the first argument gives the size.
         _, motions = eigsh(masses, k=1, M=masses, sigma=0.0, which="LM", OPinv=inverse, v0=start)
         x = motions[:, 0]
     else:

@@ -184,7 +184,7 @@ class Supports:
 
 
 ON_YIELD = ("warn", "fail")
-"""What becomes of a solve in which a material yields: a note with the answer, or no answer."""
+"""Outcome of a solve in which a material yields: a note with the answer, or no answer."""
 
 
 @dataclass(frozen=True)

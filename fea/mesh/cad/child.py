@@ -22,6 +22,7 @@ from wrenchbook.fea.mesh.cad.entities import METRES, bodies_of, faces_of
 from wrenchbook.fea.mesh.cad.select import choose_bodies, choose_faces
 from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.schema import GeometryMeshing
 
 Array = np.ndarray
 
@@ -69,43 +70,49 @@ def main() -> None:
                     key: [asdict(entity) for entity in entities] for key, entities in shapes.items()
                 }
             else:
-                problems: list[BundleProblem] = []
-                size = geometry.size
-                groups = choose_faces(gmsh, faces_of(gmsh), geometry.groups, size, problems)
-                bodies = bodies_of(gmsh)
-                regions = choose_bodies(gmsh, bodies, geometry.regions, size, problems)
-                volume = sum(body.volume for body in bodies)
-                cells = too_many(_REGULAR * volume / size**3, "mesh.size")
-                problems += [BundleProblem(*mistake) for mistake in cells]
-                if problems:
-                    raise BundleError(problems)
-                gmsh.option.setNumber("Mesh.MeshSizeMax", size / METRES)
-                gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size / METRES)
-                gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", geometry.curvature)
-                gmsh.option.setNumber("Mesh.MinimumCircleNodes", geometry.circle)
-                if not optimise:
-                    gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)
-                gmsh.model.mesh.generate(3)
-                # The mesh in gmsh, each body's cells and each chosen face's facets as one block.
-                tags, places, _ = gmsh.model.mesh.getNodes()
-                row = np.full(int(tags.max()) + 1, -1, dtype=np.int64)
-                row[tags.astype(np.int64)] = np.arange(len(tags))
-                faces = sorted({number for numbers in groups.values() for number in numbers})
-                bodies = [number for _, number in gmsh.model.getEntities(3)]
-                blocks = [_cells(gmsh, _TET10, n, row)[:, _TO_VTK] for n in bodies]
-                blocks += [_cells(gmsh, _TRI6, n, row) for n in faces]
-                sets = {}
-                for name in {**groups, **regions}:
-                    chosen = [n in regions.get(name, ()) for n in bodies]
-                    chosen += [n in groups.get(name, ()) for n in faces]
-                    sets[name] = np.flatnonzero(chosen).tolist()
-                content = {str(i): nodes for i, nodes in enumerate(blocks)}
-                fields, arrays = {"sets": sets}, {"points": places.reshape(-1, 3)} | content
+                fields, arrays = _meshed(gmsh, geometry, optimise)
     except BundleError as error:
         fields = {"problems": [asdict(problem) for problem in error.problems]}
     head = np.frombuffer(json.dumps(fields).encode(), dtype=np.uint8)
     with output:
         np.savez(output, head=head, **arrays)
+
+
+def _meshed(
+    gmsh: Any, geometry: GeometryMeshing, optimise: bool
+) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Mesh the geometry; each body's cells and each chosen face's facets are one block."""
+    problems: list[BundleProblem] = []
+    size = geometry.size
+    groups = choose_faces(gmsh, faces_of(gmsh), geometry.groups, size, problems)
+    bodies = bodies_of(gmsh)
+    regions = choose_bodies(gmsh, bodies, geometry.regions, size, problems)
+    volume = sum(body.volume for body in bodies)
+    cells = too_many(_REGULAR * volume / size**3, "mesh.size")
+    problems += [BundleProblem(*mistake) for mistake in cells]
+    if problems:
+        raise BundleError(problems)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", size / METRES)
+    gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size / METRES)
+    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", geometry.curvature)
+    gmsh.option.setNumber("Mesh.MinimumCircleNodes", geometry.circle)
+    if not optimise:
+        gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)
+    gmsh.model.mesh.generate(3)
+    tags, places, _ = gmsh.model.mesh.getNodes()
+    row = np.full(int(tags.max()) + 1, -1, dtype=np.int64)
+    row[tags.astype(np.int64)] = np.arange(len(tags))
+    faces = sorted({number for numbers in groups.values() for number in numbers})
+    bodies = [number for _, number in gmsh.model.getEntities(3)]
+    blocks = [_cells(gmsh, _TET10, n, row)[:, _TO_VTK] for n in bodies]
+    blocks += [_cells(gmsh, _TRI6, n, row) for n in faces]
+    sets = {}
+    for name in {**groups, **regions}:
+        chosen = [n in regions.get(name, ()) for n in bodies]
+        chosen += [n in groups.get(name, ()) for n in faces]
+        sets[name] = np.flatnonzero(chosen).tolist()
+    content = {str(i): nodes for i, nodes in enumerate(blocks)}
+    return {"sets": sets}, {"points": places.reshape(-1, 3)} | content
 
 
 def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:

@@ -83,7 +83,7 @@ def list_shape(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 def _in_child(
     path: Path, geometry: GeometryMeshing | None, optimise: bool = True
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return what `child` answers: fields of JSON, and arrays.
+    """Return the answer of `child`: fields of JSON, and arrays.
 
     The child inherits the limits of this process, and ends with it.
     """

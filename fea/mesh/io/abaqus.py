@@ -59,7 +59,7 @@ _MOST_MEMBERS = 20_000_000
 
 @dataclass
 class Deck:
-    """What has been read so far; sets are keyed by their name in capitals, as solvers do."""
+    """The mesh read so far; sets are keyed by their name in capitals, as solvers do."""
 
     nodes: dict[int, list[float]] = field(default_factory=dict)
     kinds: list[str] = field(default_factory=list)
@@ -76,7 +76,7 @@ class Deck:
 
 
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
-    """Return what a deck defines of a mesh; `take` gets each keyword after it.
+    """Return the mesh of a deck; `take` gets each keyword after it.
 
     Raises MeshFileError if a line cannot be understood, or nodes and elements come by a keyword
     that is not read.
@@ -144,7 +144,7 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
 
 
 def kind_of(name: str) -> str | None:
-    """Return what an element type is in a mesh; None for masses, springs and the like."""
+    """Return the kind of cell or facet of an element type; None for masses and springs."""
     solid = _SOLID.fullmatch(name)
     if solid:
         nodes = solid[1]
@@ -198,7 +198,7 @@ def _few(entries: Sequence[int]) -> Sequence[int]:
 
 
 def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> list[int]:
-    """Return what a field names: a number, a set, or either of an instance as INSTANCE.NAME."""
+    """Return the members that a field names: a number or a set, also as INSTANCE.NAME."""
     instance, _, last = name.rpartition(".")
     frame = deck.frames.get(instance.upper(), frame)
     if last.lstrip("+-").isdigit() and (not instance or instance.upper() in deck.frames):
@@ -259,6 +259,8 @@ TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
 
 def _key(deck: Deck, frame: Frame, name: str) -> str:
     """Return a set's key; its name keeps the spelling of its first mention."""
+    if not name:
+        raise MeshFileError("has no name for its set; write NSET=NAME, ELSET=NAME or NAME=NAME")
     key = frame.key(name)
     deck.names.setdefault(key, f"{frame.name}.{name}" if frame.name else name)
     return key

@@ -75,7 +75,7 @@ _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PA
 _QUIET |= {"END LOAD CASE"}
 
 _PROPOSED = {"CLOAD", "STEP", "LOAD CASE"}
-"""What proposes a load range and an analysis for a new component, and is not compared with one."""
+"""Keywords that propose load range and analysis of a new component; they are not compared."""
 
 
 @dataclass
@@ -92,7 +92,7 @@ class _Coupling:
 
 @dataclass
 class _Step:
-    """What acts at the end of a step; freedoms are numbers from 0.
+    """Supports and forces at the end of a step; freedoms are numbers from 0.
 
     `name` is empty of what is no case, as of a step with load cases. `kind` is "general",
     "perturbation" or "load case". `motions` are (where, key of a set or empty, labels, freedoms
@@ -120,7 +120,7 @@ class _Step:
 
 @dataclass
 class _Reader:
-    """What has been read besides the mesh; groups are keys of the deck's sets until the end.
+    """Content read besides the mesh; groups are keys of the deck's sets until the end.
 
     `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
     `points` the number of a coupling and the first freedom of each reference node.
@@ -310,7 +310,10 @@ def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     step.begin(keyword)
     if "AMPLITUDE" in keyword.options:
         reader.lack(keyword, "varies by an amplitude; its values are taken as they are")
-    for target, freedom, value, *_ in keyword.rows:
+    for row in keyword.rows:
+        if len(row) < 3:
+            raise ValueError(f"{', '.join(row)} needs a node or set, a freedom and a value")
+        target, freedom, value = row[:3]
         key, labels = _target(deck, target, keyword.frame)
         if not 1 <= int(freedom) <= 6:
             raise ValueError(f"{freedom} is no force or moment")

@@ -47,7 +47,7 @@ class _Archive(Translated):
 
 
 def read_ansys(text: str) -> Translated:
-    """Return what an archive holds: regions MAT_1, node components, D and F on nodes.
+    """Return the content of an archive: regions MAT_1, node components, D and F on nodes.
 
     Each LSWRITE and SOLVE ends a load case; without any, the archive is of one.
 

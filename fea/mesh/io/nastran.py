@@ -51,7 +51,7 @@ class _Bulk(Translated):
 
 
 def read_nastran(text: str) -> Translated:
-    """Return what a bulk data file holds: regions PSOLID_1, groups RBE2_7, a case a subcase.
+    """Return the content of a bulk data file: regions PSOLID_1, groups RBE2_7, a case a subcase.
 
     Raises MeshFileError if a card cannot be read, or nodes are in a coordinate system of their own.
     """

@@ -1,4 +1,4 @@
-"""What a mesh file holds, before it becomes a `fea.mesh.mesh.Mesh`."""
+"""Content of a mesh file, before it becomes a `fea.mesh.mesh.Mesh`."""
 
 from __future__ import annotations
 

@@ -168,6 +168,6 @@ def _refuse_outside(path: Path) -> None:
 
 
 def _in_same_folder(path: Path, name: str) -> bool:
-    """Tell whether a name is that of a file in the same folder, and no link out of it."""
+    """Return whether a name is that of a file in the same folder, and no link out of it."""
     folder = path.parent.resolve()
     return Path(name).name == name and (folder / name).resolve().parent == folder

@@ -1,4 +1,4 @@
-"""What a file of another solver holds, written as an Abaqus deck."""
+"""A file of another solver, written as an Abaqus deck."""
 
 from __future__ import annotations
 
