@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -224,13 +225,12 @@ def _on(component: Side, parent_to_child: Vector) -> Vector:
 _REQUIRED: Message = object()
 
 
-def _field(whole: Message, name: str, default: Message = _REQUIRED) -> Message:
+def _field(message: Message, name: str, default: Message = _REQUIRED) -> Message:
     """Return a message's member, be it an attribute or a key."""
-    found = (
-        whole.get(name, default) if isinstance(whole, Mapping) else getattr(whole, name, default)
-    )
-    if found is _REQUIRED:
+    get = message.get if isinstance(message, Mapping) else partial(getattr, message)
+    member = get(name, default)
+    if member is _REQUIRED:
         raise InvalidArgument(
             f"the message has no {name!r}; a wrench has force and torque with x, y, z"
         )
-    return found
+    return member

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,7 +92,7 @@ class Joint:
         method: str | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> None:
-        if not (math.isfinite(damping) and damping >= 0.0):
+        if not (isinstance(damping, Real) and 0.0 <= damping < math.inf):
             raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
         self._table, self.damping, self._method = table, float(damping), method
         self._at, self.free = moving(table, interface)
@@ -109,8 +110,8 @@ class Joint:
         )
 
     @inputs.setter
-    def inputs(self, given: Mapping[str, float]) -> None:
-        self._further = further_inputs(self._table, given)
+    def inputs(self, values: Mapping[str, float]) -> None:
+        self._further = further_inputs(self._table, values)
 
     def restart(self) -> None:
         """Forget the state of the last step."""
@@ -129,7 +130,10 @@ class Joint:
         """Refuse a table without stiffness; warn where in its range no joint can invert it."""
         packed, at, free, method = self._table.packed, self._at, self.free, self._method
         sample = packed.sample(self._whole(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
-        answers = packed.batch(sample, None, method)
+        try:
+            answers = packed.batch(sample, None, method)
+        except ValueError as error:  # no such method
+            raise InvalidArgument(str(error)) from error
         slopes = packed.derivatives(sample, None, method)[:, at, at][:, free][:, :, free]
         slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
         slopes[(slopes == 0.0).all(axis=(1, 2))] = np.nan  # of the nearest row: no spring
@@ -391,14 +395,14 @@ def vector_per_spin(rotation: Vector) -> Vector:
     )
 
 
-def further_inputs(table: Table, given: Mapping[str, float]) -> tuple[float, ...]:
+def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, ...]:
     """Return a table's inputs that are no loads, by their names, in its order.
 
     InvalidArgument if one is unknown, missing or beyond its range.
     """
     space, count = table.space, len(table.space.scalars)
     try:
-        values = space.vector({}, given)[len(space.inputs) - count :]
+        values = space.vector({}, by_name)[len(space.inputs) - count :]
     except ValueError as error:
         raise InvalidArgument(f"{table.name}: {error}") from None
     ends = table.packed.arrays["space/range"][:, len(space.inputs) - count :].T
@@ -412,12 +416,16 @@ def further_inputs(table: Table, given: Mapping[str, float]) -> tuple[float, ...
 
 def moving(table: Table, interface: str | None) -> tuple[slice, NDArray[np.intp]]:
     """Return the place of the interface that moves, and its freedoms that are not locked."""
+    if not hasattr(table, "packed"):
+        raise InvalidArgument(
+            f"a joint takes a Table, from client.download(name) or Table.open(path), not {table!r}"
+        )
     space, locked = table.space, np.asarray(table.packed.arrays["space/locked"], dtype=bool)
     free = {
         name: np.flatnonzero(~locked[FREEDOMS * k : FREEDOMS * (k + 1)])
         for k, name in enumerate(space.interfaces)
     }
-    move = [name for name, own in free.items() if len(own)]
+    move = [name for name, freedoms in free.items() if len(freedoms)]
     if len(move) != 1 or interface not in (None, *move):
         listed = ", ".join(map(repr, move)) or "none"
         raise InvalidArgument(

@@ -106,8 +106,8 @@ class LinearPart:
     @property
     def unloaded(self) -> Vector:
         """Where the springs carry nothing, shape (n,), m and rad."""
-        given = np.linalg.solve(np.array(self.stiffness), np.array(self.wrench))
-        return np.asarray(np.array(self.displacement) - given, dtype=float)
+        strain = np.linalg.solve(np.array(self.stiffness), np.array(self.wrench))
+        return np.asarray(np.array(self.displacement) - strain, dtype=float)
 
     @property
     def error(self) -> str:
@@ -119,10 +119,10 @@ class LinearPart:
             )
             if largest > 0.0
         ]
-        words = ", ".join(shares) or "unknown"
         return (
-            f"{self.component} as springs is wrong by up to {words} of the largest displacement in "
-            f"the load range; the table covers {self.covered:.0%} of the wrenches compared"
+            f"{self.component} as springs is wrong by up to {', '.join(shares) or 'unknown'} of "
+            "the largest displacement in the load range; the table covers "
+            f"{self.covered:.0%} of the wrenches compared"
         )
 
     def to_dict(self, mass: ArrayLike | None = None) -> Document:
