@@ -22,13 +22,12 @@ from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .errors import InvalidArgument
 from .rotation import sinc
-from .wrenches import one_wrench
+from .wrenches import Vector, one_wrench
 
-Vector = NDArray[np.float64]
 Message: TypeAlias = Any  # an object of another program
 Side = Literal["parent", "child"]
 
