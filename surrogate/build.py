@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .composition.composition import Composition
 from .rig_error import rig_error
@@ -159,7 +158,12 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
         if len(some):
             own = np.isin(every, outputs)
             moved = np.where(own, some.displacement, 0.0)
-            slopes = np.where(own[:, None] | ~_sloped(some), some.compliance, 0.0)
+            slopes = np.where(
+                own[:, None]
+                | ~np.asarray(np.isfinite(some.compliance).all(axis=(1, 2), keepdims=True)),
+                some.compliance,
+                0.0,
+            )
             changed = {
                 "displacement": moved,
                 "compliance": slopes,
@@ -167,11 +171,6 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
             }
             parts.append((tuple(outputs), replace(some, **changed)))
     return parts
-
-
-def _sloped(rows: Rows) -> NDArray[np.bool_]:
-    """Return which rows bring a whole finite tangent, shape (n, 1, 1)."""
-    return np.asarray(np.isfinite(rows.compliance).all(axis=(1, 2), keepdims=True))
 
 
 def tangent_at_zero(table: AnyTable) -> tuple[Floats, str]:

@@ -27,51 +27,17 @@ def axis_gaps(composition: Composition, load_range: LoadRange) -> list[dict[str,
 
 
 def _gaps(axis: LoadAxis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:
-    low, high = _box(load_range, axis)
+    # The low and high ends, (3,) each, of an axis' loads, stretched to hold zero.
+    inputs = list(axis.inputs)
+    low, high = np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
     ends = [sorted({float(a), float(b)}) for a, b in zip(low, high, strict=True)]
     corners = np.array(list(product(*ends)))
     if table is None:
         return {"axis": axis.name, "hull": [], "outside": _loads(axis, corners), "worst": []}
     scale = table.scale
     outside = table.triangulation.locate(corners / scale) < 0
-    return {
-        "axis": axis.name,
-        "hull": _loads(axis, _hull(table) * scale),
-        "outside": _loads(axis, corners[outside]),
-        "worst": _worst(axis, table),
-    }
-
-
-def _box(load_range: LoadRange, axis: LoadAxis) -> tuple[Floats, Floats]:
-    """Return the low and high ends, (3,) each, of an axis' loads, stretched to hold zero."""
-    inputs = list(axis.inputs)
-    return np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
-
-
-def _loads(axis: LoadAxis, points: Floats) -> list[dict[str, float]]:
-    names = [LOADS[load] for load in axis.inputs]
-    return [dict(zip(names, point, strict=True)) for point in points.tolist()]
-
-
-def _hull(table: AxisTable) -> Floats:
-    """Return the vertices of the rows' hull, scaled, shape (k, 3); of a flat table its ends."""
-    points, dimension = table.triangulation.points, table.triangulation.dimension
-    flat = (points - table.triangulation.origin) @ table.triangulation.basis.T
-    if dimension == 0:
-        return points[:1]
-    if dimension == 1:
-        return points[[int(flat[:, 0].argmin()), int(flat[:, 0].argmax())]]
-    try:
-        return points[ConvexHull(flat).vertices][:MOST_VERTICES]
-    except QhullError:
-        return points[:MOST_VERTICES]
-
-
-def _worst(axis: LoadAxis, table: AxisTable) -> list[dict[str, Any]]:
-    """Return the middles of the simplices with the largest error bars, for their outputs' range.
-
-    Of the largest simplices, where errors are unknown.
-    """
+    # The middles of the simplices with the largest error bars, for their outputs' range. Of the
+    # largest simplices, where errors are unknown.
     middle, bars = table.in_middles()
     bars = bars[:, list(axis.outputs)]
     size = np.maximum(np.abs(table.values[:, list(axis.outputs)]).max(axis=0), np.finfo(float).tiny)
@@ -91,7 +57,31 @@ def _worst(axis: LoadAxis, table: AxisTable) -> list[dict[str, Any]]:
                 "thin": bool(thin[place]),
             }
         )
-    return spots
+    return {
+        "axis": axis.name,
+        "hull": _loads(axis, _hull(table) * scale),
+        "outside": _loads(axis, corners[outside]),
+        "worst": spots,
+    }
+
+
+def _loads(axis: LoadAxis, points: Floats) -> list[dict[str, float]]:
+    names = [LOADS[load] for load in axis.inputs]
+    return [dict(zip(names, point, strict=True)) for point in points.tolist()]
+
+
+def _hull(table: AxisTable) -> Floats:
+    """Return the vertices of the rows' hull, scaled, shape (k, 3); of a flat table its ends."""
+    points, dimension = table.triangulation.points, table.triangulation.dimension
+    flat = (points - table.triangulation.origin) @ table.triangulation.basis.T
+    if dimension == 0:
+        return points[:1]
+    if dimension == 1:
+        return points[[int(flat[:, 0].argmin()), int(flat[:, 0].argmax())]]
+    try:
+        return points[ConvexHull(flat).vertices][:MOST_VERTICES]
+    except QhullError:
+        return points[:MOST_VERTICES]
 
 
 def summarise(

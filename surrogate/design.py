@@ -16,17 +16,17 @@ wrench is evenly spread, for the bars' sake.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import log
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .answer import allowed_by
-from .build import AnyTable
+from .build import AnyTable, build
 from .limits import is_too_far
-from .solves_needed import estimate_of_solves
 from .surrogate import Surrogate
 from .table.axes import AXES
 from .table.definite import sample_of, weakest
@@ -48,6 +48,7 @@ FORCE_ERROR = 0.05
 FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
 # Candidates chosen between two looks at the bars that they will leave: a look costs as much.
 BETWEEN_LOOKS = 3
+MAX_SOLVES = 1e6  # of an estimate; beyond that no number says more than that
 LOOKED_AT = 16  # candidates computed anew at once: the largest is nearly always among the first few
 
 # Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
@@ -171,7 +172,29 @@ def next_wrenches(
     # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
     _, surrogate = table.groups[0]
     if surrogate.linear:
-        return _linear_design(surrogate, known, budget, span)
+        # One wrench, since any solve of a linear component brings the whole compliance. Where
+        # solves bring none (an expert's deck), the single loads, of those that the span has if it
+        # is a part of the load range.
+        if surrogate.fit.complete:
+            return Design(known.pending[:0], "met", "the compliance is known")
+        needed = np.ones(len(span.low), dtype=bool)
+        if span is not surrogate.load_range:
+            needed = (span.low != 0) | (span.high != 0)
+        if surrogate.fit.known[needed].all():
+            return Design(
+                known.pending[:0], "met", "the compliance is known in all loads that occur"
+            )
+        high, low = surrogate.load_range.high, surrogate.load_range.low
+        full = np.where(high > 0, high, low)
+        single = np.diag(np.where(full != 0, full, 1.0))[needed]
+        if not len(surrogate.rows):
+            single = single[:1]
+        fresh = known.new(single)
+        if len(known.pending) and not len(surrogate.rows):
+            fresh = fresh[:0]
+        return Design(
+            fresh[:budget], "first", "the compliance of a linear component needs no more solves"
+        )
     if not (span.high > span.low).any():
         return _one_wrench(span, known, budget)
     left = first_count(span, surrogate.used) - len(surrogate.used) - len(known.pending)
@@ -205,32 +228,6 @@ def _one_wrench(span: LoadRange, known: Known, budget: int) -> Design:
     if not len(fresh):
         return Design(fresh, "met", "the scene has one wrench, and it is solved or being solved")
     return Design(fresh, "first", "the scene has one wrench")
-
-
-def _linear_design(surrogate: Surrogate, known: Known, budget: int, span: LoadRange) -> Design:
-    """Return one wrench, since any solve of a linear component brings the whole compliance.
-
-    Where solves bring none (an expert's deck), the single loads, of those that the span has if it
-    is a part of the load range.
-    """
-    if surrogate.fit.complete:
-        return Design(known.pending[:0], "met", "the compliance is known")
-    needed = np.ones(len(span.low), dtype=bool)
-    if span is not surrogate.load_range:
-        needed = (span.low != 0) | (span.high != 0)
-    if surrogate.fit.known[needed].all():
-        return Design(known.pending[:0], "met", "the compliance is known in all loads that occur")
-    high, low = surrogate.load_range.high, surrogate.load_range.low
-    full = np.where(high > 0, high, low)
-    single = np.diag(np.where(full != 0, full, 1.0))[needed]
-    if not len(surrogate.rows):
-        single = single[:1]
-    fresh = known.new(single)
-    if len(known.pending) and not len(surrogate.rows):
-        fresh = fresh[:0]
-    return Design(
-        fresh[:budget], "first", "the compliance of a linear component needs no more solves"
-    )
 
 
 class _Refinement:
@@ -286,27 +283,10 @@ class _Refinement:
             reason += estimate_of_solves(self.surrogate, worst, self._worst_of, budget)
         if len(self.indefinite):
             reason += f"; not positive definite: the compliance at {len(self.indefinite)} wrenches"
-        return Design(self._chosen(budget), "refine", reason)
-
-    def _met(self, losses: Floats) -> bool:
-        """Return whether bars over what is allowed, (n,), are within the tolerance, if any."""
-        within = float((losses <= 1.0).mean()) >= ENOUGH
-        return self.ends and within and not len(self.indefinite)
-
-    def _worst_of(self, surrogate: Surrogate) -> float:
-        """Return the error over what is allowed that 95 % of a sample have by another table."""
-        assert surrogate.kriging is not None
-        sample = spread_wrenches(self.span, SAMPLE)
-        bars = surrogate.kriging.sigma_with(sample[:0], sample) / self.allowed
-        return float(np.quantile(bars[:, self.outputs].max(axis=1), ENOUGH))
-
-    def _chosen(self, budget: int) -> Floats:
-        """Return at most `budget` candidates, shape (k, 6), N and N·m.
-
-        Fewer where these will leave bars within the tolerance. Solved wrenches only ever lower a
-        bar, so a candidate computed before some were chosen is at most what it was: only those that
-        may still be the largest are computed anew (Minoux 1978).
-        """
+        # At most `budget` candidates, shape (k, 6), N and N·m. Fewer where these will leave bars
+        # within the tolerance. Solved wrenches only ever lower a bar, so a candidate computed
+        # before some were chosen is at most what it was: only those that may still be the largest
+        # are computed anew (Minoux 1978).
         candidates = np.concatenate((self.indefinite, _candidates(self.surrogate, self.span)))
         candidates = self.known.new(candidates)
         losses, pending = self._losses(candidates), self.known.pending
@@ -332,7 +312,19 @@ class _Refinement:
                 losses[best] = left[best] = -1.0
                 fresh = candidates[best : best + 1]
             pending = np.concatenate((pending, fresh))
-        return pending[start:]
+        return Design(pending[start:], "refine", reason)
+
+    def _met(self, losses: Floats) -> bool:
+        """Return whether bars over what is allowed, (n,), are within the tolerance, if any."""
+        within = float((losses <= 1.0).mean()) >= ENOUGH
+        return self.ends and within and not len(self.indefinite)
+
+    def _worst_of(self, surrogate: Surrogate) -> float:
+        """Return the error over what is allowed that 95 % of a sample have by another table."""
+        assert surrogate.kriging is not None
+        sample = spread_wrenches(self.span, SAMPLE)
+        bars = surrogate.kriging.sigma_with(sample[:0], sample) / self.allowed
+        return float(np.quantile(bars[:, self.outputs].max(axis=1), ENOUGH))
 
     def _largest(self, candidates: Floats, losses: Floats, left: Floats, solved: Floats) -> int:
         """Return the place of the largest loss once `solved` are; update `left` to it.
@@ -388,3 +380,37 @@ def _candidates(surrogate: Surrogate, span: LoadRange) -> Floats:
         own = np.isin(np.arange(6), axis.inputs)
         parts.append(np.where(own, spread_wrenches(span, AXIS_CANDIDATES, start), at_rest))
     return np.concatenate(parts)
+
+
+def estimate_of_solves(
+    surrogate: Surrogate, worst: float, worst_of: Callable[[Surrogate], float], budget: int
+) -> str:
+    """Return in words how many solves the tolerance takes, empty where the budget has as many.
+
+    Errors over solves are taken as a straight line on logarithmic scales, through the error by the
+    first half of the rows and that by all of them.
+
+    Parameters
+    ----------
+    worst : float
+        The error of the table over the tolerance; above 1.
+    worst_of : callable
+        Returns that of another table, NaN where its rows do not show it.
+    budget : int
+        Solves that may be made now.
+    """
+    rows = surrogate.rows
+    count, some = len(rows), len(rows) // 2
+    half = build(rows.take(np.arange(some)), surrogate.load_range).groups[0][1]
+    before = worst_of(half) if half.kriging is not None else np.nan
+    if not (np.isfinite(before) and before > worst > 1.0):
+        return "; its rows do not show yet how many solves the tolerance takes"
+    rate = log(before / worst) / log(count / some)
+    more = count * (min(worst ** (1 / rate), MAX_SOLVES) - 1) if rate > 0.01 else np.inf
+    if more <= budget:
+        return ""
+    number = "more than a million" if more > MAX_SOLVES else f"about {int(float(f'{more:.2g}')):,}"
+    return (
+        f"; the tolerance takes {number} further solves, an estimate by the rate so far: "
+        f"{before:.3g} times the tolerance with {some} rows, {worst:.3g} with {count}"
+    )

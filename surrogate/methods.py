@@ -166,7 +166,9 @@ def choose(
     if not axes or len(rows) <= 1 + rows.wrench.shape[1]:
         # The axes' fitted compliance passes through so few rows, the left-out one too.
         return MethodChoice("kriging", "the axes have too few rows to leave one out", scores)
-    if made.knows_errors and not _axes_tell_errors(composition):
+    if made.knows_errors and not all(
+        table is None or table.law.known for table in composition.tables
+    ):
         return MethodChoice(
             "kriging", "the axes have too few rows to tell the error of answers", scores
         )
@@ -233,11 +235,6 @@ def _of_the_axes(
     if not shown and scores and scores["additive"] < scores["griddata"]:
         return "additive", "at left-out rows all axes together err less than each by itself"
     return "griddata", "what loads of other axes move a translation by is within its error bars"
-
-
-def _axes_tell_errors(composition: Composition) -> bool:
-    """Return whether every axis with rows has an error law: without, no answer is covered."""
-    return all(table is None or table.law.known for table in composition.tables)
 
 
 def _interaction_unknown(rows: Rows, load_range: LoadRange) -> bool:

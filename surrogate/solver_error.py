@@ -123,7 +123,17 @@ class SolverError:
         """
         if self.mesh is None or self.linearity is not None or "mesh_stiffness" not in self.values:
             return self
-        wrench, moved, tangent = _that_tell(rows)
+        # Wrenches (n, 6), displacements (n, 6) and tangents (n, 6, 6) of rows solved whole.
+        whole = (
+            (rows.source == "fea")
+            & np.isfinite(rows.displacement).all(axis=1)
+            & np.isfinite(rows.compliance).all(axis=(1, 2))
+        )
+        wrench, moved, tangent = (
+            rows.wrench[whole],
+            rows.displacement[whole],
+            rows.compliance[whole],
+        )
         one_over = self._one_over
         size = np.abs(wrench - self.zero)
         part = (size * one_over).max(axis=1, initial=0.0)
@@ -167,16 +177,6 @@ class SolverError:
         """Return `parts` at the largest loads of the range, all at once."""
         loads = np.where(np.isfinite(self._loads), self._loads, 0.0)
         return self.parts((self.zero + loads).tolist())
-
-
-def _that_tell(rows: Rows) -> tuple[Floats, Floats, Floats]:
-    """Return wrenches (n, 6), displacements (n, 6) and tangents (n, 6, 6) of rows solved whole."""
-    whole = (
-        (rows.source == "fea")
-        & np.isfinite(rows.displacement).all(axis=1)
-        & np.isfinite(rows.compliance).all(axis=(1, 2))
-    )
-    return rows.wrench[whole], rows.displacement[whole], rows.compliance[whole]
 
 
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:

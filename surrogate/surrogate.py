@@ -17,7 +17,6 @@ from .describe import summarise
 from .exact_rows import ExactRows
 from .kriging import (
     Kriging,
-    Readings,
     SingularCovarianceError,
     TooFewRowsError,
     equation_count,
@@ -172,7 +171,13 @@ class Surrogate:
         if self.linear or not self.one_factor:
             return None
         try:
-            return Kriging.build(self.used, self.load_range, readings=self._readings())
+            # What was measured behind each of `used`, for the noise that nobody stated.
+            inside = np.flatnonzero(self._merged.within)
+            return Kriging.build(
+                self.used,
+                self.load_range,
+                readings=readings_of(self.rows, self._merged.owner).take(inside),
+            )
         except (TooFewRowsError, SingularCovarianceError):
             return None
 
@@ -225,11 +230,6 @@ class Surrogate:
         return evidence_of(
             self.used, self.load_range, linear=self.linear, rest_unknown=rest_unknown
         )
-
-    def _readings(self) -> Readings:
-        """Return what was measured behind each of `used`, for the noise that nobody stated."""
-        inside = np.flatnonzero(self._merged.within)
-        return readings_of(self.rows, self._merged.owner).take(inside)
 
     def _equations(self) -> int:
         try:

@@ -143,18 +143,15 @@ class AxisTable:
         least = np.maximum(ROUNDING * np.abs(self.values).max(axis=0), SMALLEST)
         errors = self.left_out.inside_errors
         if len(errors.size) >= FEWEST and _are_alike(errors.unit_errors):
-            errors = joined([self.left_out, *self._one_by_one()]).inside_errors
+            # Errors at left-out points whose neighbours stay: those show noise.
+            every = np.ones(len(self.rows.points), dtype=bool)
+            found = []
+            for left, _ in folds(self.triangulation) if self.others is None else ():
+                stay = every.copy()
+                stay[left] = False
+                found.append(_errors_at(self._without(stay), self.rows, left))
+            errors = joined([self.left_out, *found]).inside_errors
         return error_law(errors, least)
-
-    def _one_by_one(self) -> list[LeftOut]:
-        """Errors at left-out points whose neighbours stay: those show noise."""
-        every = np.ones(len(self.rows.points), dtype=bool)
-        found = []
-        for left, _ in folds(self.triangulation) if self.others is None else ():
-            stay = every.copy()
-            stay[left] = False
-            found.append(_errors_at(self._without(stay), self.rows, left))
-        return found
 
     @property
     def typical_error(self) -> Floats:

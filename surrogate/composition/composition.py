@@ -184,7 +184,28 @@ class Composition:
         part = _Part(reading.outputs, reading.rest, reading.slopes / table.scale, state)
         outside = np.flatnonzero(~reading.inside)
         if len(outside):
-            self._step_off(part, outside, table, (x - reading.at)[outside])
+            # Account for steps (k, 3), scaled, from the hull's nearest point to the query. The
+            # step along what the points span is in the outputs already, by the slope there. Off
+            # it, where a table of fewer dimensions knows no slope, the fitted compliance tells
+            # one; the bar grows by as much as the step moves the answer.
+            rows = outside
+            step = (x - reading.at)[outside]
+            basis, inputs = table.triangulation.basis, list(table.axis.inputs)
+            off = step - step @ basis.T @ basis
+            part.rest[rows] += np.abs(
+                np.einsum("kqi,ki->kq", part.slopes[rows] * table.scale, step)
+            )
+            # Of each wrench by itself: batches change nothing.
+            leaves = np.abs(off).max(axis=1) > CLEAN
+            if leaves.any():
+                rows, off = rows[leaves], off[leaves]
+                loads = off * table.scale
+                part.outputs[rows] += loads @ self.fit.matrix[:, inputs].T
+                part.rest[rows] += (
+                    np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.error
+                )
+                unknown = (np.abs(off) > CLEAN) & ~self.fit.known[inputs]
+                part.rest[rows[unknown.any(axis=1)]] = np.nan
         part.slopes += self._off_span(table)
         return part
 
@@ -201,25 +222,6 @@ class Composition:
         slopes = (self.fit.matrix[:, inputs] * table.scale) @ off / table.scale
         unknown = (off != 0.0)[~self.fit.known[inputs]].any(axis=0)
         return np.where(unknown, np.nan, slopes)
-
-    def _step_off(self, part: _Part, rows: Indices, table: AxisTable, step: Floats) -> None:
-        """Account for steps (k, 3), scaled, from the hull's nearest point to the query.
-
-        The step along what the points span is in the outputs already, by the slope there. Off it,
-        where a table of fewer dimensions knows no slope, the fitted compliance tells one; the bar
-        grows by as much as the step moves the answer.
-        """
-        basis, inputs = table.triangulation.basis, list(table.axis.inputs)
-        off = step - step @ basis.T @ basis
-        part.rest[rows] += np.abs(np.einsum("kqi,ki->kq", part.slopes[rows] * table.scale, step))
-        leaves = np.abs(off).max(axis=1) > CLEAN  # of each wrench by itself: batches change nothing
-        if leaves.any():
-            rows, off = rows[leaves], off[leaves]
-            loads = off * table.scale
-            part.outputs[rows] += loads @ self.fit.matrix[:, inputs].T
-            part.rest[rows] += np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.error
-            unknown = (np.abs(off) > CLEAN) & ~self.fit.known[inputs]
-            part.rest[rows[unknown.any(axis=1)]] = np.nan
 
     def _guess(self, loads: Floats, inputs: Sequence[int]) -> _Part:
         """Return the fitted compliance's part, for an axis or moment that has no rows."""

@@ -46,7 +46,7 @@ class LeftOut(NamedTuple):
     errors : ndarray, shape (k, 6), m and rad
         Interpolated less given displacement.
     unit_errors : ndarray, shape (k,), dimensionless
-        Of the function |x|^2 / 2 (`bars.error_law`).
+        Of the function |x|^2 / 2 (`error_law`).
     noise_shares : ndarray, shape (k,), dimensionless
         Sum of the squares of the barycentric coordinates.
     stated : ndarray, shape (k, 6), m and rad
@@ -82,7 +82,14 @@ def folds(triangulation: Triangulation) -> list[tuple[Indices, NDArray[np.bool_]
     radius = float(np.sqrt(2 * PART * typical_unit_error(triangulation)))
     if not radius > 0:
         return []
-    chosen = _one_a_cell(points, radius)
+    # One point of each cell of a grid, (k,), in an order that no pattern of rows follows. By a
+    # hash of each point alone: every fourth row of a grid would be one of its faces.
+    order = np.argsort(hashes(np.round(points, DECIMALS)), kind="stable")
+    cells = np.floor(points[order] / radius + ASIDE)
+    place = np.lexsort(cells.T)  # stable: the first of a cell is the first of the order
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (cells[place][1:] != cells[place][:-1]).any(axis=1)
+    chosen = order[np.sort(place[new])]
     parts = max(min(FEW // len(chosen), len(chosen)), FOLDS)
     found = []
     for left in np.array_split(chosen, parts)[: max(WORK // count, 1)]:
@@ -108,16 +115,3 @@ def typical_unit_error(triangulation: Triangulation) -> float:
     order = np.argsort(unit)
     share = np.cumsum(triangulation.volumes[order])
     return float(unit[order][np.searchsorted(share, 0.5 * share[-1])])
-
-
-def _one_a_cell(points: Floats, side: float) -> Indices:
-    """Return one point of each cell of a grid, (k,), in an order that no pattern of rows follows.
-
-    By a hash of each point alone: every fourth row of a grid would be one of its faces.
-    """
-    order = np.argsort(hashes(np.round(points, DECIMALS)), kind="stable")
-    cells = np.floor(points[order] / side + ASIDE)
-    place = np.lexsort(cells.T)  # stable: the first of a cell is the first of the order
-    new = np.ones(len(order), dtype=bool)
-    new[1:] = (cells[place][1:] != cells[place][:-1]).any(axis=1)
-    return order[np.sort(place[new])]

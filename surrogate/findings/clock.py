@@ -96,7 +96,27 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
         return None
     moved = _clipped(logs.displacement[:, known])
     own = Logs(logs.time, logs.wrench[:, loads], logs.when, moved)
-    step, starts = _correlated(own, applied)
+    # The step of the time grid, s, and the lags of the largest correlations, s. The part of the
+    # displacements' variance that loads explain is c' inv(G) c, with c their cross-correlations
+    # and G the covariance of the loads.
+    duration = float(np.ptp(own.when))
+    reach = PART * duration
+    interval = min(float(np.median(np.diff(one))) for one in (own.time, np.sort(own.when)))
+    step = max(interval, (duration + 2 * reach) / GRID, duration * 1e-9)
+    grid = np.arange(own.when.min() - reach, own.when.max() + reach, step)
+    order = np.argsort(own.when, kind="stable")
+    x = _on_grid(grid + applied, own.time, own.wrench)
+    y = _on_grid(grid, own.when[order], own.displacement[order])
+    size = 2 * len(grid)
+    shape = np.fft.rfft(x, size, axis=0), np.conj(np.fft.rfft(y, size, axis=0))
+    cross = np.stack([np.fft.irfft(shape[0] * one[:, None], size, axis=0) for one in shape[1].T])
+    shifts = np.arange(-int(reach / step), int(reach / step) + 1)
+    inverse = np.linalg.pinv(x.T @ x, rcond=1e-6)
+    explained = np.einsum("ksi,ij,ksj->s", cross[:, shifts], inverse, cross[:, shifts])
+    inner = explained[1:-1]
+    peaks = 1 + np.flatnonzero((inner >= explained[:-2]) & (inner >= explained[2:]))
+    peaks = peaks[np.argsort(-explained[peaks])[:PEAKS]]
+    starts = [applied, *(applied + step * shifts[peaks]).tolist()]
     fits = [fit for start in starts if (fit := _fitted(own, (applied, start), step))]
     if not fits:
         return None
@@ -162,32 +182,6 @@ def _clipped(moved: Floats) -> Floats:
     found = np.clip(moved, low - tail, high + tail)
     found = np.nan_to_num(found - np.nanmean(found, axis=0))
     return found / np.maximum(found.std(axis=0), np.finfo(float).tiny)
-
-
-def _correlated(logs: Logs, applied: float) -> tuple[float, list[float]]:
-    """Return the step of the time grid, s, and the lags of the largest correlations, s.
-
-    The part of the displacements' variance that loads explain is c' inv(G) c, with c their
-    cross-correlations and G the covariance of the loads.
-    """
-    duration = float(np.ptp(logs.when))
-    reach = PART * duration
-    interval = min(float(np.median(np.diff(one))) for one in (logs.time, np.sort(logs.when)))
-    step = max(interval, (duration + 2 * reach) / GRID, duration * 1e-9)
-    grid = np.arange(logs.when.min() - reach, logs.when.max() + reach, step)
-    order = np.argsort(logs.when, kind="stable")
-    x = _on_grid(grid + applied, logs.time, logs.wrench)
-    y = _on_grid(grid, logs.when[order], logs.displacement[order])
-    size = 2 * len(grid)
-    shape = np.fft.rfft(x, size, axis=0), np.conj(np.fft.rfft(y, size, axis=0))
-    cross = np.stack([np.fft.irfft(shape[0] * one[:, None], size, axis=0) for one in shape[1].T])
-    shifts = np.arange(-int(reach / step), int(reach / step) + 1)
-    inverse = np.linalg.pinv(x.T @ x, rcond=1e-6)
-    explained = np.einsum("ksi,ij,ksj->s", cross[:, shifts], inverse, cross[:, shifts])
-    inner = explained[1:-1]
-    peaks = 1 + np.flatnonzero((inner >= explained[:-2]) & (inner >= explained[2:]))
-    peaks = peaks[np.argsort(-explained[peaks])[:PEAKS]]
-    return step, [applied, *(applied + step * shifts[peaks]).tolist()]
 
 
 def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, _Fit] | None:

@@ -65,7 +65,16 @@ def linear_fit(rows: Rows, load_range: LoadRange, response: RobustFit) -> Fit:
         known = np.isfinite(response.expected[:, output])
         if not known.any():
             continue
-        found, error, sure_terms = _linear(first[known], response.expected[known, output])
+        # Coefficients (t,), their errors from the misfit, and which the rows tell.
+        x = first[known]
+        y = response.expected[known, output]
+        _, sizes, axes = np.linalg.svd(x, full_matrices=False)
+        spanned = axes[sizes > 1e-6 * sizes[0]]
+        sure_terms = (spanned**2).sum(axis=0) > 1 - 1e-6
+        found = np.linalg.lstsq(x, y, rcond=1e-6)[0]
+        misfit = float(np.sqrt(((y - x @ found) ** 2).mean()))
+        spread = np.sqrt(np.diag(np.linalg.pinv(x.T @ x, rcond=1e-12)).clip(0.0))
+        error = misfit * spread
         noise = response.deviation[output] / np.sqrt(known.sum())
         matrix[output, used] = found[1:]
         sure[output, used] = sure_terms[1:] & (
@@ -86,17 +95,6 @@ def _is_large(moved: Floats) -> NDArray[np.bool_]:
     size = np.abs(moved)
     blocks = size.reshape(2, 3, 2, 3).max(axis=(1, 3)) * SIGNIFICANT
     return np.asarray(size > np.kron(blocks, np.ones((3, 3))))
-
-
-def _linear(x: Floats, y: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return coefficients (t,), their errors from the misfit, and which the rows tell."""
-    _, sizes, axes = np.linalg.svd(x, full_matrices=False)
-    spanned = axes[sizes > 1e-6 * sizes[0]]
-    sure_terms = (spanned**2).sum(axis=0) > 1 - 1e-6
-    found = np.linalg.lstsq(x, y, rcond=1e-6)[0]
-    misfit = float(np.sqrt(((y - x @ found) ** 2).mean()))
-    spread = np.sqrt(np.diag(np.linalg.pinv(x.T @ x, rcond=1e-12)).clip(0.0))
-    return np.asarray(found, dtype=float), np.asarray(misfit * spread, dtype=float), sure_terms
 
 
 def sign_findings(fit: Fit) -> list[RigFinding]:

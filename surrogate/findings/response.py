@@ -70,9 +70,12 @@ def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
     moved = rows.displacement
     expected = np.stack([_fitted(basis, moved[:, output]) for output in range(6)], axis=1)
     residual = moved - expected
-    ends = _percentiles(expected)
+    known = [column[np.isfinite(column)] for column in expected.T]
+    ends = np.array([np.percentile(one, [2, 98]) if len(one) else (0.0, 0.0) for one in known]).T
     size = np.maximum(ends[1] - ends[0], np.finfo(float).tiny)
-    deviation = np.maximum(_deviations(residual), EXACT * size)
+    deviation = np.maximum(
+        np.array([_deviation(column[np.isfinite(column)]) for column in residual.T]), EXACT * size
+    )
     return RobustFit(expected, residual, deviation, size, terms)
 
 
@@ -103,14 +106,5 @@ def _solved(x: Floats, y: Floats, weights: Floats) -> Floats:
     return np.asarray(np.linalg.solve(normal, weighted.T @ y), dtype=float)
 
 
-def _deviations(residual: Floats) -> Floats:
-    return np.array([_deviation(column[np.isfinite(column)]) for column in residual.T])
-
-
 def _deviation(values: Floats) -> float:
     return NORMAL * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
-
-
-def _percentiles(moved: Floats) -> Floats:
-    known = [column[np.isfinite(column)] for column in moved.T]
-    return np.array([np.percentile(one, [2, 98]) if len(one) else (0.0, 0.0) for one in known]).T

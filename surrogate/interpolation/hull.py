@@ -39,22 +39,9 @@ def _on_facets(facets: Floats, x: Floats) -> Floats:
         return np.broadcast_to(facets[None, :, 0], (len(x), len(facets), 3))
     if corners == 2:
         return _on_stretch(facets[:, 0], facets[:, 1], x)
-    return _on_triangles(facets, x)
-
-
-def _on_stretch(a: Floats, b: Floats, x: Floats) -> Floats:
-    along = b - a
-    length = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
-    share = np.einsum("kfi,fi->kf", x[:, None] - a, along) / length
-    return a + np.clip(share, 0.0, 1.0)[..., None] * along
-
-
-def _on_triangles(facets: Floats, x: Floats) -> Floats:
-    """Take the foot of the perpendicular if the triangle holds it, else the nearest of its edges.
-
-    The barycentric coordinates of the foot come of the normal equations; a triangle without area
-    has none, and its edges answer.
-    """
+    # Take the foot of the perpendicular if the triangle holds it, else the nearest of its edges.
+    # The barycentric coordinates of the foot come of the normal equations; a triangle without
+    # area has none, and its edges answer.
     a, e, f = facets[:, 0], facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0]
     ee, ef, ff = ((u * v).sum(axis=1) for u, v in ((e, e), (e, f), (f, f)))
     area = ee * ff - ef**2
@@ -70,3 +57,10 @@ def _on_triangles(facets: Floats, x: Floats) -> Floats:
     nearest = ((edges - x[None, :, None]) ** 2).sum(axis=3).argmin(axis=0)
     on_edge = np.take_along_axis(edges, nearest[None, ..., None], axis=0)[0]
     return np.where(inside[..., None], foot, on_edge)
+
+
+def _on_stretch(a: Floats, b: Floats, x: Floats) -> Floats:
+    along = b - a
+    length = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    share = np.einsum("kfi,fi->kf", x[:, None] - a, along) / length
+    return a + np.clip(share, 0.0, 1.0)[..., None] * along

@@ -147,7 +147,16 @@ def compile_library(
         ) from error
     made = Path(folder) / library.name
     whole = [*command, *flags, "-shared", "-o", str(made), *map(str, files)]
-    whole += _link_options(library.name, target)
+    # The linker's options for a library of this name.
+    name = library.name
+    system = target or sys.platform
+    apple = "macos" in system or "darwin" in system
+    more = ["-fPIC", "-lm", "-lpthread"] if apple or "win" not in system else []
+    if apple:  # else the library holds the path that it is compiled at
+        more.append(f"-Wl,-install_name,@rpath/{name}")
+    if target is not None or not apple:  # Apple's own linker strips no library
+        more.append("-s")  # symbols, lines and paths of the source are most of ziglang's library
+    whole += more
     try:
         ran = subprocess.run(whole, capture_output=True, text=True, timeout=COMPILE_S, check=False)
         if ran.returncode or not made.is_file():
@@ -160,18 +169,6 @@ def compile_library(
         raise KernelBuildError(f"{command[0]} could not compile {library.name}: {error}") from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _link_options(name: str, target: str | None) -> list[str]:
-    """Return the linker's options for a library of this name."""
-    system = target or sys.platform
-    apple = "macos" in system or "darwin" in system
-    more = ["-fPIC", "-lm", "-lpthread"] if apple or "win" not in system else []
-    if apple:  # else the library holds the path that it is compiled at
-        more.append(f"-Wl,-install_name,@rpath/{name}")
-    if target is not None or not apple:  # Apple's own linker strips no library
-        more.append("-s")  # symbols, lines and paths of the source are most of ziglang's library
-    return more
 
 
 if __name__ == "__main__":

@@ -134,31 +134,25 @@ class ReplyReader:
         """Return the reply in a buffer."""
         found = self._unpack(reply)
         if not (found[0] or found[6] or found[10]) and found[2] < len(METHODS):
-            return self._plain(found)
-        return self._whole(found, reply)
-
-    def _plain(self, found: tuple[Any, ...]) -> Reply:
-        """Return a covered reply of a method in which nothing is unknown."""
-        m, first = self.outputs, VALUES
-        return Reply(
-            found[first : first + m],
-            found[first + m : first + 2 * m],
-            found[first + 2 * m : first + 3 * m],
-            found[first + 3 * m : first + 4 * m],
-            found[first + 4 * m : first + 5 * m],
-            found[first + 5 * m :],
-            "covered",
-            "",
-            WITHIN[found[1]],
-            ANSWERED[found[2]],
-            None,
-            False,
-            None,
-            (),
-        )
-
-    def _whole(self, found: tuple[Any, ...], reply: Buffer) -> Reply:
-        """Return any reply: what is unknown is None, reasons are words."""
+            # A covered reply of a method in which nothing is unknown.
+            m, first = self.outputs, VALUES
+            return Reply(
+                found[first : first + m],
+                found[first + m : first + 2 * m],
+                found[first + 2 * m : first + 3 * m],
+                found[first + 3 * m : first + 4 * m],
+                found[first + 4 * m : first + 5 * m],
+                found[first + 5 * m :],
+                "covered",
+                "",
+                WITHIN[found[1]],
+                ANSWERED[found[2]],
+                None,
+                False,
+                None,
+                (),
+            )
+        # Any reply: what is unknown is None, reasons are words.
         coverage, within, method, exact, count, group, unknown = found[:7]
         row, place, missing = found[8:VALUES]
         m, values = self.outputs, found[VALUES:]

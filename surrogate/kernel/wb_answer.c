@@ -1,4 +1,4 @@
-/* Methods, errors, coverage and rows: surrogate/surrogate.py and surrogate/methods. MIT license. */
+/* The answer of one group of outputs: methods, errors, coverage and rows. MIT license. */
 #include "wb_internal.h"
 
 #include <math.h>
@@ -8,7 +8,7 @@
  * takes 11 to 13 % longer. */
 enum { CACHE_LINE = 64 };
 
-static const double ROUNDING = 1e-12; /* of an answer's size: methods/linear.py */
+static const double ROUNDING = 1e-12; /* of an answer's size */
 
 /* numpy's maximum: what is not a number wins. */
 static double larger(double a, double b) { return isnan(a) || a > b ? a : b; }
@@ -53,7 +53,7 @@ double wb_allowed(const wb_group *g, const wb_options *o, int q) {
     return o && o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : g->allowed[q];
 }
 
-/* The best estimate there is and its 95 % error: `Reference.estimate`. */
+/* The best estimate there is and its 95 % error. */
 static void refer(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                   const wb_composed *c, double *best, double *error) {
     double missed[WB_MOST], own[WB_MOST];
@@ -214,7 +214,8 @@ static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb
     }
 }
 
-/* `Surrogate.answer`. The axes may have been composed before, by the same calls as `wb_compose`. */
+/* Answer one group of outputs. The axes may have been composed before, by the same calls as
+ * `wb_compose`. */
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
                      const double *w, const wb_composed *composed, int with_reasons, wb_found *a) {
     wb_composed c;
@@ -238,7 +239,7 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
     finish(t, g, o, work, w, with_reasons, a);
 }
 
-/* `Surrogate.derivatives`. */
+/* du/dw of a method's interpolant, m and rad over N and N·m. */
 void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                      int method, double *derivative) {
     size_t count = (size_t)t->inputs * (size_t)t->outputs;

@@ -1,4 +1,4 @@
-/* What one axis answers: surrogate/composition/axis_table.py and `Composition._read`. MIT. */
+/* What one axis answers: surrogate/composition/axis_table.py builds it. MIT license. */
 #include "wb_internal.h"
 
 #include <math.h>
@@ -99,7 +99,7 @@ static void blend_slopes(const wb_composition *c, int axis, int simplex, const d
     keep_along(c, axis, part->slopes);
 }
 
-/* The step off what the points span, by the fitted compliance: `Composition._step_off`. */
+/* The step off what the points span, by the fitted compliance. */
 static void step_off_plane(const wb_composition *c, int axis, const double step[3],
                            wb_part *part) {
     const wb_axis_floats *f = &c->floats[axis];
@@ -141,7 +141,7 @@ static void step_off(const wb_composition *c, int axis, const double step[3], wb
     step_off_plane(c, axis, step, part);
 }
 
-/* The fitted compliance's part, for an axis that has no rows: `Composition._guess`. */
+/* The fitted compliance's part, for an axis that has no rows. */
 static void guess(const wb_composition *c, int axis, const double wrench[6], wb_part *part) {
     int inputs[3], unknown = 0;
     inputs_of(axis, inputs);
@@ -180,7 +180,7 @@ static int is_untold_together(const wb_composition *c, int axis, const double x[
     return loads > 1 && c->together[axis] < c->left_out[3];
 }
 
-/* `Composition._read`: all six outputs; slopes by the axis' loads, N and N·m. */
+/* All six outputs; slopes by the axis' loads, N and N·m. */
 void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
                   int with_slopes, wb_part *part) {
     double step[3];

@@ -1,4 +1,4 @@
-/* Three axes to one answer: surrogate/composition/composition.py and pure_moment.py. MIT.
+/* Three axes to one answer: surrogate/composition builds their tables. MIT license.
  *
  * All six outputs are composed, u = u(0) + sum over axes of (axis - u(0)) - sum over moments of
  * (that moment alone - u(0)), their errors in quadrature; `own` keeps each translation of its own
@@ -40,7 +40,7 @@ int wb_cut_state(const wb_cut *cut, double moment) {
     return cut->stretches ? state_at(cut, along, stretch_of(cut, along)) : WB_OFF_HULL;
 }
 
-/* `PureMomentCut.read`, in a stretch that is known. */
+/* The answer in a stretch of a cut. */
 static void read_cut(const wb_cut *cut, double along, int found, int with_slopes,
                      alone_part *out) {
     const double *o = cut->outputs + 12 * (int64_t)found;
@@ -67,7 +67,7 @@ static void guess(const wb_composition *c, int load, double amount, alone_part *
     }
 }
 
-/* `Composition._alone`: from the axis the moment comes first in, or from the other one. */
+/* The answer to one moment alone, from the axis the moment comes first in, or from the other one. */
 static void read_alone(const wb_composition *c, int moment, double amount, int with_slopes,
                        alone_part *out) {
     const wb_cut *best = NULL;
@@ -156,7 +156,7 @@ void wb_add_moments(const wb_composition *c, const double small[6], const double
     out->state = worse(worse(out->states[0], out->states[1]), out->states[2]);
 }
 
-/* `Composition.evaluate`. */
+/* Compose the answers of axes, single moments and no load. */
 void wb_compose(const wb_composition *c, const double small[6], const double wrench[6],
                 wb_composed *out) {
     wb_compose_start(c, out);
@@ -169,7 +169,7 @@ void wb_compose(const wb_composition *c, const double small[6], const double wre
     wb_add_moments(c, small, wrench, out);
 }
 
-/* `Composition.derivatives`: of the law with all axes and moments in it, so that a load that is
+/* du/dw of the law with all axes and moments in it, so that a load that is
  * zero has its slope too. */
 void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,
                            double derivative[36]) {

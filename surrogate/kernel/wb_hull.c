@@ -1,4 +1,4 @@
-/* The nearest point of a hull: surrogate/interpolation/hull.py and `nearest_on_hull`. MIT. */
+/* The nearest point of a hull: surrogate/interpolation/hull.py is the builder's. MIT license. */
 #include "wb_internal.h"
 
 #include <float.h>

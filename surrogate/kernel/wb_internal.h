@@ -159,7 +159,7 @@ typedef struct {
 } wb_composed;
 
 /* The bucket of a number among ascending ones: start[bucket] to start[bucket + 1] bound its place.
- * surrogate/packed/buckets.py computes the same. */
+ * `buckets_of` in surrogate/packed/numbering.py makes the starts. */
 static inline int64_t wb_bucket(double value, const double *bucket, int64_t buckets) {
     double place = (value - bucket[0]) * bucket[1];
     if (!(place > 0.0)) return 0;

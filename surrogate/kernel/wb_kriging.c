@@ -191,7 +191,7 @@ int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_w
     return nearest(k, k->share, t->inputs, work->apart, work->first);
 }
 
-/* `Calibration.at`: what a deviation is multiplied by for a 95 % error; NaN where rows left out do
+/* What a deviation is multiplied by for a 95 % error; NaN where rows left out do
  * not show how large errors are. */
 static double factor_of(const wb_share *share, double sigma, int q, int outputs) {
     int64_t last = share->levels - 1, n = 0;
@@ -251,7 +251,7 @@ static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const
     }
 }
 
-/* Why the errors of an answer are not known: `Kriging.why_unknown`. */
+/* Why the errors of an answer are not known. */
 void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
                         wb_found *a) {
     double at[WB_MOST], sigma[WB_MOST];

@@ -120,7 +120,7 @@ static void keep(const wb_table *t, wb_reply *reply) {
     }
 }
 
-/* `SolverError.widened`: what the solver of the rows may itself be wrong by. */
+/* Add what the solver of the rows may itself be wrong by. */
 static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
     double most = 0, lacking[WB_MOST], size[WB_MOST];

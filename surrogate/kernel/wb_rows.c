@@ -10,7 +10,7 @@ static const double STEEPER = 2.0; /* than in proportion: of a response that ben
 /* numpy's maximum: what is not a number wins. */
 static double larger(double a, double b) { return isnan(a) || a > b ? a : b; }
 
-/* `LoadRange.exceeded`, with the ends that the file brings. */
+/* Whether a wrench is beyond the load range, with the ends that the file brings. */
 int wb_is_beyond(const wb_table *t, const double *w) {
     for (int k = 0; k < t->inputs; k++)
         if (w[k] < t->ends[k] || w[k] > t->ends[t->inputs + k]) return 1;
@@ -75,7 +75,7 @@ static double slopes_without_tangent(const wb_table *t, const wb_group *g, int64
     return steep;
 }
 
-/* Take what the row at or near a wrench says, unless it is too far off: `ExactRows.at`. */
+/* Take what the row at or near a wrench says, unless it is too far off. */
 int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
                      wb_found *a) {
     int n = t->inputs, m = t->outputs;

@@ -1,4 +1,4 @@
-/* Find the simplex of a point by walking: surrogate/interpolation/walk.py. MIT license.
+/* Find the simplex of a point by walking. MIT license.
  *
  * A walk starts from the simplex that a grid names for the point's cell, whatever was asked before,
  * so that an answer does not depend on the order of a batch. Indices are checked as they are
@@ -110,7 +110,7 @@ static int is_held(const wb_composition *c, int axis, const double x[3], const d
     return 1;
 }
 
-/* `Triangulation.locate`: the simplex of a scaled point and its shares there, or -1. */
+/* The simplex of a scaled point and its shares there, or -1. */
 int wb_locate(const wb_composition *c, int axis, const double x[3], double shares[4]) {
     double flat[3];
     wb_flat(c, axis, x, flat);

@@ -23,7 +23,6 @@ from scipy.special import gammaincinv
 
 from ..table.axes import CLEAN, has_levels
 from ..table.rows import Floats, LoadRange
-from ..table.space import Space
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
 from .equations import Equations, Scaling
@@ -195,7 +194,18 @@ def _factors(
     # Values and slopes of a row are up to seven independent numbers; rows of one group are alike.
     scatter = np.maximum(scatter, 2 / level.places if count == len(group) else 2.0)
     least = np.maximum(count - coefficients, 1.0)
-    widened = _widened(least, scatter, settings.confidence, level.outputs)
+    # By how much sizes may be larger than groups show, (q,), at a confidence in all. The factor
+    # of normal tolerance intervals, sqrt(f / chi2_a(f)): with it an interval holds its content at
+    # confidence 1 - a, the centre being known (Krishnamoorthy and Mathew 2009, "Statistical
+    # Tolerance Regions"). a is 1 - confidence over the number of outputs (Bonferroni). f is the
+    # degrees of freedom of a chi square whose variance is that of the mean square (Satterthwaite
+    # 1946): as many as groups where each brings one normal number, up to seven times that where
+    # values and slopes of single rows are alike, and few where a few groups make most of the
+    # size.
+    freedom = 2 * least / scatter
+    widened = np.sqrt(
+        freedom / (2 * gammaincinv(freedom / 2, (1 - settings.confidence) / level.outputs))
+    )
     missed = square > 0  # an output of which nothing is missed says nothing of the tail
     columns = missed if missed.any() else np.ones_like(missed)
     tail = _quantile((ratios / size)[:, columns], weights, settings.level)
@@ -207,28 +217,6 @@ def _factors(
     return None if (matter & bad).any() else factors
 
 
-def _widened(groups: float, scatter: Floats, confidence: float, outputs: int) -> Floats:
-    """Return by how much sizes may be larger than groups show, (q,), at a confidence in all.
-
-    The factor of normal tolerance intervals, sqrt(f / chi2_a(f)): with it an interval holds its
-    content at confidence 1 - a, the centre being known (Krishnamoorthy and Mathew 2009,
-    "Statistical Tolerance Regions"). a is 1 - confidence over the number of outputs (Bonferroni).
-    f is the degrees of freedom of a chi square whose variance is that of the mean square
-    (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven times
-    that where values and slopes of single rows are alike, and few where a few groups make most of
-    the size.
-
-    Parameters
-    ----------
-    groups : float
-        Their number, less that which settles the mean.
-    scatter : ndarray, shape (q,), dimensionless
-        Variance of the groups' mean squares over their squared mean.
-    """
-    freedom = 2 * groups / scatter
-    return np.sqrt(freedom / (2 * gammaincinv(freedom / 2, (1 - confidence) / outputs)))
-
-
 def _quantile(ratios: Floats, weights: Floats, level: float) -> float:
     """Return the smallest of ratios (k, q), weighed (k,), that so many of one more are below."""
     flat, weight = ratios.ravel(), np.repeat(weights, ratios.shape[1])
@@ -236,25 +224,6 @@ def _quantile(ratios: Floats, weights: Floats, level: float) -> float:
     below = np.cumsum(weight[order]) / total
     place = int(np.searchsorted(below, level * (total + 1) / total))
     return float(flat[order][min(place, len(flat) - 1)])
-
-
-def _typical_places(
-    span: Floats, full: NDArray[np.bool_], space: Space, settings: KrigingSettings
-) -> Floats:
-    """Return places like those of queries: spread over the span of rows, (m, 6), half ranges.
-
-    Where nearly all rows load one axis each, so do these.
-    """
-    active = np.isfinite(span[0])
-    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
-    # A load that no row varies stays as the rows have it: off that the mean is unsettled.
-    still = high - low <= STILL * settings.same
-    low, high = np.where(still, (low + high) / 2, [low, high])
-    places = spread_wrenches(LoadRange(low, high, space), QUERIES)
-    if full.sum() < min(settings.full_rows, len(full) / 2):
-        groups = space.kriging_groups[:-1]
-        places = places * groups[np.arange(QUERIES) % len(groups)]
-    return places
 
 
 def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
@@ -288,7 +257,17 @@ def calibrated(
         for labels in groupings(own.x * np.sqrt(hyperparameters.inverse_squares), settings)
         if (level := _level(equations, spread, table, labels, rows, settings)) is not None
     )
-    queries = _typical_places(span, full, scaling.space, settings)
+    # Places like those of queries: spread over the span of rows, (m, 6), half ranges. Where
+    # nearly all rows load one axis each, so do these.
+    active = np.isfinite(span[0])
+    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
+    # A load that no row varies stays as the rows have it: off that the mean is unsettled.
+    still = high - low <= STILL * settings.same
+    low, high = np.where(still, (low + high) / 2, [low, high])
+    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
+    if full.sum() < min(settings.full_rows, len(full) / 2):
+        groups = scaling.space.kriging_groups[:-1]
+        queries = queries * groups[np.arange(QUERIES) % len(groups)]
     across = block(queries, equations.x, hyperparameters, 1, equations.places)
     sigma = deviations(queries, across.reshape(len(queries), -1), spread)
     # The mean's coefficients, which all rows settle: these in proportion.
@@ -334,17 +313,12 @@ def _level(
     sigma, known_rows = np.sqrt(squared[known]), rows[known]
     own_noise = noise[factor.rows[known_rows]]
     errors = out.errors[known_rows] / np.sqrt(factor.variance)
-    errors = _of_the_mean(errors, out.variances[known_rows], own_noise)
+    # A reading misses its answer by its own noise besides the error of the mean, and both
+    # variances add up to that of its error: variances and noise have shape (k,), process
+    # variances.
+    variances = out.variances[known_rows]
+    errors = errors * np.sqrt(np.maximum(variances - own_noise, 0.0) / variances)[:, None]
     by_value = np.abs(errors) / sigma[:, None]
     sizes = np.where((own_noise > 0)[:, None], by_value, out.sizes[known_rows])
     outputs = equations.data.shape[2]
     return Level(labels[known_rows], errors, sizes, sigma, 1 + equations.loads, outputs)
-
-
-def _of_the_mean(errors: Floats, variances: Floats, noise: Floats) -> Floats:
-    """Return the part of left-out errors (k, q) that is not the left-out readings' own noise.
-
-    A reading misses its answer by its own noise besides the error of the mean, and both variances
-    add up to that of its error: variances and noise have shape (k,), process variances.
-    """
-    return errors * np.sqrt(np.maximum(variances - noise, 0.0) / variances)[:, None]

@@ -323,26 +323,22 @@ def equations_of(
         scatter=behind.scatter / scaling.spread**2,
         groups=scaling.space.kriging_groups,
     )
-    return _merged(whole, settings)
-
-
-def _merged(equations: Equations, settings: KrigingSettings) -> Equations:
-    """Return the equations with rows at one wrench merged: means, and their spread as noise."""
-    n = len(equations)
-    pairs = KDTree(equations.x).query_pairs(2 * settings.same, p=np.inf, output_type="ndarray")
+    # The equations with rows at one wrench merged: means, and their spread as noise.
+    n = len(whole)
+    pairs = KDTree(whole.x).query_pairs(2 * settings.same, p=np.inf, output_type="ndarray")
     if not len(pairs):
-        return equations
+        return whole
     joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     group = connected_components(joined, directed=False)[1]
     _, first = np.unique(group, return_index=True)
     kept = np.sort(first)
-    out = equations.take(kept)
+    out = whole.take(kept)
     # rows by group, in their own order within each
     rows, sizes = np.argsort(group, kind="stable"), np.bincount(group)
     ends = np.cumsum(sizes)
     for place in np.flatnonzero(sizes[group[kept]] > 1):
         own = group[kept[place]]
-        _merge(out, int(place), equations.take(rows[ends[own] - sizes[own] : ends[own]]), settings)
+        _merge(out, int(place), whole.take(rows[ends[own] - sizes[own] : ends[own]]), settings)
     return out
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..table.rows import Floats
 from .correlation import Hyperparameters
 from .equations import Equations, Scaling
-from .factor import Share, factorise, shares_of
+from .factor import factorise, shares_of
 from .likelihood import maximise, maximise_with_noise
 from .reading_noise import reading_noise
 from .settings import KrigingSettings
@@ -58,7 +58,12 @@ def estimated(
     noisy = unstated or bool((chosen.noise > settings.nugget).any())
     for stage in range(1 + noisy):
         current = chosen.with_reading_noise(reading)
-        shares = _telling(shares_of(current, variance, settings), scaling)
+        # The shares without the outputs that vary by rounding only, and with enough rows.
+        varying = [
+            share._replace(outputs=share.outputs[~scaling.silent[share.outputs]])
+            for share in shares_of(current, variance, settings)
+        ]
+        shares = [share for share in varying if len(share.outputs) and len(share.rows)]
         search = maximise_with_noise if unstated and not stage else maximise
         before = search(current, shares, before, settings)
         if unstated:
@@ -69,14 +74,6 @@ def estimated(
             variance[share.outputs] = found.variance
     assert before is not None
     return Estimate(before, variance, reading)
-
-
-def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:
-    """Return the shares without the outputs that vary by rounding only, and with enough rows."""
-    varying = [
-        share._replace(outputs=share.outputs[~scaling.silent[share.outputs]]) for share in shares
-    ]
-    return [share for share in varying if len(share.outputs) and len(share.rows)]
 
 
 def within_one_factor(equations: Equations, settings: KrigingSettings) -> Equations:

@@ -65,33 +65,22 @@ def left_out(equations: Equations, factor: KrigingFactor, labels: NDArray[np.int
         if len(rows) == len(own):
             break
         places = np.concatenate([np.arange(ends[row] - sizes[row], ends[row]) for row in rows])
-        _leave_out(factor, precision, rows, sizes[rows], places, out)
+        # T is triangular: what stands above the group is zero.
+        below = factor.T[places[0] :, places]
+        block, shares = below.T @ below, below.T @ factor.TF[places[0] :]
+        diagonal = np.diag_indices_from(block)
+        block[diagonal] += REGULAR * block[diagonal].mean()
+        covariance = np.linalg.inv(block - shares @ factor.mean_covariance @ shares.T)
+        missed = covariance @ factor.weights[places]
+        out.mean_covariances[rows] = np.linalg.inv(
+            precision - shares.T @ np.linalg.solve(block, shares)
+        )
+        start = 0
+        for row, size in zip(rows, sizes[rows], strict=True):
+            mine = slice(start, start + size)
+            out.errors[row], out.variances[row] = missed[mine][0], covariance[start, start]
+            # what the row's errors are by the covariance that they should have
+            squares = missed[mine] * np.linalg.solve(covariance[mine, mine], missed[mine])
+            out.sizes[row] = np.sqrt(np.maximum(squares.sum(axis=0) / size / factor.variance, 0.0))
+            start += size
     return out
-
-
-def _leave_out(
-    factor: KrigingFactor,
-    precision: Floats,
-    rows: NDArray[np.intp],
-    sizes: NDArray[np.intp],
-    places: NDArray[np.intp],
-    out: LeftOutRows,
-) -> None:
-    """Write what one group's rows show: `places` are its equations, `sizes` how many a row has."""
-    below = factor.T[places[0] :, places]  # T is triangular: what stands above the group is zero
-    block, shares = below.T @ below, below.T @ factor.TF[places[0] :]
-    diagonal = np.diag_indices_from(block)
-    block[diagonal] += REGULAR * block[diagonal].mean()
-    covariance = np.linalg.inv(block - shares @ factor.mean_covariance @ shares.T)
-    missed = covariance @ factor.weights[places]
-    out.mean_covariances[rows] = np.linalg.inv(
-        precision - shares.T @ np.linalg.solve(block, shares)
-    )
-    start = 0
-    for row, size in zip(rows, sizes, strict=True):
-        mine = slice(start, start + size)
-        out.errors[row], out.variances[row] = missed[mine][0], covariance[start, start]
-        # what the row's errors are by the covariance that they should have
-        squares = missed[mine] * np.linalg.solve(covariance[mine, mine], missed[mine])
-        out.sizes[row] = np.sqrt(np.maximum(squares.sum(axis=0) / size / factor.variance, 0.0))
-        start += size

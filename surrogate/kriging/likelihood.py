@@ -134,28 +134,7 @@ def _contracted(
     sensitivity: Floats, own: Equations, hyperparameters: Hyperparameters, nugget: float
 ) -> Floats:
     """Return the sum of a symmetric matrix (e, e) times the covariance's seven derivatives."""
-    parts, apart = _by_derivative(sensitivity, own, nugget)
-    order, loads = 2 * order_of(own.places, own.loads), own.loads
-    by_rate, by_weight = np.zeros(loads), []
-    for rates, weight in zip(*hyperparameters.terms, strict=True):
-        chosen = np.flatnonzero(rates)
-        seen = parts[list(seen_by(loads, tuple(chosen.tolist()), order))]
-        term = apart[chosen], rates[chosen], order, hyperparameters.smoothness
-        by_rate[chosen] += weight * _by_rates(seen, *term)
-        by_weight.append(weight * sum(map(np.dot, seen, derivatives_of_term(*term))))
-    by_weight = by_weight[-len(hyperparameters.weights) :]
-    return np.append(by_rate * hyperparameters.inverse_squares, by_weight)
-
-
-def _by_derivative(sensitivity: Floats, own: Equations, nugget: float) -> tuple[Floats, Floats]:
-    """Return a symmetric matrix's sums by the derivatives that its entries stand with.
-
-    Returns
-    -------
-    parts : ndarray, shape (k, p)
-        Of each derivative by x - v and each pair of rows; the last is that of rows themselves.
-    apart : ndarray, shape (loads, p), half ranges
-    """
+    # A symmetric matrix's sums by the derivatives that its entries stand with.
     n, places = len(own), own.places
     whole = np.zeros((n, places, n, places))
     known = np.flatnonzero(own.known)
@@ -168,7 +147,17 @@ def _by_derivative(sensitivity: Floats, own: Equations, nugget: float) -> tuple[
     shape = (int(joined.max()) + 1, joined.size)
     gather = csr_array((sign.ravel(), (joined.ravel(), np.arange(joined.size))), shape=shape)
     apart = np.concatenate((own.x[one] - own.x[other], np.zeros((1, own.loads))))
-    return gather @ pairs.reshape(len(pairs), -1).T, np.ascontiguousarray(apart.T)
+    parts, apart = gather @ pairs.reshape(len(pairs), -1).T, np.ascontiguousarray(apart.T)
+    order, loads = 2 * order_of(own.places, own.loads), own.loads
+    by_rate, by_weight = np.zeros(loads), []
+    for rates, weight in zip(*hyperparameters.terms, strict=True):
+        chosen = np.flatnonzero(rates)
+        seen = parts[list(seen_by(loads, tuple(chosen.tolist()), order))]
+        term = apart[chosen], rates[chosen], order, hyperparameters.smoothness
+        by_rate[chosen] += weight * _by_rates(seen, *term)
+        by_weight.append(weight * sum(map(np.dot, seen, derivatives_of_term(*term))))
+    by_weight = by_weight[-len(hyperparameters.weights) :]
+    return np.append(by_rate * hyperparameters.inverse_squares, by_weight)
 
 
 def _by_rates(parts: Floats, apart: Floats, rates: Floats, order: int, smoothness: int) -> Floats:

@@ -28,7 +28,7 @@ from .settings import DEFAULTS, KrigingSettings
 Places = NDArray[np.intp]
 
 # Of squared scaled distances, which rounding changes by 1e-14: rows that are as near as this are
-# equally near, and the first is taken, whoever computes the distance. Below `reach.ROOM`.
+# equally near, and the first is taken, whoever computes the distance.
 TIE = 1e-10
 
 
@@ -67,7 +67,11 @@ class Finder:
         """
         places = x * self.roots[0]
         distance = np.asarray(self.trees[0].query(places)[0], dtype=float)
-        return self.rows[[near[0] for near in self._as_near(places, distance)]]
+        # Which of its rows are within a distance (m,) of places (m, 6), ascending.
+        radius = np.sqrt(distance**2 + TIE)
+        return self.rows[
+            [near[0] for near in self.trees[0].query_ball_point(places, radius, return_sorted=True)]
+        ]
 
     def nearest_others(self, rows: Places, x: Floats, labels: Places) -> Places:
         """Return the row nearest to each of some of its own rows that has another label.
@@ -86,11 +90,6 @@ class Finder:
         apart[labels[rows][:, None] == labels] = np.inf
         near = apart <= apart.min(axis=1, keepdims=True) + TIE
         return self.rows[near.argmax(axis=1)]
-
-    def _as_near(self, places: Floats, distance: Floats) -> NDArray[np.object_]:
-        """Return which of its rows are within a distance (m,) of places (m, 6), ascending."""
-        radius = np.sqrt(distance**2 + TIE)
-        return self.trees[0].query_ball_point(places, radius, return_sorted=True)
 
     def members(
         self, x: Floats, labels: Places | None = None, without: Places | None = None

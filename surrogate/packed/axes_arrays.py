@@ -46,25 +46,7 @@ def axes_arrays(
     """
     tables = composition.tables
     first_simplex = _first([0 if table is None else len(table.state) for table in tables])
-    yield from _shapes(tables, first_simplex)
-    yield from _frames(tables, first_simplex)
-    together = [0 if table is None else table.together for table in tables]
-    yield "together", np.array(together, dtype=np.int32)
-    yield "fewest", np.array([0 if table is None else table.fewest for table in tables], np.int32)
-    left_out = [0 if table is None else table.errors_shown for table in tables]
-    yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
-    yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
-    yield "span", np.array([_span(table) for table in tables])
-    yield "rest_point", np.stack((composition.at_rest.displacement, composition.at_rest.error))
-    yield "error", np.array([_error(table) for table in tables])
-    yield from _cuts(composition)
-    yield from _members(tables, members)
-
-
-def _shapes(
-    tables: Sequence[AxisTable | None], first_simplex: list[int]
-) -> Iterator[tuple[str, Array]]:
-    """Yield points, simplices and hulls, of all axes one after another."""
+    # Points, simplices and hulls, of all axes one after another.
     first_point = _first([0 if table is None else len(table.values) for table in tables])
     each = zip(tables, first_point, first_simplex, strict=False)
     yield "simplex", _joined([_simplices(*one) for one in each], (0, SIMPLEX))
@@ -81,6 +63,51 @@ def _shapes(
     yield "point_first", np.array(first_point, dtype=np.int32)
     yield "simplex_first", np.array(first_simplex, dtype=np.int32)
     yield "facet_first", np.array(_first([len(facet) for facet in facets]), dtype=np.int32)
+    floats, ints = np.zeros((3, FLOATS)), np.zeros((3, INTS), dtype=np.int32)
+    ints[:, DIMENSION] = -1
+    grids, cells = [np.empty(0, dtype=np.int32)], 0
+    for axis, table in enumerate(tables):
+        if table is None:
+            continue
+        numbered = numbered_of(table.triangulation)
+        floats[axis], ints[axis] = numbered.floats, numbered.ints
+        floats[axis, SCALE : SCALE + 3], ints[axis, FIRST_CELL] = table.scale, cells
+        grids.append((numbered.grid + first_simplex[axis]).astype(np.int32))
+        cells += len(grids[-1])
+    yield "floats", floats
+    yield "ints", ints
+    yield "grid", np.concatenate(grids)
+    together = [0 if table is None else table.together for table in tables]
+    yield "together", np.array(together, dtype=np.int32)
+    yield "fewest", np.array([0 if table is None else table.fewest for table in tables], np.int32)
+    left_out = [0 if table is None else table.errors_shown for table in tables]
+    yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
+    yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
+    yield "span", np.array([_span(table) for table in tables])
+    yield "rest_point", np.stack((composition.at_rest.displacement, composition.at_rest.error))
+    yield "error", np.array([_error(table) for table in tables])
+    for moment, cuts in enumerate(composition.cuts):
+        for cut in cuts:
+            name, count = f"cut{moment}{cut.column - 1}", len(cut.state)
+            yield f"{name}/state", cut.state.astype(np.int32)
+            yield f"{name}/stations", cut.stations if count else np.empty(0)
+            yield f"{name}/outputs", cut.outputs.reshape(count, 2, 6)
+            yield f"{name}/stated", cut.stated.reshape(count, 2, 6)
+            yield f"{name}/unit", cut.unit_errors.reshape(count, 3)
+            bucket, start = buckets_of(cut.stations if count else np.empty(0))
+            yield f"{name}/bucket", bucket
+            yield f"{name}/start", start
+    sizes, numbers = [np.zeros(1, dtype=np.intp)], [np.empty(0, dtype=np.int64)]
+    for table in tables:
+        if table is None:
+            continue
+        order = _order(table)[0]
+        point, place = _members_of(table.rows.members, order)
+        behind, row = _members_of(members, place)
+        numbers.append(row[np.lexsort((row, point[behind]))])
+        sizes.append(np.bincount(point[behind], minlength=len(order)))
+    yield "member_first", np.cumsum(np.concatenate(sizes)).astype(np.int32)
+    yield "members", np.concatenate(numbers)
 
 
 def _first(counts: list[int]) -> list[int]:
@@ -140,62 +167,12 @@ def _facets(table: AxisTable | None) -> NDArray[np.intp]:
     return found
 
 
-def _frames(
-    tables: Sequence[AxisTable | None], first_simplex: list[int]
-) -> Iterator[tuple[str, Array]]:
-    floats, ints = np.zeros((3, FLOATS)), np.zeros((3, INTS), dtype=np.int32)
-    ints[:, DIMENSION] = -1
-    grids, cells = [np.empty(0, dtype=np.int32)], 0
-    for axis, table in enumerate(tables):
-        if table is None:
-            continue
-        numbered = numbered_of(table.triangulation)
-        floats[axis], ints[axis] = numbered.floats, numbered.ints
-        floats[axis, SCALE : SCALE + 3], ints[axis, FIRST_CELL] = table.scale, cells
-        grids.append((numbered.grid + first_simplex[axis]).astype(np.int32))
-        cells += len(grids[-1])
-    yield "floats", floats
-    yield "ints", ints
-    yield "grid", np.concatenate(grids)
-
-
 def _span(table: AxisTable | None) -> Floats:
     """Return the smallest and largest of an axis' three loads, (3, 2), N and N·m."""
     if table is None:
         return np.zeros((3, 2))
     loads = table.rows.points * table.scale
     return np.stack((loads.min(axis=0), loads.max(axis=0)), axis=1)
-
-
-def _cuts(composition: Composition) -> Iterator[tuple[str, Array]]:
-    """Yield each cut: stretches of polynomials by the scaled moment less their first station."""
-    for moment, cuts in enumerate(composition.cuts):
-        for cut in cuts:
-            name, count = f"cut{moment}{cut.column - 1}", len(cut.state)
-            yield f"{name}/state", cut.state.astype(np.int32)
-            yield f"{name}/stations", cut.stations if count else np.empty(0)
-            yield f"{name}/outputs", cut.outputs.reshape(count, 2, 6)
-            yield f"{name}/stated", cut.stated.reshape(count, 2, 6)
-            yield f"{name}/unit", cut.unit_errors.reshape(count, 3)
-            bucket, start = buckets_of(cut.stations if count else np.empty(0))
-            yield f"{name}/bucket", bucket
-            yield f"{name}/start", start
-
-
-def _members(
-    tables: Sequence[AxisTable | None], members: Sequence[tuple[int, ...]]
-) -> Iterator[tuple[str, Array]]:
-    sizes, numbers = [np.zeros(1, dtype=np.intp)], [np.empty(0, dtype=np.int64)]
-    for table in tables:
-        if table is None:
-            continue
-        order = _order(table)[0]
-        point, place = _members_of(table.rows.members, order)
-        behind, row = _members_of(members, place)
-        numbers.append(row[np.lexsort((row, point[behind]))])
-        sizes.append(np.bincount(point[behind], minlength=len(order)))
-    yield "member_first", np.cumsum(np.concatenate(sizes)).astype(np.int32)
-    yield "members", np.concatenate(numbers)
 
 
 def _members_of(

@@ -214,23 +214,19 @@ def _check(head: bytes, size: int, rest: Iterable[bytes | memoryview]) -> None:
 
 def _views(whole: memoryview) -> Packed:
     try:
-        return _read_views(whole)
+        header = np.frombuffer(whole, dtype=_HEADER, count=1)[0]
+        at, count = int(header["directory"]), int(header["arrays"])
+        arrays = {}
+        for entry in np.frombuffer(whole, dtype=_ENTRY, count=count, offset=at):
+            shape = tuple(entry["shape"][: entry["dimensions"]].tolist())
+            dtype = _TYPES[int(entry["type"])]
+            items = int(entry["bytes"]) // dtype.itemsize
+            view = np.frombuffer(whole, dtype=dtype, count=items, offset=int(entry["offset"]))
+            arrays[entry["name"].decode()] = view.reshape(shape)
+        start = int(header["json"])
+        words = json.loads(whole[start : start + int(header["json_size"])].tobytes())
+        for view in arrays.values():
+            view.flags.writeable = False
+        return Packed(arrays, words, whole)
     except (LookupError, TypeError, ValueError) as error:
         raise PackedTableError("the table's directory is damaged") from error
-
-
-def _read_views(whole: memoryview) -> Packed:
-    header = np.frombuffer(whole, dtype=_HEADER, count=1)[0]
-    at, count = int(header["directory"]), int(header["arrays"])
-    arrays = {}
-    for entry in np.frombuffer(whole, dtype=_ENTRY, count=count, offset=at):
-        shape = tuple(entry["shape"][: entry["dimensions"]].tolist())
-        dtype = _TYPES[int(entry["type"])]
-        items = int(entry["bytes"]) // dtype.itemsize
-        view = np.frombuffer(whole, dtype=dtype, count=items, offset=int(entry["offset"]))
-        arrays[entry["name"].decode()] = view.reshape(shape)
-    start = int(header["json"])
-    words = json.loads(whole[start : start + int(header["json_size"])].tobytes())
-    for view in arrays.values():
-        view.flags.writeable = False
-    return Packed(arrays, words, whole)

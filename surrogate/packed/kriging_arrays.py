@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.neighbourhood import Neighbourhoods
-from ..table.rows import Floats
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 
@@ -101,7 +100,12 @@ def _share_arrays(
         size = len(local.places)
         at_row, of_row = np.divmod(local.places, places_of_row)
         places[place, :size] = of_row * stride + at_row
-        panels[place] = _panels(local.T, padded)
+        # A lower triangle (e, e), dimensionless, in panels of rows, columns first.
+        whole = np.zeros((padded, padded))
+        whole[: len(local.T), : len(local.T)] = local.T
+        panels[place] = np.concatenate(
+            [whole[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
+        )
         unsettled[place, :, :size] = local.TF.T
         number[row], least[row] = place, local.least
     yield "outputs", np.isin(np.arange(outputs), share.factor.outputs).astype(np.int32)
@@ -112,12 +116,3 @@ def _share_arrays(
     yield "least", least
     yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
     yield "mean_covariance", share.factor.mean_covariance
-
-
-def _panels(triangle: Floats, padded: int) -> Floats:
-    """Return a lower triangle (e, e), dimensionless, in panels of rows, columns first."""
-    whole = np.zeros((padded, padded))
-    whole[: len(triangle), : len(triangle)] = triangle
-    return np.concatenate(
-        [whole[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
-    )

@@ -72,33 +72,29 @@ def numbered_of(shape: Triangulation) -> Numbered:
     """Return a triangulation laid out for walks."""
     found = _KNOWN.get(shape)
     if found is None:
-        found = _KNOWN[shape] = _numbered(shape)
+        flat, dimension = shape.flattened(shape.points), shape.dimension
+        weights = shape.weights if dimension == 3 else shape.weights @ shape.basis.T
+        points, way = curve_order(flat), curve_order(flat[shape.simplices].mean(axis=1))
+        new_point, new_simplex = np.empty(len(points), np.intp), np.empty(len(way) + 1, np.intp)
+        new_point[points] = np.arange(len(points))
+        new_simplex[way], new_simplex[-1] = np.arange(len(way)), -1
+        simplex = np.zeros((len(way), 8), dtype=np.int32)
+        simplex[:, : dimension + 1] = new_point[shape.simplices[way]]
+        simplex[:, 4:] = -1
+        simplex[:, 4 : 5 + dimension] = new_simplex[shape.neighbours[way]]
+        place = np.zeros((len(flat), 3))
+        place[:, :dimension] = flat[points]
+        maps = np.zeros((len(way), MAP))
+        for corner in range(dimension):
+            maps[:, 3 * corner : 3 * corner + dimension] = weights[way, corner]
+        maps[:, 9:] = place[simplex[:, dimension]]
+        floats, ints = np.zeros(FLOATS), np.zeros(INTS, dtype=np.int32)
+        floats[:3], ints[CELLS : CELLS + 3], ints[DIMENSION] = 1.0, 1, dimension
+        floats[ORIGIN : ORIGIN + 3], floats[SLACK] = shape.origin, shape.slack
+        floats[BASIS : BASIS + 3 * dimension] = shape.basis.ravel()
+        grid = new_simplex[_grid(shape, flat, floats, ints)]
+        found = _KNOWN[shape] = Numbered(maps, simplex, grid, floats, ints, way, points)
     return found
-
-
-def _numbered(shape: Triangulation) -> Numbered:
-    flat, dimension = shape.flattened(shape.points), shape.dimension
-    weights = shape.weights if dimension == 3 else shape.weights @ shape.basis.T
-    points, way = curve_order(flat), curve_order(flat[shape.simplices].mean(axis=1))
-    new_point, new_simplex = np.empty(len(points), np.intp), np.empty(len(way) + 1, np.intp)
-    new_point[points] = np.arange(len(points))
-    new_simplex[way], new_simplex[-1] = np.arange(len(way)), -1
-    simplex = np.zeros((len(way), 8), dtype=np.int32)
-    simplex[:, : dimension + 1] = new_point[shape.simplices[way]]
-    simplex[:, 4:] = -1
-    simplex[:, 4 : 5 + dimension] = new_simplex[shape.neighbours[way]]
-    place = np.zeros((len(flat), 3))
-    place[:, :dimension] = flat[points]
-    maps = np.zeros((len(way), MAP))
-    for corner in range(dimension):
-        maps[:, 3 * corner : 3 * corner + dimension] = weights[way, corner]
-    maps[:, 9:] = place[simplex[:, dimension]]
-    floats, ints = np.zeros(FLOATS), np.zeros(INTS, dtype=np.int32)
-    floats[:3], ints[CELLS : CELLS + 3], ints[DIMENSION] = 1.0, 1, dimension
-    floats[ORIGIN : ORIGIN + 3], floats[SLACK] = shape.origin, shape.slack
-    floats[BASIS : BASIS + 3 * dimension] = shape.basis.ravel()
-    grid = new_simplex[_grid(shape, flat, floats, ints)]
-    return Numbered(maps, simplex, grid, floats, ints, way, points)
 
 
 def _grid(shape: Triangulation, flat: Floats, floats: Floats, ints: NDArray[np.int32]) -> Indices:

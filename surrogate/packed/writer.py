@@ -23,8 +23,7 @@ from ..kriging import Kriging
 from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods import ENOUGH_FULL
 from ..surrogate import Surrogate
-from ..table.rows import CLEAN, Floats, Tolerance
-from ..table.space import Space
+from ..table.rows import CLEAN, Floats
 from .axes_arrays import axes_arrays
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays
@@ -62,6 +61,8 @@ def pack(
     for number, (outputs, group) in enumerate(groups):
         for name, array in _group_arrays(outputs, group, sources):
             arrays[f"g{number}/{name}"] = array
+    # The gaps of each axis; None where the compliance answers, which needs no axes.
+    no_axes = not table.load_range.space.is_default or (table.linear and table.fit.complete)
     words = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
@@ -70,31 +71,19 @@ def pack(
         "sources": sources.words,
         "solver_error": None if table.solver_error is None else table.solver_error.values,
         "summary": table.coverage_summary(),
-        "gaps": _gaps(table),
+        "gaps": None if no_axes else axis_gaps(table.composition, table.load_range),
         "tangent": dict(zip(("matrix", "origin"), tangent_at_zero(table), strict=True)),
         "provenance": {
             "component": component,
             "fingerprint": fingerprint,
             "origin": dict(origin or {}),
-            **_rows_words(table),
+            "version": table.version,
+            "rows": len(table.rows),
+            "sources": dict(Counter(table.rows.source.tolist())),
+            "linear": table.linear,
         },
     }
     return pieces(arrays, _plain(words))
-
-
-def _rows_words(table: AnyTable) -> dict[str, Any]:
-    return {
-        "version": table.version,
-        "rows": len(table.rows),
-        "sources": dict(Counter(table.rows.source.tolist())),
-        "linear": table.linear,
-    }
-
-
-def _gaps(table: AnyTable) -> list[dict[str, Any]] | None:
-    """Return the gaps of each axis; None where the compliance answers, which needs no axes."""
-    no_axes = not table.load_range.space.is_default or (table.linear and table.fit.complete)
-    return None if no_axes else axis_gaps(table.composition, table.load_range)
 
 
 def _plain(value: Any) -> Any:
@@ -135,18 +124,15 @@ def _space_arrays(table: AnyTable, groups: int) -> Iterator[tuple[str, Array]]:
     yield "space/scale", span.scale
     yield "space/small", CLEAN * span.scale
     yield "space/locked", np.isin(np.arange(inputs), table.locked).astype(np.int32)
-    yield "space/tolerance", _allowed(table.tolerance, space)
+    none = np.full(outputs, np.nan)
+    limits = none if table.tolerance is None else allowed_by(table.tolerance, space)
+    yield "space/tolerance", np.array(limits, dtype=float)
     if table.rig_error.any():
         yield "space/rig_error", table.rig_error
     yield "space/limit", np.where(space.is_rotation, np.inf, TRANSLATION_LIMIT)
     rotations = np.flatnonzero(space.is_rotation)[::3]  # three an interface
     yield "space/vector_first", rotations.astype(np.int32)
     yield "space/vector_limit", np.full(len(rotations), LONGEST)
-
-
-def _allowed(tolerance: Tolerance | None, space: Space) -> Floats:
-    none = np.full(len(space.outputs), np.nan)
-    return none if tolerance is None else np.array(allowed_by(tolerance, space), dtype=float)
 
 
 def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
@@ -232,46 +218,18 @@ def _group_arrays(
     if group.fit.offset.any():
         yield "fit/offset", group.fit.offset
     yield "fit/known", group.fit.known.astype(np.int32)
-    yield "fit/rows", np.array(_linear_rows(group), dtype=np.int64)
-    yield from _row_arrays(group, sources)
-    parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
-    if used and group.has_axes:
-        parts.append(("axes", axes_arrays(group.composition, group.members)))
-    for name, kriging in (("kriging", group.kriging), ("missed", missed)):
-        if kriging is not None:
-            parts.append((name, kriging_arrays(kriging)))
-    for name, arrays in parts:
-        yield from ((f"{name}/{own}", array) for own, array in arrays)
-
-
-def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
-    """Return the bits of what errors are measured against, and the kriging of what axes miss."""
-    if exact:  # its default needs no reference: none is built
-        return _ADDITIVE if group.has_axes else 0, None
-    if group.by_kriging:
-        return _KRIGING, None
-    missed = group.interaction
-    return _ADDITIVE if missed is None else _ADDITIVE | _MISSED, missed
-
-
-def _linear_rows(group: Surrogate) -> list[int]:
-    """Return the numbers of the rows that the compliance comes from."""
+    # The numbers of the rows that the compliance comes from.
     members = group.members
     if group.fit.origin == "stored":
         sloped = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2)))
         members = tuple(members[place] for place in sloped.tolist())
-    return sorted(chain.from_iterable(members))
-
-
-def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Array]]:
-    """Yield the rows (r) that answer at their own wrenches, in the order of a key.
-
-    ``row/key`` (r), ``row/rates`` (n), 1/N and 1/(N·m); ``row/steepest`` (m), the most that an
-    output moves over half the range, m and rad; ``row/wrench`` (r, n), N and N·m; ``row/moved`` and
-    ``row/bar`` (r, m), m and rad, NaN of a reading whose uncertainty is not known; ``row/tangent``
-    (t, m, n), SI, by ``row/tangent_of`` (r), -1 without; ``row/seq`` and ``row/number`` (r), the
-    row's number in the ledger and its place; ``row/source`` (r), see `_Sources`.
-    """
+    yield "fit/rows", np.array(sorted(chain.from_iterable(members)), dtype=np.int64)
+    # The rows (r) that answer at their own wrenches, in the order of a key. ``row/key`` (r),
+    # ``row/rates`` (n), 1/N and 1/(N·m); ``row/steepest`` (m), the most that an output moves over
+    # half the range, m and rad; ``row/wrench`` (r, n), N and N·m; ``row/moved`` and ``row/bar``
+    # (r, m), m and rad, NaN of a reading whose uncertainty is not known; ``row/tangent`` (t, m,
+    # n), SI, by ``row/tangent_of`` (r), -1 without; ``row/seq`` and ``row/number`` (r), the row's
+    # number in the ledger and its place; ``row/source`` (r), see `_Sources`.
     exact, rows = group.exact, group.rows
     order = exact.index.order
     owner = exact.owner[order]
@@ -293,6 +251,24 @@ def _row_arrays(group: Surrogate, sources: _Sources) -> Iterator[tuple[str, Arra
     yield "row/tangent_of", places.astype(np.int32)
     yield "row/tangent", tangents[has_one]
     yield "row/source", sources.numbers(wrenches)
+    parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
+    if used and group.has_axes:
+        parts.append(("axes", axes_arrays(group.composition, group.members)))
+    for name, kriging in (("kriging", group.kriging), ("missed", missed)):
+        if kriging is not None:
+            parts.append((name, kriging_arrays(kriging)))
+    for name, arrays in parts:
+        yield from ((f"{name}/{own}", array) for own, array in arrays)
+
+
+def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
+    """Return the bits of what errors are measured against, and the kriging of what axes miss."""
+    if exact:  # its default needs no reference: none is built
+        return _ADDITIVE if group.has_axes else 0, None
+    if group.by_kriging:
+        return _KRIGING, None
+    missed = group.interaction
+    return _ADDITIVE if missed is None else _ADDITIVE | _MISSED, missed
 
 
 def _group_words(outputs: tuple[int, ...], group: Surrogate) -> dict[str, Any]:

@@ -49,7 +49,10 @@ def measured(table: AnyTable, plan: ScenePlan) -> Savings:
         none = "not measured: there are no rows yet"
         keys = ("build_s", "memory_bytes", "us_per_answer")
         return Savings(None, None, None, dict.fromkeys(keys, none))
-    wrenches, packed = _wrenches(plan), packed_of(table)
+    # Wrenches of the scene, (k, n), N and N·m.
+    low, high = plan.need.span.low, plan.need.span.high
+    wrenches = low + np.random.default_rng(0).uniform(size=(ANSWERS, len(low))) * (high - low)
+    packed = packed_of(table)
     whole = built_s(table), packed.size, _us(packed, wrenches)
     own = 0.0, 0, 0.0
     if plan.decision != "rigid":
@@ -70,12 +73,6 @@ def measured(table: AnyTable, plan: ScenePlan) -> Savings:
 def built_s(table: AnyTable) -> float:
     """Return the processor time, s, that building a table took."""
     return sum(surrogate.build_s for _, surrogate in table.groups)
-
-
-def _wrenches(plan: ScenePlan) -> Floats:
-    """Return wrenches of the scene, (k, n), N and N·m."""
-    low, high = plan.need.span.low, plan.need.span.high
-    return low + np.random.default_rng(0).uniform(size=(ANSWERS, len(low))) * (high - low)
 
 
 def _us(table: PackedTable, wrenches: Floats) -> float:

@@ -155,38 +155,30 @@ def axis_rows(
         loads = np.where(np.isin(np.arange(6), axis.others), rows.wrench, 0.0)
         joining &= ~((np.abs(loads) > CLEAN * load_range.scale) & ~fit.known).any(axis=1)
         displacement[joining] -= loads[joining] @ fit.matrix.T
-    return _merge(rows, load_range, axis, displacement, mine, mine | joining)
-
-
-def _merge(
-    rows: Rows,
-    load_range: LoadRange,
-    axis: LoadAxis,
-    displacement: Floats,
-    clean: NDArray[np.bool_],
-    used: NDArray[np.bool_],
-) -> AxisRows:
-    """Merge the used rows whose points are one, in an order that the rows' order cannot change."""
+    # Merge the used rows whose points are one, in an order that the rows' order cannot change.
     inputs = list(axis.inputs)
     scaled = rows.wrench[:, inputs] / load_range.scale[inputs]
-    places = np.flatnonzero(used)
+    places = np.flatnonzero(mine | joining)
     group = close_groups(scaled[places])
     # A group's point is that of a clean row, if it has one, and the outermost: the hull stays.
     far = -(scaled[places] ** 2).sum(axis=1)
-    order = places[np.lexsort((rows.seq[places], far, ~clean[places], group))]
+    order = places[np.lexsort((rows.seq[places], far, ~mine[places], group))]
     bounds = np.searchsorted(np.sort(group), np.arange(int(group.max(initial=-1)) + 2))
     order_of = np.lexsort(scaled[order[bounds[:-1]]].T[::-1])
     first = order[bounds[:-1]][order_of]
     stored = np.nan_to_num(rows.uncertainty)
     means, spreads = displacement[first], stored[first]
     tangent = rows.compliance[first][:, :, inputs] * load_range.scale[inputs]
-    tangent[~clean[first]] = np.nan  # a full wrench's is not that of its axis' loads alone
+    tangent[~mine[first]] = np.nan  # a full wrench's is not that of its axis' loads alone
     members = list(zip(first.tolist(), strict=True))
     for point in np.flatnonzero(np.diff(bounds)[order_of] > 1).tolist():
         group_of = order_of[point]
-        chosen = _trusted(order[bounds[group_of] : bounds[group_of + 1]], clean)
+        # The clean rows of one point, or all of them if none is clean.
+        places = order[bounds[group_of] : bounds[group_of + 1]]
+        best = places[mine[places]] if mine[places].any() else places
+        chosen = best.tolist()
         means[point] = displacement[chosen].mean(axis=0)
-        if clean[first[point]]:
+        if mine[first[point]]:
             slopes = rows.compliance[chosen][:, :, inputs] * load_range.scale[inputs]
             tangent[point] = slopes.mean(axis=0)
         spread = np.ptp(displacement[chosen], axis=0) / 2
@@ -198,12 +190,6 @@ def _merge(
         displacement=means.reshape(-1, 6),
         uncertainty=spreads.reshape(-1, 6),
         members=tuple(members),
-        clean=clean[first],
+        clean=mine[first],
         tangent=tangent.reshape(-1, 6, 3),
     )
-
-
-def _trusted(places: NDArray[np.intp], clean: NDArray[np.bool_]) -> list[int]:
-    """Return the clean rows of one point, or all of them if none is clean."""
-    best = places[clean[places]] if clean[places].any() else places
-    return best.tolist()

@@ -70,8 +70,23 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     known = np.isfinite(rows.compliance).all(axis=(1, 2))
     stored = rows.compliance[known]
     if linear and len(stored):
-        offset = _offset(rows.wrench[known], rows.displacement[known], stored)
-        return replace(_from_stored(stored, load_range), offset=offset)
+        # The displacement at zero load, (6,), of the row whose loads move it least. What is
+        # within `SAME_LINE` of the row's motion is its rounding.
+        wrench = rows.wrench[known]
+        moved = (stored @ wrench[:, :, None])[:, :, 0]
+        sizes = (np.abs(stored) @ np.abs(wrench)[:, :, None])[:, :, 0]
+        least = int(sizes.max(axis=1).argmin())
+        offset = rows.displacement[known][least] - moved[least]
+        # Translation and rotation of each.
+        kinds = offset.reshape(-1, 3), sizes[least].reshape(-1, 3)
+        same = np.abs(kinds[0]).max(axis=1) <= SAME_LINE * kinds[1].max(axis=1)
+        offset = np.zeros_like(offset) if same.all() else offset
+        # The mean of stored compliances; their spread, times the full loads, is the bar.
+        spread = np.ptp(stored, axis=0) / 2
+        loads = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
+        known = np.ones(len(load_range.low), dtype=bool)
+        fit = ComplianceFit(stored.mean(axis=0), known, spread @ loads, "stored")
+        return replace(fit, offset=offset)
     fit = _from_rows(rows, load_range, linear=linear)
     if len(stored) and not fit.complete:
         matrix = np.where(fit.known, fit.matrix, stored.mean(axis=0))
@@ -79,29 +94,6 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
         known = np.ones(len(load_range.low), dtype=bool)
         return ComplianceFit(matrix, known, fit.error, fit.origin, offset)
     return fit
-
-
-def _offset(wrench: Floats, displacement: Floats, stored: Floats) -> Floats:
-    """Return the displacement at zero load, (6,), of the row whose loads move it least.
-
-    What is within `SAME_LINE` of the row's motion is its rounding.
-    """
-    moved = (stored @ wrench[:, :, None])[:, :, 0]
-    sizes = (np.abs(stored) @ np.abs(wrench)[:, :, None])[:, :, 0]
-    least = int(sizes.max(axis=1).argmin())
-    offset = displacement[least] - moved[least]
-    kinds = offset.reshape(-1, 3), sizes[least].reshape(-1, 3)  # translation and rotation of each
-    same = np.abs(kinds[0]).max(axis=1) <= SAME_LINE * kinds[1].max(axis=1)
-    return np.zeros_like(offset) if same.all() else offset
-
-
-def _from_stored(stored: Floats, load_range: LoadRange) -> ComplianceFit:
-    """Return the mean of stored compliances; their spread, times the full loads, is the bar."""
-    spread = np.ptp(stored, axis=0) / 2
-    loads = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
-    return ComplianceFit(
-        stored.mean(axis=0), np.ones(len(load_range.low), dtype=bool), spread @ loads, "stored"
-    )
 
 
 def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
@@ -123,23 +115,17 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
     if linear:
         error = _fit_error(rows, residual, len(spanned))
     else:
-        error = _secant_error(rows, scaled, residual)
+        # The error bar of the secant of a nonlinear table, (6,), m and rad. It holds 95 % of the
+        # rows, each predicted from the others (PRESS residuals: Allen 1974). A row that the
+        # others do not span shows nothing: there the bar is what the row moved.
+        basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+        basis = basis[:, sizes > RANK * sizes[0]]
+        spare = 1.0 - (basis**2).sum(axis=1)[:, None]
+        alone = spare < LONE
+        missed = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, spare))
+        stored = np.nan_to_num(rows.uncertainty).max(axis=0)
+        error = conformal_factor(np.abs(missed), np.ones_like(missed)) + stored
     return ComplianceFit(matrix, known, error, "fitted", offset)
-
-
-def _secant_error(rows: Rows, scaled: Floats, residual: Floats) -> Floats:
-    """Return the error bar of the secant of a nonlinear table, (6,), m and rad.
-
-    It holds 95 % of the rows, each predicted from the others (PRESS residuals: Allen 1974). A row
-    that the others do not span shows nothing: there the bar is what the row moved.
-    """
-    basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
-    basis = basis[:, sizes > RANK * sizes[0]]
-    spare = 1.0 - (basis**2).sum(axis=1)[:, None]
-    alone = spare < LONE
-    missed = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, spare))
-    stored = np.nan_to_num(rows.uncertainty).max(axis=0)
-    return conformal_factor(np.abs(missed), np.ones_like(missed)) + stored
 
 
 def _fit_error(rows: Rows, residual: Floats, rank: int) -> Floats:

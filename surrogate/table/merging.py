@@ -84,7 +84,14 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     for place in several.tolist():
         group = by_seq[starts[place] : starts[place] + sizes[place]]
         members[place] = tuple(rows.seq[group].tolist())
-        _put_mean(found, place, rows.take(group))
+        # Put the mean of merged rows in the place of one of them.
+        merged = rows.take(group)
+        found.displacement[place] = merged.displacement.mean(axis=0)
+        stored = np.nan_to_num(merged.uncertainty).max(axis=0)
+        found.uncertainty[place] = np.maximum(np.ptp(merged.displacement, axis=0) / 2, stored)
+        found.compliance[place] = _mean_known(merged.compliance)
+        measured = merged.source != "fea"  # solves repeat exactly; a merged row does only if all do
+        found.source[place] = merged.source[measured][0] if measured.any() else "fea"
         curvature[place] = _mean_known(rows.curvature[group])
     found = replace(found, curvature=curvature)
     return Merged(found, tuple(members), within[first], owner)
@@ -100,8 +107,28 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
         return np.empty(0, dtype=np.intp)
     # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would keep apart
     keys = np.round(points, EQUAL) + 0.0
-    distinct, group = _distinct(keys)
-    near = _maybe_near(distinct)
+    # The distinct points in lexical order, and the place of each given one in them. As
+    # `numpy.unique` along an axis does, which compares bytes and keeps all other threads waiting.
+    order = np.lexsort(keys.T[::-1])
+    ordered = keys[order]
+    new = np.ones(len(keys), dtype=bool)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    group = np.empty(len(keys), dtype=np.intp)
+    group[order] = np.cumsum(new) - 1
+    distinct = ordered[new]
+    # The points that another one may be near to, by what they are along a few directions. Points
+    # that are near each other are so along any direction; of points apart few are.
+    left = np.arange(len(distinct))
+    directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, distinct.shape[1]))
+    for direction in directions:
+        along = distinct[left] @ direction
+        order = np.argsort(along)
+        close = np.diff(along[order]) <= NEAR * direction.sum() * (1 + ROUNDING)
+        kept = np.zeros(len(left), dtype=bool)
+        kept[order[1:][close]] = True
+        kept[order[:-1][close]] = True
+        left = left[kept]
+    near = left
     pairs = near[KDTree(distinct[near]).query_pairs(NEAR, p=np.inf, output_type="ndarray")]
     size = len(distinct)
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
@@ -110,48 +137,6 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     rank = np.empty(len(first), dtype=np.intp)
     rank[np.argsort(first)] = np.arange(len(first))
     return rank[number.reshape(-1)]
-
-
-def _distinct(keys: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the distinct points in lexical order, and the place of each given one in them.
-
-    As `numpy.unique` along an axis does, which compares bytes and keeps all other threads waiting.
-    """
-    order = np.lexsort(keys.T[::-1])
-    ordered = keys[order]
-    new = np.ones(len(keys), dtype=bool)
-    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    group = np.empty(len(keys), dtype=np.intp)
-    group[order] = np.cumsum(new) - 1
-    return ordered[new], group
-
-
-def _maybe_near(points: Floats) -> NDArray[np.intp]:
-    """Return the points that another one may be near to, by what they are along a few directions.
-
-    Points that are near each other are so along any direction; of points apart few are.
-    """
-    left = np.arange(len(points))
-    directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, points.shape[1]))
-    for direction in directions:
-        along = points[left] @ direction
-        order = np.argsort(along)
-        close = np.diff(along[order]) <= NEAR * direction.sum() * (1 + ROUNDING)
-        kept = np.zeros(len(left), dtype=bool)
-        kept[order[1:][close]] = True
-        kept[order[:-1][close]] = True
-        left = left[kept]
-    return left
-
-
-def _put_mean(into: Rows, place: int, merged: Rows) -> None:
-    """Put the mean of merged rows in the place of one of them."""
-    into.displacement[place] = merged.displacement.mean(axis=0)
-    stored = np.nan_to_num(merged.uncertainty).max(axis=0)
-    into.uncertainty[place] = np.maximum(np.ptp(merged.displacement, axis=0) / 2, stored)
-    into.compliance[place] = _mean_known(merged.compliance)
-    measured = merged.source != "fea"  # solves repeat exactly; a merged row does only if all do
-    into.source[place] = merged.source[measured][0] if measured.any() else "fea"
 
 
 def _mean_known(values: Floats) -> Floats:

@@ -41,12 +41,6 @@ _PRIMES = (
 )
 
 
-def _direction(loads: int) -> Floats:
-    """Return a direction whose parts have no common measure, shape (n,)."""
-    roots = np.sqrt(np.array(_PRIMES[:loads], dtype=float))
-    return roots / roots.sum()
-
-
 WINDOW = NEAR * (1 + ROUNDING)
 
 
@@ -74,7 +68,9 @@ class RowIndex:
 
     def __init__(self, wrenches: Floats, scale: Floats) -> None:
         self._wrenches, self._scale = wrenches, scale
-        self.rates = _direction(len(scale)) / scale
+        # A direction whose parts have no common measure, shape (n,).
+        roots = np.sqrt(np.array(_PRIMES[: len(scale)], dtype=float))
+        self.rates = (roots / roots.sum()) / scale
         self._one_over: list[float] = self.rates.tolist()
         keys = wrenches @ self.rates
         order = np.argsort(keys, kind="stable")

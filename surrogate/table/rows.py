@@ -64,7 +64,10 @@ class LoadRange:
         """
         half = (self.high - self.low) / 2
         size = np.maximum(np.abs(self.low), np.abs(self.high))
-        return _frozen(np.where(half > 0, half, np.where(size > 0, size, 1.0)))
+        # An array that nobody changes by mistake: it is kept and handed out again.
+        array = np.where(half > 0, half, np.where(size > 0, size, 1.0))
+        array.flags.writeable = False
+        return array
 
     @cached_property
     def ends(self) -> Floats:
@@ -352,12 +355,6 @@ def joined_columns(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
     width = max(column.shape[1:] for column in columns)
     same = (one if one.shape[1:] == width else unknown_column(len(one), *width) for one in columns)
     return np.concatenate(list(same))
-
-
-def _frozen(array: Floats) -> Floats:
-    """Return an array that nobody changes by mistake: it is kept and handed out again."""
-    array.flags.writeable = False
-    return array
 
 
 def _column(records: list[Mapping[str, Any]], name: str, shape: tuple[int, ...]) -> Floats:

@@ -38,7 +38,24 @@ def evenly_chosen(points: Floats) -> NDArray[np.bool_]:
     if not halvings:
         return np.ones(len(points), dtype=bool)
     chosen = hashes(points) >> np.uint64(64 - halvings) == 0
-    chosen[_outermost(points)] = True
+    # The outermost point along each of many directions and each corner of the box.
+    corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)).reshape(3, -1).T
+    # Directions spread evenly over the sphere, (DIRECTIONS, 3): Fibonacci's spiral.
+    height = 1 - (2 * np.arange(DIRECTIONS) + 1) / DIRECTIONS
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(DIRECTIONS)
+    radius = np.sqrt(1 - height**2)
+    directions = np.concatenate(
+        (corners, np.column_stack((radius * np.cos(angle), radius * np.sin(angle), height)))
+    )
+    most = np.full(len(directions), -np.inf)
+    place = np.zeros(len(directions), dtype=np.intp)
+    for start in range(0, len(points), CHUNK):
+        along = directions @ points[start : start + CHUNK].T
+        best = along.argmax(axis=1)
+        value = along[np.arange(len(best)), best]
+        better = value > most
+        most[better], place[better] = value[better], start + best[better]
+    chosen[place] = True
     return chosen
 
 
@@ -50,26 +67,3 @@ def hashes(numbers: Floats) -> NDArray[np.uint64]:
     bits = np.ascontiguousarray(numbers + 0.0).view(np.uint64)
     mixed = (bits ^ (bits >> _HALF)) * _FACTORS[: bits.shape[1]]
     return np.bitwise_xor.reduce(mixed ^ (mixed >> _HALF), axis=1)
-
-
-def _outermost(points: Floats) -> NDArray[np.intp]:
-    """Return the outermost point along each of many directions and each corner of the box."""
-    corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)).reshape(3, -1).T
-    directions = np.concatenate((corners, _sphere()))
-    most = np.full(len(directions), -np.inf)
-    place = np.zeros(len(directions), dtype=np.intp)
-    for start in range(0, len(points), CHUNK):
-        along = directions @ points[start : start + CHUNK].T
-        best = along.argmax(axis=1)
-        value = along[np.arange(len(best)), best]
-        better = value > most
-        most[better], place[better] = value[better], start + best[better]
-    return place
-
-
-def _sphere() -> Floats:
-    """Return directions spread evenly over the sphere, (DIRECTIONS, 3): Fibonacci's spiral."""
-    height = 1 - (2 * np.arange(DIRECTIONS) + 1) / DIRECTIONS
-    angle = np.pi * (3 - np.sqrt(5)) * np.arange(DIRECTIONS)
-    radius = np.sqrt(1 - height**2)
-    return np.column_stack((radius * np.cos(angle), radius * np.sin(angle), height))

@@ -258,14 +258,14 @@ def test_a_table_replaced_while_it_is_opened_is_one_table_or_the_other(tmp_path,
     """The kernel and Python each opened the path: 4 % of the opened tables were mixtures."""
     path = tmp_path / "plate.wbt"
     path.write_bytes(content_of("solved"))
-    opened, other = packed_format._read_views, content_of("linear")
+    opened, other = packed_format._views, content_of("linear")
 
     def replaced(whole):
         (tmp_path / "new").write_bytes(other)
         (tmp_path / "new").replace(path)
         return opened(whole)
 
-    monkeypatch.setattr(packed_format, "_read_views", replaced)
+    monkeypatch.setattr(packed_format, "_views", replaced)
     packed = PackedTable.open(path)
     wrench = asked_of(table_of("solved"), 1)[0].tolist()
     assert packed.content == content_of("solved")
