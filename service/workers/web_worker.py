@@ -100,9 +100,9 @@ class WebWorker(Server):
             task.add_done_callback(self._begun.discard)
 
     async def _begin(self, taken: socket.socket) -> None:
-        about = self.config, self.server_state, self.lifespan.state, self._loop
+        arguments = self.config, self.server_state, self.lifespan.state, self._loop
         try:
-            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*about), taken)
+            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*arguments), taken)
         except OSError:
             taken.close()
 
