@@ -79,14 +79,9 @@ serve.__signature__ = inspect.Signature(  # pyright: ignore[reportFunctionMember
 
 def _serve(settings: Settings, as_json: bool) -> None:
     """Serve by the settings found."""
-    from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
     from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 
-    try:
-        check_engine(settings.engine, settings.scheduler)
-    except EngineSettingsError as error:
-        raise typer.BadParameter(str(error)) from error
     _make_folder(settings.data)
     if settings.first_key:
         make_first_key(settings.data, err=as_json)
