@@ -27,16 +27,11 @@ _ENDINGS = {
 }
 # The content decides how a file is read; these endings are of other kinds of file.
 _NOT_READ = frozenset({".fmu", ".wbt", ".pdf", ".xls"})
+_IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
 
 
 def table_format(file: str | Path) -> str:
-    """Return the format of a table file to be written, by its ending.
-
-    Raises
-    ------
-    ValueError
-        If the ending is none of a table's; the message lists those there are.
-    """
+    """Return the format of a table file to be written, by its ending; InvalidArgument if none."""
     suffix = Path(file).suffix
     if suffix.lower() not in _ENDINGS:
         named = f"the ending {suffix}" if suffix else "no ending"
@@ -48,22 +43,13 @@ def table_format(file: str | Path) -> str:
 
 
 def check_readable(file: str | Path) -> None:
-    """Refuse a file whose ending says that it is no table to be read.
-
-    Raises
-    ------
-    ValueError
-        The message says what may be read.
-    """
+    """Refuse a file whose ending says that it is no table to be read: InvalidArgument."""
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
         raise InvalidArgument(
             f"{file} ends in {suffix}, which is not read; a table is CSV, XLSX, Parquet, "
             "JSON, HDF5 or MAT, each gzipped if you like"
         )
-
-
-_IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
 
 
 class LibraryCalls(Connection):
@@ -189,8 +175,31 @@ class LibraryCalls(Connection):
         ValueError, ProblemError
             If the file cannot be read; if rows have mistakes (422), which ``errors`` names.
         """
-        kind, content, filename = _table_body(table, displacements)
-        query = _import_query(format, dry_run, decimal, filename, columns)
+        if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
+            table = Path(table)
+        if isinstance(table, Path):
+            filename, content = _named_file(table)
+        else:
+            filename, content = "", table.encode() if isinstance(table, str) else table
+        kind = BINARY
+        if displacements is not None:
+            logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
+            kind, content = _form(logs)
+        mapping, ignore, rig = (columns.pop(name, None) for name in ("mapping", "ignore", "rig"))
+        for part in ("frame", "load_point", "displacement_point"):
+            value = columns.get(part)
+            if value is not None and not isinstance(value, str):
+                columns[part] = ",".join(map(repr, np.ravel(value).astype(float).tolist()))
+        query = {
+            "format": None if format is None else _known(format),
+            "dry_run": dry_run or None,
+            "decimal": decimal,
+            "mapping": json.dumps(dict(mapping)) if mapping else None,
+            "ignore": list(ignore or ()) or None,
+            "filename": filename or None,
+            "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
+            **columns,
+        }
         path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
         return self.call("POST", path, content, kind=kind, query=query, wait_s=wait_s).json()
 
@@ -337,44 +346,6 @@ class LibraryCalls(Connection):
         except (ServerUnreachable, ServerTimeout, ProblemError):
             return False
         return True
-
-
-def _import_query(
-    format_: str | None, dry_run: bool, decimal: str | None, filename: str, columns: Document
-) -> Document:
-    """Return the query of an import."""
-    mapping, ignore = columns.pop("mapping", None), columns.pop("ignore", ())
-    rig = columns.pop("rig", None)
-    for part in ("frame", "load_point", "displacement_point"):
-        value = columns.get(part)
-        if value is not None and not isinstance(value, str):
-            columns[part] = ",".join(map(repr, np.ravel(value).astype(float).tolist()))
-    return {
-        "format": None if format_ is None else _known(format_),
-        "dry_run": dry_run or None,
-        "decimal": decimal,
-        "mapping": json.dumps(dict(mapping)) if mapping else None,
-        "ignore": list(ignore) or None,
-        "filename": filename or None,
-        "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
-        **columns,
-    }
-
-
-def _table_body(
-    table: str | bytes | Path, displacements: str | Path | None
-) -> tuple[str, bytes, str]:
-    """Return the media type, the content and the file name of an import."""
-    if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
-        table = Path(table)
-    if isinstance(table, Path):
-        filename, content = _named_file(table)
-    else:
-        filename, content = "", table.encode() if isinstance(table, str) else table
-    if displacements is None:
-        return BINARY, content, filename
-    logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
-    return *_form(logs), filename
 
 
 def _named_file(file: str | Path) -> tuple[str, bytes]:

@@ -21,8 +21,8 @@ from .notebook import (
     named_columns,
     require_pandas,
 )
-from .response import Response
 from .rotation import rotation_matrix
+from .transport import Response
 from .wrenches import wrench_of
 
 Vector = NDArray[np.float64]

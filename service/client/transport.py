@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import io
 import json
 import os
 import socket
 import time
 from collections.abc import Mapping
+from email.message import Message
+from functools import cached_property
 from typing import Any, Self
 from urllib.parse import quote, urlencode, urlsplit
 
@@ -20,7 +23,6 @@ from .errors import (
     ServerUnreachable,
     WrenchbookError,
 )
-from .response import Response, receive
 
 JSON = "application/json"
 BINARY = "application/octet-stream"
@@ -29,9 +31,41 @@ BACKOFF_S = (0.1, 1.0)  # between attempts: doubled from, up to
 _ONE_WRITE = 65_536  # bytes that are worth copying to be sent at once: any request but a batch
 # What a call raises when the other side has closed a kept connection.
 _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
+_ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
+_BLANK_LINE = b"\r\n\r\n"
+_LENGTH = b"\r\ncontent-length:"
+# Fields that say what has to be done with a connection or a body: http.client knows how.
+_UNUSUAL = (b"\r\nconnection:", b"\r\ntransfer-encoding:", b"\r\ncontent-encoding:")
+_SUCCESS = (b"HTTP/1.1 200 ", b"HTTP/1.1 201 ", b"HTTP/1.1 202 ")
 _JSON_FIELDS = {"Content-Type": JSON, "Accept": JSON}
 
 _pause = time.sleep
+
+
+class Response:
+    """A response as it was received; `will_close`: its connection is of no further use."""
+
+    def __init__(
+        self,
+        status: int,
+        content: bytes,
+        head: bytes = b"",
+        reason: str = "",
+        *,
+        will_close: bool = False,
+    ) -> None:
+        self.status, self.content, self.head = status, content, head
+        self.reason, self.will_close = reason, will_close
+
+    @cached_property
+    def headers(self) -> Message:
+        """The header fields, parsed at their first use."""
+        _, _, lines = self.head.partition(b"\r\n")
+        return http.client.parse_headers(io.BytesIO(lines + _BLANK_LINE))
+
+    def json(self) -> Json:
+        """Return the body as JSON."""
+        return json.loads(self.content)
 
 
 def component_path(name: str, call: str = "") -> str:
@@ -319,6 +353,72 @@ def _last(idle: list[http.client.HTTPConnection]) -> http.client.HTTPConnection 
         return idle.pop()
     except IndexError:
         return None
+
+
+def receive(sock: socket.socket, method: str) -> Response:
+    """Read the answer to a request that has been sent.
+
+    HTTPException or OSError if none comes, or it breaks off, or is no HTTP. An ordinary success is
+    read here, others by http.client, which reads each header field into an e-mail message: that
+    takes longer than the server does.
+    """
+    received = sock.recv(_ENOUGH)
+    if not received:
+        raise http.client.RemoteDisconnected("the server closed the connection without an answer")
+    end = received.find(_BLANK_LINE)
+    head, content = received[: max(end, 0)].lower(), received[end + len(_BLANK_LINE) :]
+    _, _, after = head.partition(_LENGTH)
+    length = after.partition(b"\r\n")[0].strip()
+    if (
+        received.startswith(_SUCCESS)
+        and length.isdigit()
+        and int(length) >= len(content)
+        and _LENGTH not in after
+        and not any(field in head for field in _UNUSUAL)
+    ):
+        pieces, missing = [content], int(length) - len(content)
+        while missing:
+            piece = sock.recv(min(missing, 1 << 20))
+            if not piece:
+                raise http.client.IncompleteRead(b"".join(pieces), missing)
+            pieces.append(piece)
+            missing -= len(piece)
+        return Response(int(head[9:12]), b"".join(pieces), received[:end])
+    replay = _Replay(received, sock)
+    unusual = http.client.HTTPResponse(replay, method=method)  # pyright: ignore
+    try:
+        unusual.begin()
+        if replay.ended:  # http.client takes a head that breaks off as complete
+            raise http.client.IncompleteRead(received)
+        content, close = unusual.read(), unusual.will_close
+        response = Response(unusual.status, content, reason=unusual.reason, will_close=close)
+        response.headers = unusual.headers
+        return response
+    finally:
+        unusual.close()
+
+
+class _Replay(io.RawIOBase):
+    """The bytes received, then the socket's: all that http.client needs of a socket."""
+
+    def __init__(self, received: bytes, sock: socket.socket) -> None:
+        super().__init__()
+        self._received, self._sock, self.ended = received, sock, False
+
+    def makefile(self, _mode: str) -> io.BufferedReader:
+        return io.BufferedReader(self)
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: memoryview) -> int:  # pyright: ignore
+        if not self._received:
+            count = self._sock.recv_into(buffer)
+            self.ended = not count
+            return count
+        count = min(len(buffer), len(self._received))
+        buffer[:count], self._received = self._received[:count], self._received[count:]
+        return count
 
 
 def problem(response: Response) -> ProblemError:

@@ -403,12 +403,12 @@ def count_rows(db: Connection, component: str) -> int:
     return db.execute(select, (component,)).fetchone()[0]
 
 
-def known_rows(db: Connection, keys: Sequence[bytes]) -> int:
-    """Return how many of these rows' keys are in the ledger, or occur earlier in `keys`."""
-    known = len(keys) - len(set(keys))
-    for marks, part in in_parts(set(keys)):
-        select = f"SELECT count(*) FROM rows WHERE key IN ({marks}) AND {SHOWN}"
-        known += db.execute(select, part).fetchone()[0]
+def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
+    """Return those of these rows' keys that are in the ledger."""
+    known: set[bytes] = set()
+    for marks, part in in_parts(keys):
+        select = f"SELECT key FROM rows WHERE key IN ({marks}) AND {SHOWN}"
+        known.update(key for (key,) in db.execute(select, part))
     return known
 
 

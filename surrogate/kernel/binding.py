@@ -163,12 +163,13 @@ class PackedTable:
     def answers_by(self, method: str | None = None) -> str:
         """Return the method that answers a query of a method or None, rows apart.
 
-        Without a kriging that is `tangent` in its place.
+        Without a kriging the table's default method answers in its place.
         """
-        name = method or self.method or self.words["summary"]["method"]
+        default = self.words["summary"]["method"]
+        name = method or self.method or default
         groups = range(len(self.words["groups"]))
         has_kriging = name != "kriging" or any(f"g{k}/kriging/x" in self.arrays for k in groups)
-        return name if has_kriging else "tangent"
+        return name if has_kriging else default
 
     def batch(
         self,

@@ -119,7 +119,7 @@ def test_figures_of_a_report_cannot_end_its_script(report):
 
 def test_the_markdown_names_every_method_and_mesh(report):
     text = as_markdown(report)
-    for word in ("griddata", "linear", "nearest", "coarse", "own", "fine (reference)"):
+    for word in ("griddata", "linear", "additive", "coarse", "own", "fine (reference)"):
         assert word in text
 
 

@@ -185,9 +185,9 @@ def test_metrics_are_of_all_processes_whichever_is_asked(several):
         for client in clients:
             for _ in range(10):
                 client.displacement(
-                    "clean", ASKED[:3], ASKED[3:], on_thin="estimate", method="nearest"
+                    "clean", ASKED[:3], ASKED[3:], on_thin="estimate", method="linear"
                 )
-        until(lambda: {counted(client, "nearest") for client in clients} == {10 * len(clients)})
+        until(lambda: {counted(client, "linear") for client in clients} == {10 * len(clients)})
 
 
 def test_the_processes_of_all_workers_and_of_the_builder_are_in_the_metrics(several):

@@ -2,7 +2,7 @@
 
 const MARKS = { circle: "M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0", square: "M-4.5-4.5h9v9h-9z", diamond: "M0-6 6 0 0 6-6 0z", triangle: "M0-6 6 5H-6z", x: "M-5-5 5 5M5-5-5 5", cross: "M-6 0H6M0-6V6" };
 // Colour, mark and dash of each curve: curves that cross stay apart without colours too.
-const LOOKS = { kriging: ["accent", "circle", ""], griddata: ["outside", "square", "7 5"], additive: ["query", "diamond", "12 4 3 4"], tangent: ["covered", "triangle", "7 4 2 4"], linear: ["thin", "x", "2 4"], nearest: ["muted", "cross", "12 5"], FEA: ["ink", "diamond", "2 4"] };
+const LOOKS = { kriging: ["accent", "circle", ""], griddata: ["outside", "square", "7 5"], additive: ["query", "diamond", "12 4 3 4"], linear: ["thin", "x", "2 4"], other: ["muted", "cross", "12 5"], FEA: ["ink", "diamond", "2 4"] };
 const HEIGHT = 360, BOX = { left: 62, right: 16, top: 14, bottom: 50 };
 const UNITS = [[1, "s"], [1e-3, "ms"], [1e-6, "µs"], [1e-9, "ns"]];
 
@@ -80,7 +80,7 @@ function curves(report, width, found, along, text, label) {
     xs.filter((_, k) => k % Math.ceil(xs.length / fits) === 0).map((one) => [rule(x(one), BOX.top, x(one), HEIGHT - BOX.bottom), words(x(one), HEIGHT - BOX.bottom + 18, text(one))]).flat(),
     words(width / 2, HEIGHT - 8, label), words(14, HEIGHT / 2 - 20, "largest RMS error, of the range", { transform: `rotate(-90 14 ${HEIGHT / 2 - 20})` }),
     entries.map(([name, list]) => {
-      const [colour, mark, dash] = LOOKS[name] || LOOKS.nearest;
+      const [colour, mark, dash] = LOOKS[name] || LOOKS.other;
       return tag("g", { stroke: `var(--${colour})`, fill: `var(--${colour})` },
         tag("polyline", { points: list.map((one) => places(one).join()).join(" "), fill: "none", "stroke-width": 1.7, "stroke-dasharray": dash }),
         list.map((one) => tag("path", { d: MARKS[mark], transform: `translate(${places(one)})`, "stroke-width": 2 },
@@ -101,7 +101,7 @@ function calibration(report, width) {
     [0, 0.25, 0.5, 0.75, 1].map((one) => [rule(BOX.left, y(one), width - right, y(one)), words(BOX.left - 8, y(one) + 4, percentText(100 * one), { "text-anchor": "end" })]).flat(),
     names.map((name, k) => words(BOX.left + slot * (k + 0.5), HEIGHT - BOX.bottom + 18, name)),
     list.map((entry, one) => entry.inside_error_bar.map((share, k) => (share === null ? null
-      : tag("rect", { x: left(k, one), y: y(share), width: bar, height: y(0) - y(share), fill: `var(--${(LOOKS[entry.method] || LOOKS.nearest)[0]})` },
+      : tag("rect", { x: left(k, one), y: y(share), width: bar, height: y(0) - y(share), fill: `var(--${(LOOKS[entry.method] || LOOKS.other)[0]})` },
         tag("title", {}, `${entry.method}, ${names[k]}: ${percentText(100 * share)}`))))).flat(),
     words(14, HEIGHT / 2 - 20, "share within the error bar", { transform: `rotate(-90 14 ${HEIGHT / 2 - 20})` }),
     aim(0.95, "95 % (nominal)"), aim(0.9, "90 % (accepted)"));
@@ -111,7 +111,7 @@ function legend(names, plot) {
   const made = document.createElement("ul");
   made.className = "key-of-marks";
   for (const name of names) {
-    const [colour, mark] = LOOKS[name] || LOOKS.nearest, line = document.createElement("li");
+    const [colour, mark] = LOOKS[name] || LOOKS.other, line = document.createElement("li");
     const drawn = plot === "calibration" ? "square" : mark;
     line.append(tag("svg", { viewBox: "-8 -8 16 16", width: 14, height: 14, "aria-hidden": "true" }, tag("path", { d: MARKS[drawn], fill: `var(--${colour})`, stroke: `var(--${colour})`, "stroke-width": 2 })), ` ${name}`);
     made.append(line);

@@ -126,7 +126,7 @@ def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch)
 
 OPTIONAL = re.compile(  # words are made of these, or there is no such part without them
     r"/(row/source|fit/rows|axes/member_first|axes/members|axes/span|cut\d\d/state|axes/vertex)$"
-    r"|near/|space/range|(kriging|missed)/(x|span_loads)$"
+    r"|space/range|(kriging|missed)/(x|span_loads)$"
 )
 
 
@@ -154,7 +154,7 @@ def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
             try:
                 packed = PackedTable.from_bytes(changed)
                 packed.batch(asked)
-                for method in (None, "tangent"):
+                for method in (None, "griddata"):
                     packed.derivatives(asked[:10], None, method)
             except (PackedTableError, UnknownMethodError):
                 continue
@@ -176,9 +176,9 @@ def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it(kind):
                 packed = PackedTable.from_bytes(changed)
             except PackedTableError:
                 continue
-            for method in ("additive", "tangent", "kriging", "nearest"):
+            for method in ("griddata", "additive", "kriging", "linear"):
                 packed.batch(asked, None, method)
-            for method in ("kriging", "tangent"):
+            for method in ("kriging", "griddata"):
                 packed.derivatives(asked[:50], None, method)
             packed.axis(0, 0, asked[0].tolist())
 
