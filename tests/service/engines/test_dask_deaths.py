@@ -60,8 +60,9 @@ def test_a_task_that_dask_gives_up_for_its_dead_workers_is_ordered_again(own, cl
     attempt = own.started("counted_until_go", engine)
     until(lambda: engine.poll(attempt) == "running")
     kill(worker)
-    own.go(attempt)
     cluster.start_worker()
+    until(lambda: own.starts(attempt) == 2)
+    own.go(attempt)
     assert own.end(engine, attempt) == "finished"
     assert own.outcome(attempt).status == "done"
 
