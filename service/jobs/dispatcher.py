@@ -170,10 +170,9 @@ class Dispatcher:
         self._fields, self._errors = fields, errors
         self._deadline = deadline
         self._lease: Lease | None = None
-        self._attempts: dict[tuple[int, int], Attempt] = {}
+        self._attempts: dict[str, Attempt] = {}  # by task key, as the next
         # Polled often: their end may come without an event, or something is due soon.
-        self._pressing: dict[tuple[int, int], Attempt] = {}
-        self._tasks: dict[str, Attempt] = {}
+        self._pressing: dict[str, Attempt] = {}
         self._begun: dict[tuple[int, int], float] = {}
         self._abandoned: dict[tuple[int, int], float] = {}
         self._reported: deque[str] = deque()
@@ -228,7 +227,7 @@ class Dispatcher:
             for end in self._ends:
                 end()
             # What could not be recorded is left to the next dispatcher.
-            for registry in (self._attempts, self._pressing, self._tasks, self._begun):
+            for registry in (self._attempts, self._pressing, self._begun):
                 registry.clear()
             if self._lease is not None:
                 with contextlib.suppress(Exception):  # it ends all the same
@@ -277,7 +276,7 @@ class Dispatcher:
                 self._leave_unwanted(lease)
             self._next_look = now + LOOK_SECONDS
         while self._reported:
-            attempt = self._tasks.get(self._reported.popleft())
+            attempt = self._attempts.get(self._reported.popleft())
             if attempt is not None:
                 self._look(attempt)
         for attempt in list(self._pressing.values()):
@@ -326,7 +325,7 @@ class Dispatcher:
                 self._drop(attempt)
             else:
                 attempt.leaving = True
-                self._pressing[attempt.key] = attempt
+                self._pressing[attempt.task] = attempt
                 self._engine.cancel(attempt)
 
     def _adopt_lost(self, lease: Lease) -> None:
@@ -390,16 +389,15 @@ class Dispatcher:
         attempt.bundle = str(bundle.absolute())
 
     def _add(self, attempt: Attempt) -> None:
-        self._attempts[attempt.key] = self._tasks[attempt.task] = attempt
+        self._attempts[attempt.task] = attempt
         if attempt.adopted:
-            self._pressing[attempt.key] = attempt
+            self._pressing[attempt.task] = attempt
 
     def _drop(self, attempt: Attempt) -> None:
         self._engine.forget(attempt)
-        del self._attempts[attempt.key]
-        self._pressing.pop(attempt.key, None)
+        del self._attempts[attempt.task]
+        self._pressing.pop(attempt.task, None)
         self._begun.pop(attempt.key, None)
-        self._tasks.pop(attempt.task, None)
         self._may_claim = True
 
     def _look(self, attempt: Attempt) -> None:
@@ -416,7 +414,7 @@ class Dispatcher:
             counts = attempt.witnessed and (attempt.began or solver_began(attempt.folder))
             if attempt.died is None and state == "lost" and counts:
                 attempt.died = time.monotonic()
-                self._pressing[attempt.key] = attempt
+                self._pressing[attempt.task] = attempt
                 self._may_claim = True
             if attempt.died is not None and time.monotonic() - attempt.died < OUTLIVE_SECONDS:
                 return
