@@ -108,7 +108,7 @@ def read_settings(
     origins |= dict.fromkeys(options, "command line")
     try:
         values = {**from_file, **environment, **options}
-        settings = TypeAdapter(Settings).validate_python(values)
+        return TypeAdapter(Settings).validate_python(values), origins
     except ValidationError as error:
         first = error.errors()[0]
         name = str(first["loc"][0])
@@ -118,8 +118,6 @@ def read_settings(
         elif place == "command line":
             place = f"--{name.replace('_', '-')}"
         raise SettingsError(f"{place}: {first['msg']}, not {first['input']!r}") from error
-    check_engine(settings.engine, settings.scheduler)
-    return settings, origins
 
 
 def check_engine(name: str, scheduler: str | None) -> None:
