@@ -355,16 +355,10 @@ class Dispatcher:
                 attempt.taken = attempt.adopted = True
                 attempt.witnessed = self._engine.poll(attempt) in ALIVE
                 self._add(attempt)
-        self._give_up_abandoned(foreign)
-        for owner in lost - {job.owner for job in foreign}:
-            lease.remove(owner)
-            self._ledger.end_lease(owner)
-
-    def _give_up_abandoned(self, jobs: list[JobRecord]) -> None:
         now = time.monotonic()
-        keys = [(job.id, job.attempt) for job in jobs]
+        keys = [(job.id, job.attempt) for job in foreign]
         self._abandoned = {key: self._abandoned.get(key, now) for key in keys}
-        for job in jobs:
+        for job in foreign:
             if now - self._abandoned[job.id, job.attempt] > ABANDONED_SECONDS:
                 _log.warning(
                     "job %d waits again: no dispatcher supervises attempt %d on engine %s any more",
@@ -372,6 +366,9 @@ class Dispatcher:
                 )  # fmt: skip
                 with contextlib.suppress(StaleAttemptError):
                     self._ledger.release(job.id, job.attempt)
+        for owner in lost - {job.owner for job in foreign}:
+            lease.remove(owner)
+            self._ledger.end_lease(owner)
 
     # -- attempts ---------------------------------------------------------------------------
 

@@ -136,7 +136,10 @@ class Supervisor:
         self.failed = ""
 
     def run(self) -> None:
-        """Run until a signal or a failure ends the server; waits for no single process."""
+        """Run until a signal or a failure ends the server; waits for no single process.
+
+        It ends the web workers, then the builder; a further signal ends all processes at once.
+        """
         for number in (*_ENDS, signal.SIGHUP):
             signal.signal(number, lambda number, _: self._signals.append(number))
         while not self.failed and _ENDS.isdisjoint(self._signals):
@@ -152,7 +155,18 @@ class Supervisor:
                 print(self._ready, flush=True)
                 self._ready = ""
             wait([child.process.sentinel for child in (self._builder, *self._web)], LOOK_S)
-        self._end()
+        for number in _ENDS:
+            signal.signal(number, lambda number, _: os._exit(128 + number))
+        web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
+        for child in web:
+            child.send(signal.SIGTERM)
+        time.sleep(REFUSE_AFTER_S)
+        with suppress(OSError):  # a connection is refused, rather than left to wait for the end
+            self._bound.shutdown(socket.SHUT_RDWR)
+        for child in web:
+            child.join()
+        self._builder.send(signal.SIGTERM)
+        self._builder.join()
 
     def _start(self, kind: tuple[str, str]) -> Child:
         sockets = () if kind == BUILDER else (self._bound,)
@@ -188,21 +202,6 @@ class Supervisor:
             new.kill()
             log.error("a new web worker did not start in %d s; the others stay", HEALTH_S)
             self._successor, self._to_replace = None, 0
-
-    def _end(self) -> None:
-        """End the web workers, then the builder; a further signal ends all processes at once."""
-        for number in _ENDS:
-            signal.signal(number, lambda number, _: os._exit(128 + number))
-        web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
-        for child in web:
-            child.send(signal.SIGTERM)
-        time.sleep(REFUSE_AFTER_S)
-        with suppress(OSError):  # a connection is refused, rather than left to wait for the end
-            self._bound.shutdown(socket.SHUT_RDWR)
-        for child in web:
-            child.join()
-        self._builder.send(signal.SIGTERM)
-        self._builder.join()
 
 
 def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
