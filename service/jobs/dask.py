@@ -375,25 +375,29 @@ class DaskEngine(attempts.Listeners):
         """Submit the attempt until it has ended and its folder holds the artifacts."""
         ended: attempts.State | None = None
         while ended is None:
+            goes_on = False
             try:
                 ended = await self._try(task)
             except (BadPayloadError, FileNotFoundError) as error:
                 remedy = "add the component again"
                 ended = await self._fail(task, "component_missing", error, remedy)
             except FutureCancelled:
-                await asyncio.sleep(0)  # it was lost with the scheduler, or with its bundle
+                # With the connection, and it goes on, or it was lost with scheduler or bundle.
+                goes_on = True
+                await asyncio.sleep(0)
             except KilledWorker as error:
                 task.killed += 1
                 if task.killed >= KILLED_TIMES:
                     ended = await self._fail(task, "workers_died", error, _KILLED_REMEDY)
             except (OSError, ClosedClientError) as error:  # the connection, or this disk
+                goes_on = True
                 task.waits = f"a Dask worker is not reached: {error}"
                 await asyncio.sleep(AGAIN_SECONDS)
                 task.waits = None
             except Exception as error:
                 _log.warning("task %s failed on the cluster: %r", task.attempt.task, error)
                 ended = await self._fail(task, "cluster_error", error, _FAULT_REMEDY)
-            if self._client:  # the result is on this disk, or the next try must not get it
+            if self._client and not goes_on:  # the next try must not get the same result
                 with contextlib.suppress(Exception):  # the scheduler may be gone
                     async with asyncio.timeout(CANCEL_SECONDS):
                         await self._client.unpublish_dataset(f"wrenchbook-{task.attempt.task}")
@@ -438,10 +442,10 @@ class DaskEngine(attempts.Listeners):
         )
         result = asyncio.ensure_future(future.result())
         try:
-            if client.status != "running":
-                raise ConnectionError("the connection to the scheduler was lost")
-            # It goes on without this server, and its result stays for the next one.
-            await client.publish_dataset(future, name=future.key, override=True)
+            if client.status == "running":  # without the connection the future is cancelled
+                # The task goes on without this server, and its result stays for the next one.
+                with contextlib.suppress(OSError):
+                    await client.publish_dataset(future, name=future.key, override=True)
             while not (await asyncio.wait({result}, timeout=ROSTER_SECONDS))[0]:
                 if workers and not self._away and not self._workers.keys() & workers:
                     # Dask would keep the task for these workers, whichever others come.
