@@ -29,6 +29,7 @@ from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.mapped import MappedTables, ServedTable, TableBehindError
 from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.service.tables.store import TableStore
 from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
 from wrenchbook.surrogate.scene.plan import design_of, plan_of
@@ -67,11 +68,9 @@ class Workspace:
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
         self.errors = SolverErrors(self.ledger)
         self.tables = MappedTables(
-            self.ledger,
+            TableStore(settings.data / "tables", self.ledger, self.errors),
             self.library,
-            settings.data / "tables",
             CoordinatorState(settings.data / FOLDER),
-            self.errors,
             settings.table_memory,
             settings.method,
         )
