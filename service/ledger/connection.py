@@ -12,8 +12,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import earlier
+from wrenchbook.service.ledger.packing import KEY_BYTES, key_hashes
 from wrenchbook.service.ledger.records import (
     JobRecord,
     LedgerDamagedError,
@@ -94,6 +95,7 @@ def connect(path: Path, *, frozen: bool = False) -> Connection:
     try:
         # A damaged text must not keep other rows from being read.
         connection.text_factory = lambda word: word.decode("utf-8", "replace")
+        connection.create_function("key_hash", 1, _key_hash, deterministic=True)
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute(f"PRAGMA journal_size_limit = {LOG_BYTES}")
@@ -101,6 +103,12 @@ def connect(path: Path, *, frozen: bool = False) -> Connection:
         connection.close()
         raise
     return connection
+
+
+def _key_hash(key: object) -> int:
+    """Return what `row_keys` has of a row's key; of a damaged one zero."""
+    sound = isinstance(key, bytes) and len(key) == KEY_BYTES
+    return int(key_hashes(key)[0]) if sound else 0
 
 
 def begin(connection: Connection) -> None:
@@ -165,7 +173,7 @@ def open_file(path: Path) -> Connection:
         ) from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise damaged_file(path, str(error)) from error
-    sync_folder(path.parent)
+    sync(path.parent)
     return connection
 
 
@@ -293,8 +301,8 @@ def sequences(connection: Connection) -> dict[str, int]:
 
 def raise_sequences(connection: Connection, numbers: dict[str, int]) -> None:
     """Raise the sequences so that no number is used again."""
-    used = sequences(connection)
     connection.execute("BEGIN IMMEDIATE")
+    used = sequences(connection)
     for name, number in numbers.items():
         connection.execute("DELETE FROM sqlite_sequence WHERE name = ?", (name,))
         highest = max(number, used.get(name, 0))

@@ -1,17 +1,22 @@
 """Bytes of wrenches and rows: canonical packing, content keys and seals."""
 
+from __future__ import annotations
+
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from hashlib import blake2b
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from wrenchbook.service.ledger.records import NotedRows, Vector
+from wrenchbook.service.ledger.records import LedgerRow, NotedRows, Vector
 
 _NAN = np.float64(np.nan)
-_KEY_BYTES = 16
+KEY_BYTES = 16
+# Rows of one record: 100 KB or so, read and written in well under a millisecond. A single row is
+# read with all its record.
+MAX_COUNT = 1000
 MIN_NUMBERS = 6
 """Numbers of a wrench or displacement: six an interface, and further inputs."""
 
@@ -36,8 +41,7 @@ def unpack_vector(packed: bytes) -> Vector:
 
 def packed(wrenches: np.ndarray) -> list[bytes]:
     """Return each wrench (n, inputs), N and N·m, as the ledger packs it; NaN is one NaN."""
-    plain = np.where(np.isnan(wrenches), _NAN, np.asarray(wrenches) + 0.0).astype("<f8")
-    block, width = plain.tobytes(), 8 * plain.shape[1]
+    block, width = _plain(wrenches).tobytes(), 8 * wrenches.shape[1]
     return [block[start : start + width] for start in range(0, len(block), width)]
 
 
@@ -48,81 +52,217 @@ def unpacked(wrenches: Iterable[bytes], inputs: int = MIN_NUMBERS) -> np.ndarray
 
 def content_key(*parts: bytes) -> bytes:
     """Return 16 bytes that are the same only for the same parts."""
-    return blake2b(b"".join(map(_part, parts)), digest_size=_KEY_BYTES).digest()
+    return blake2b(b"".join(map(_part, parts)), digest_size=KEY_BYTES).digest()
 
 
-def row_key(
-    component: str,
-    fingerprint: str,
-    source: str,
-    wrench: bytes,
-    displacement: bytes,
-    uncertainty: bytes | None,
-) -> bytes:
-    """Return the content key of a row.
+def key_hashes(keys: bytes) -> np.ndarray:
+    """Return the first 8 bytes of each of the keys as a number, which `row_keys` has."""
+    return np.frombuffer(keys, ">i8")[::2].astype(np.int64)
+
+
+class Record(NamedTuple):
+    """A record of the ledger's table `rows`: consecutive rows of one setup, source and note.
+
+    Bytes of `wrench` to `uncertainty` and of `key` are those of the rows, one after the other;
+    None where no row has the column. The key of a row leaves out what a table file may lack, the
+    seal covers that too.
+    """
+
+    seq: int  # of the first row
+    count: int
+    component: str
+    fingerprint: str
+    source: str
+    wrench: bytes
+    displacement: bytes
+    compliance: bytes | None
+    curvature: bytes | None
+    uncertainty: bytes | None
+    job: int | None
+    created: float
+    origin: str
+    key: bytes
+    seal: bytes
+
+    def part(self, first: int, end: int) -> Record:
+        """Return the rows of some places; a seal that does not fit stays so."""
+        part = self._slice(first, end)
+        return part._replace(seal=part.own_seal()) if self.is_sealed() else part
+
+    def _slice(self, first: int, end: int) -> Record:
+        """Return the rows of some places under the seal of all."""
+
+        def cut(content: Any) -> Any:
+            if not isinstance(content, bytes):
+                return content
+            return content[len(content) * first // self.count : len(content) * end // self.count]
+
+        columns = {name: cut(getattr(self, name)) for name in (*_COLUMNS, "key")}
+        return self._replace(seq=self.seq + first, count=end - first, **columns)
+
+    def own_seal(self) -> bytes:
+        """Return 16 bytes over the keys and what they leave out."""
+        parts = self.key, self.compliance or b"", self.origin.encode()
+        third = () if self.curvature is None else (self.curvature,)  # rows of 0.2 have none
+        return content_key(*parts, *third)
+
+    def is_sealed(self) -> bool:
+        """Return whether keys, compliance, curvature and note are as they were written."""
+        try:
+            return self.own_seal() == self.seal
+        except (ValueError, TypeError, AttributeError):  # of another type
+            return False
+
+    def keys(self) -> list[bytes]:
+        """Return the stored key of each row."""
+        return [self.key[at : at + KEY_BYTES] for at in range(0, len(self.key), KEY_BYTES)]
+
+    def sound(self) -> list[bool]:
+        """Return for each row whether it is as it was written."""
+        try:
+            if self.is_sealed():
+                texts = [(self.fingerprint, self.source)] * self.count
+                numbers = self.wrench, self.displacement, self.uncertainty
+                pairs = zip(_keys(self.component, texts, *numbers), self.keys(), strict=True)
+                return [present == written for present, written in pairs]
+        except (ValueError, TypeError, AttributeError):
+            pass  # of another type or length
+        return [False] * self.count
+
+    def row(self, seq: int) -> LedgerRow:
+        """Return one of the rows, undamaged."""
+        row = self._slice(seq - self.seq, seq - self.seq + 1)
+        # In a record of several rows a column that this one does not have is NaN.
+        compliance, curvature, uncertainty = (
+            None if not column or np.isnan(np.frombuffer(column)).all() else unpack_vector(column)
+            for column in (row.compliance, row.curvature, row.uncertainty)
+        )
+        loads, flat = unpack_vector(row.wrench), compliance or ()
+        return LedgerRow(
+            seq,
+            row.component,
+            row.fingerprint,
+            row.source,
+            loads,
+            unpack_vector(row.displacement),
+            tuple(flat[k : k + len(loads)] for k in range(0, len(flat), len(loads))) or None,
+            uncertainty,
+            row.job,
+            row.created,
+            row.origin,
+            curvature,
+        )
+
+
+_COLUMNS = "wrench", "displacement", "compliance", "curvature", "uncertainty"
+
+
+def row_keys(component: str, block: NotedRows) -> list[bytes]:
+    """Return the content key of each row; raises ValueError for an infinite tangent.
 
     Compliance and curvature are left out: a table that comes back from a file without them is
     still the same table.
     """
-    texts = component.encode(), fingerprint.encode(), source.encode()
-    return content_key(*texts, wrench, displacement, uncertainty or b"")
-
-
-def seal(key: bytes, compliance: bytes | None, origin: str, curvature: bytes | None) -> bytes:
-    """Return 16 bytes over the key and what it leaves out; rows of 0.2 have no curvature."""
-    parts = key, compliance or b"", origin.encode()
-    return content_key(*parts, *(() if curvature is None else (curvature,)))
-
-
-def row_records(
-    component: str, block: NotedRows, now: float, job: int | None = None
-) -> list[tuple[Any, ...]]:
-    """Return rows as the columns `rows.CONTENT`; raises ValueError for an infinite tangent.
-
-    One by one a million rows would take a minute; by columns they take 10 s.
-    """
     rows = block.rows
-    if np.isinf(rows.compliance).any():
+    if any(rows.compliance.strides) and np.isinf(rows.compliance).any():
         raise ValueError("compliance must be finite, or NaN where it is not known")
-    wrenches, displacements = packed(rows.wrench), packed(rows.displacement)
-    # An output whose uncertainty is not known is NaN, which is not 0: exact.
-    uncertainties = _known(rows.uncertainty, np.any(np.isfinite(rows.uncertainty), axis=1))
-    tangents = _complete(rows.compliance)
-    thirds = _complete(rows.curvature)
-    sources, fingerprints = rows.source.tolist(), rows.fingerprint.tolist()
-    name = _part(component.encode())
-    notes = block.note
-    texts = {text: _part(text.encode()) for text in {*sources, *fingerprints, *notes}}
-    of_load, of_move = (_length(8 * shape.shape[1]) for shape in (rows.wrench, rows.displacement))
-    unknown, of_key, records = _part(b""), _length(_KEY_BYTES), []
-    for load, move, uncertainty, tangent, third, source, fingerprint, note in zip(
-        wrenches,
-        displacements,
-        uncertainties,
-        tangents,
-        thirds,
-        sources,
-        fingerprints,
-        notes,
-        strict=True,
-    ):
-        # The bytes of `row_key` and `seal`, joined once.
-        parts = name + texts[fingerprint] + texts[source] + of_load + load + of_move + move
-        parts += of_move + uncertainty if uncertainty else unknown
-        key = blake2b(parts, digest_size=_KEY_BYTES).digest()
-        if tangent is None and third is None:
-            parts = of_key + key + unknown + texts[note]
-            mark = blake2b(parts, digest_size=_KEY_BYTES).digest()
-        else:
-            mark = seal(key, tangent, note, third)
-        content = component, fingerprint, source, load, move, tangent, third, uncertainty
-        records.append((*content, job, now, note, key, mark))
-    return records
+    texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), strict=True))
+    numbers = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
+    return _keys(component, texts, *numbers, _known(rows.uncertainty, np.any))
 
 
-def row_keys(component: str, block: NotedRows) -> list[bytes]:
-    """Return the content key of each row."""
-    return [record[-2] for record in row_records(component, block, 0.0)]
+def records_of(
+    component: str,
+    block: NotedRows,
+    keys: Sequence[bytes],
+    first: int,
+    now: float,
+    job: int | None = None,
+) -> Iterator[Record]:
+    """Yield rows as records, numbered from `first`."""
+    rows, at = block.rows, 0
+    texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), block.note, strict=True))
+    columns = [_plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()]
+    columns += [_known(rows.compliance, np.all), _known(rows.curvature, np.all)]
+    columns.append(_known(rows.uncertainty, np.any))
+
+    def part(column: bytes | None) -> bytes | None:
+        if column is None:
+            return None
+        width = len(column) // len(rows)
+        some = column[width * at : width * end]
+        return None if some == _NAN.tobytes() * (len(some) // 8) else some
+
+    while at < len(rows):
+        last = min(len(rows), at + MAX_COUNT)
+        end = next((k for k in range(at, last) if texts[k] != texts[at]), last)
+        fingerprint, source, note = texts[at]
+        record = Record(
+            first + at,
+            end - at,
+            component,
+            fingerprint,
+            source,
+            *map(part, columns),
+            job,
+            now,
+            note,
+            b"".join(keys[at:end]),
+            b"",
+        )
+        yield record._replace(seal=record.own_seal())
+        at = end
+
+
+def _keys(
+    component: str,
+    texts: Sequence[tuple[str, str]],
+    wrenches: bytes,
+    displacements: bytes,
+    uncertainties: bytes | None,
+) -> list[bytes]:
+    """Return the key of each row: of component, fingerprint and source, and its numbers."""
+    if not texts:
+        return []
+    count = len(texts)
+    name, width, size = (
+        _part(component.encode()),
+        len(wrenches) // count,
+        len(displacements) // count,
+    )
+    heads = {
+        pair: name + _part(pair[0].encode()) + _part(pair[1].encode()) + _length(width)
+        for pair in dict.fromkeys(texts)
+    }
+    loads = [wrenches[at : at + width] for at in range(0, len(wrenches), width)]
+    moves = [displacements[at : at + size] for at in range(0, len(displacements), size)]
+    middle, tails = _length(size), [_part(b"")] * count
+    if uncertainties is not None:
+        # An output whose uncertainty is not known is NaN, which is not 0: exact.
+        blank = _NAN.tobytes() * (size // 8)
+        each = [uncertainties[at : at + size] for at in range(0, len(uncertainties), size)]
+        tails = [_part(b"" if tail == blank else tail) for tail in each]
+    return [
+        blake2b(heads[pair] + load + middle + move + tail, digest_size=KEY_BYTES).digest()
+        for pair, load, move, tail in zip(texts, loads, moves, tails, strict=True)
+    ]
+
+
+def _plain(numbers: np.ndarray) -> np.ndarray:
+    """Return numbers as they are stored: little-endian, no minus zero, one NaN."""
+    return np.where(np.isnan(numbers), _NAN, np.asarray(numbers) + 0.0).astype("<f8")
+
+
+def _known(column: np.ndarray, needed: Callable[..., np.ndarray]) -> bytes | None:
+    """Return the bytes of a column, NaN in rows without the numbers `needed`: any, or all.
+
+    None if no row has them.
+    """
+    if not column.size or (not any(column.strides) and np.isnan(column.flat[0])):
+        return None  # one NaN stands for all
+    flat = column.reshape(len(column), -1)
+    known = needed(np.isfinite(flat), axis=1)
+    return _plain(np.where(known[:, None], flat, _NAN)).tobytes() if known.any() else None
 
 
 def _part(content: bytes) -> bytes:
@@ -131,17 +271,3 @@ def _part(content: bytes) -> bytes:
 
 def _length(size: int) -> bytes:
     return size.to_bytes(4, "little")
-
-
-def _known(column: np.ndarray, known: np.ndarray) -> list[bytes | None]:
-    if not known.any():
-        return [None] * len(column)
-    return [value if there else None for value, there in zip(packed(column), known, strict=True)]
-
-
-def _complete(column: np.ndarray) -> list[bytes | None]:
-    """Return the bytes of those rows that have all numbers of a column; None for others."""
-    if not column.size:
-        return [None] * len(column)
-    flat = column.reshape(len(column), -1)
-    return _known(flat, np.all(np.isfinite(flat), axis=1))
