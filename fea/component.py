@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -30,7 +29,6 @@ from wrenchbook.fea.spec.schema import (
     Material,
     MeshSource,
     ScalarInput,
-    Sliding,
     Supports,
 )
 
@@ -171,11 +169,40 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
-    material_of_cells = _materials(mesh, bundle.materials, problems)
+    # Each cell's material; "all" fills what no other material names.
+    material_of_cells = tuple(np.full(len(block), -1) for block in mesh.blocks)
+    named = [(i, m) for i, m in enumerate(bundle.materials) if m.region != "all"]
+    for i, material in named:
+        key = f"material[{i}].region"
+        if material.region not in mesh.regions:
+            groups = ["all", *mesh.regions]
+            problems.append(missing(key, material.region, "cell group", groups))
+            continue
+        cells = mesh.regions[material.region]
+        if any(
+            (block[chosen] >= 0).any()
+            for block, chosen in zip(material_of_cells, cells, strict=True)
+        ):
+            message = f'"{material.region}" shares cells with another material\'s region'
+            problems.append(BundleProblem(key, message))
+        for block, chosen in zip(material_of_cells, cells, strict=True):
+            block[chosen] = i
+    _fill_the_rest(material_of_cells, bundle.materials, problems)
     supports = bundle.supports or Supports()
     fixed = _fixed_nodes(mesh, supports, problems)
-    sliding = _sliding(mesh, supports.sliding, fixed, problems)
-    first, *others = _attached(mesh, bundle.interfaces, problems)
+    # The nodes that slide and the projectors on what holds each; fixed ones are none.
+    spans = np.zeros((len(mesh.points), 3, 3))
+    for i, own in enumerate(supports.sliding):
+        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
+        spans[nodes] += own.directions.T @ own.directions
+    spans[fixed] = 0.0
+    nodes = np.flatnonzero(spans.any(axis=(1, 2)))
+    sizes, axes = np.linalg.eigh(spans[nodes])
+    sliding = nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
+    keys = [f"interface[{i}]" for i in range(len(bundle.interfaces))]
+    keys = ["interface"] if len(keys) == 1 else keys
+    pairs = zip(keys, bundle.interfaces, strict=True)
+    first, *others = [_attach(mesh, f"{key}.section", own, problems) for key, own in pairs]
     holds = enumerate(own.hold for own in supports.bushings)
     springs = [_attach(mesh, f"supports.bushing[{i}].group", own, problems) for i, own in holds]
     for one in (first, *others, *springs):
@@ -236,28 +263,6 @@ def mesh_of(source: MeshSource) -> Mesh:
     return GENERATORS[source.generator](**source.parameters).mesh()
 
 
-def _materials(
-    mesh: Mesh, materials: tuple[Material, ...], problems: list[BundleProblem]
-) -> tuple[Array, ...]:
-    """Return each cell's material; "all" fills what no other material names."""
-    numbers = tuple(np.full(len(block), -1) for block in mesh.blocks)
-    named = [(i, m) for i, m in enumerate(materials) if m.region != "all"]
-    for i, material in named:
-        key = f"material[{i}].region"
-        if material.region not in mesh.regions:
-            groups = ["all", *mesh.regions]
-            problems.append(missing(key, material.region, "cell group", groups))
-            continue
-        cells = mesh.regions[material.region]
-        if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
-            message = f'"{material.region}" shares cells with another material\'s region'
-            problems.append(BundleProblem(key, message))
-        for block, chosen in zip(numbers, cells, strict=True):
-            block[chosen] = i
-    _fill_the_rest(numbers, materials, problems)
-    return numbers
-
-
 def _fill_the_rest(
     numbers: tuple[Array, ...], materials: tuple[Material, ...], problems: list[BundleProblem]
 ) -> None:
@@ -284,37 +289,27 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
     return nodes
 
 
-def _attached(
-    mesh: Mesh, interfaces: tuple[Interface, ...], problems: list[BundleProblem]
-) -> list[AttachedInterface]:
-    """Return each interface with its section: an empty one, and a problem, if there is none."""
-    keys = [f"interface[{i}]" for i in range(len(interfaces))]
-    keys = ["interface"] if len(keys) == 1 else keys
-    pairs = zip(keys, interfaces, strict=True)
-    return [_attach(mesh, f"{key}.section", own, problems) for key, own in pairs]
-
-
 def _attach(
     mesh: Mesh, key: str, own: Interface, problems: list[BundleProblem]
 ) -> AttachedInterface:
-    section = _section(mesh, key, own, problems)
+    nodes = group_nodes(mesh, key, own.section, problems)
+    if not len(nodes):
+        section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
+    else:
+        if not _spans_a_plane(mesh.points[nodes]):
+            message = f'"{own.section}" lies on one line, so it has no rotation; take a face'
+            problems.append(BundleProblem(key, message))
+        if own.section in mesh.facet_groups:
+            section = section_of_facets(mesh.points, mesh.facet_groups[own.section])
+        else:
+            facets = facets_within(outer_surface(mesh.blocks), nodes)
+            if facets.blocks:
+                section = section_of_facets(mesh.points, facets, nodes)
+            else:
+                section = section_of_nodes(mesh.points, nodes)
     point = section.centre if own.point is None else own.point
     table = key.rpartition(".")[0]
     return AttachedInterface(table, own.name, section, point, own.axes, own.coupling, own.locked)
-
-
-def _sliding(
-    mesh: Mesh, groups: Iterable[Sliding], fixed: Array, problems: list[BundleProblem]
-) -> tuple[Array, Array]:
-    """Return the nodes that slide and the projectors on what holds each; fixed ones are none."""
-    spans = np.zeros((len(mesh.points), 3, 3))
-    for i, own in enumerate(groups):
-        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
-        spans[nodes] += own.directions.T @ own.directions
-    spans[fixed] = 0.0
-    nodes = np.flatnonzero(spans.any(axis=(1, 2)))
-    sizes, axes = np.linalg.eigh(spans[nodes])
-    return nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
 
 
 def _left_sliding(
@@ -343,23 +338,6 @@ def _left_sliding(
         )
         problems.append(BundleProblem(own.where, message))
     return nodes[~shared], projectors[~shared]
-
-
-def _section(
-    mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
-) -> InterfaceSection:
-    nodes = group_nodes(mesh, key, interface.section, problems)
-    if not len(nodes):
-        return InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
-    if not _spans_a_plane(mesh.points[nodes]):
-        message = f'"{interface.section}" lies on one line, so it has no rotation; take a face'
-        problems.append(BundleProblem(key, message))
-    if interface.section in mesh.facet_groups:
-        return section_of_facets(mesh.points, mesh.facet_groups[interface.section])
-    facets = facets_within(outer_surface(mesh.blocks), nodes)
-    if facets.blocks:
-        return section_of_facets(mesh.points, facets, nodes)
-    return section_of_nodes(mesh.points, nodes)
 
 
 def _check_apart(

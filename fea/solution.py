@@ -121,7 +121,18 @@ def checked_wrench(
         interface, or lacks a further input.
     """
     if isinstance(wrench, Mapping):
-        wrench = np.concatenate(_by_name(wrench, names, further))
+        every = (*names, *further)
+        for name in wrench:
+            if name not in every:
+                known = _listed(every)
+                raise ValueError(f'no interface "{name}"{suggest(name, every)} (there are {known})')
+        for name in further:
+            if name not in wrench:
+                raise ValueError(f'"{name}" is missing: it is an input of this component')
+        own = [np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names]
+        wrench = np.concatenate(
+            own + [np.ravel(np.asarray(wrench[name], dtype=float)) for name in further]
+        )
     whole = np.array(wrench, dtype=float)
     count = PER_INTERFACE * len(names) + len(further)
     if whole.shape == (count,) and np.isfinite(whole).all():
@@ -137,23 +148,6 @@ def checked_wrench(
         f"the loads of {len(names)} interfaces are {count} finite numbers: force (N) and moment "
         f"(N·m) of {_listed(names)}"
     )
-
-
-def _by_name(
-    loads: Mapping[str, float | Sequence[float] | Array],
-    names: Sequence[str],
-    further: Sequence[str],
-) -> list[Array]:
-    every = (*names, *further)
-    for name in loads:
-        if name not in every:
-            known = _listed(every)
-            raise ValueError(f'no interface "{name}"{suggest(name, every)} (there are {known})')
-    for name in further:
-        if name not in loads:
-            raise ValueError(f'"{name}" is missing: it is an input of this component')
-    own = [np.asarray(loads.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names]
-    return own + [np.ravel(np.asarray(loads[name], dtype=float)) for name in further]
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -35,7 +35,6 @@ from wrenchbook.fea.solver.load_steps import LoadPath, hang
 from wrenchbook.fea.solver.newton import Equilibrium
 from wrenchbook.fea.solver.third_derivatives import MOST_INPUTS, packed, third_derivatives
 from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
-from wrenchbook.fea.solver.warm_start import WarmFolder
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
@@ -53,7 +52,6 @@ def solve(
     wrench: Loads,
     progress: Progress | None = None,
     folder: Path | None = None,
-    warm: Path | None = None,
     on_fields: Callable[[SolveFields], None] | None = None,
 ) -> Solution:
     """Build a component's solver and solve once; see `Solver`, or `solve_deck` if it has a deck.
@@ -69,8 +67,6 @@ def solve(
     folder
         Where an outside solver's files stay, and what a failed solve leaves
         (`fea.export.failure_record`); None keeps nothing.
-    warm
-        Where the states of solves are kept, to start nearby ones from (`fea.solver.warm_start`).
     on_fields
         Called with the solve's surface and stresses; a deck has none.
 
@@ -85,31 +81,13 @@ def solve(
     component = ready.component if isinstance(ready, Solver) else ready
     try:
         solver = ready if isinstance(ready, Solver) else Solver(component)
-        solution = _solve_near(solver, solver.inputs(wrench), progress, warm)
+        solution = solver.solve(solver.inputs(wrench), progress)
     except SolveFailed as failure:
         if folder is not None:
             keep(folder, failure, component)
         raise
     if on_fields is not None:
         on_fields(solver.fields(solution))
-    return solution
-
-
-def _solve_near(
-    solver: Solver,
-    wrench: Array,
-    progress: Progress | None,
-    warm: Path | None,
-) -> Solution:
-    component = solver.component
-    if warm is None or component.bundle is None:
-        return solver.solve(wrench, progress)
-    loads = component.bundle.acting
-    scale = np.maximum(np.abs(loads.low), np.abs(loads.high))
-    states = WarmFolder(warm, component.bundle.fingerprint, scale)
-    start = states.nearest(wrench, len(component.mesh.points))
-    solution = solver.solve(wrench, progress, start)
-    states.keep(solution)
     return solution
 
 
@@ -315,7 +293,10 @@ class Solver:
         else:
             found = self._solve_nonlinear(whole, acting, progress, start)
         if not self._stays_elastic(acting):
-            found = self._as_it_yields(found)
+            words = yielding(self.component, self._system.body, found)
+            if words and self.component.analysis.on_yield == "fail":
+                raise yields(words)
+            found = replace(found, notes=(*found.notes, words)) if words else found
         if progress is not None:
             progress(1.0, "done")
         return replace(found, seconds=time.perf_counter() - started)
@@ -333,12 +314,6 @@ class Solver:
     @cached_property
     def _most_used(self) -> Array:
         return most_used(self.component, self.body, self.linear.fields)
-
-    def _as_it_yields(self, found: Solution) -> Solution:
-        words = yielding(self.component, self._system.body, found)
-        if words and self.component.analysis.on_yield == "fail":
-            raise yields(words)
-        return replace(found, notes=(*found.notes, words)) if words else found
 
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear

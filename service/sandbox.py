@@ -44,17 +44,25 @@ log = logging.getLogger(__name__)
 MIB: Final = 1 << 20
 AT_ONCE: Final = 2  # each file may take a core and its memory
 WAIT_S: Final = 60.0  # for a free place
-GRACE_S: Final = 15.0  # after a parser's own time limit: imports and the fork on a busy machine
+ELAPSED: Final = 10.0  # times a limit of processor time: a busy machine must not refuse a good file
+GRACE_S: Final = 15.0  # after a parser's own deadline: imports and the fork on a busy machine
 _OPEN_FILES: Final = 64  # pipes, the file, what an HDF5 or a zip opens in addition
 _DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 MAX_HEAD: Final = 256 * MIB  # JSON of a part: the notes and names of a million rows
 MAX_PARTS: Final = 100_000
-_TIMEOUTS: Final = (signal.SIGALRM, signal.SIGXCPU, signal.SIGKILL)
+_KINDS: Final = {  # of errors by the signal that ended the parser; else a crash
+    signal.SIGPROF: "time",
+    signal.SIGXCPU: "time",
+    signal.SIGALRM: "elapsed",
+    signal.SIGKILL: "elapsed",
+}
 _MESSAGES: Final = {
     "memory": "Reading it takes more than {memory} MiB of memory, which is what one file may take; "
     "make it smaller or send parts.",
-    "time": "Reading it takes longer than {seconds:g} s, which is what one file may take; "
-    "make it smaller or send parts.",
+    "time": "Reading it takes more than {seconds:g} s of processor time, which is what one file "
+    "may take; make it smaller or send parts.",
+    "elapsed": "Reading it has not ended after {elapsed:g} s; send it again when the server is "
+    "less busy, or send parts.",
     "size": "What it holds is more than {output} MiB; send parts of it.",
     "crash": "Its reader ended without an answer (signal {number}): the file is damaged, or made "
     "to do that. Write it anew with another program.",
@@ -71,8 +79,9 @@ class Limits:
     """Resource limits of one file.
 
     `memory` are bytes in addition to what the process has when it begins: a million rows of a table
-    with tangents are 350 MB, at most two copies at a time. `seconds` are of processor time, and of
-    elapsed time; `output` the bytes of each file that the process writes, its result included.
+    with tangents are 350 MB, at most two copies at a time. `seconds` are of processor time, and
+    `ELAPSED` times as many may pass; `output` are the bytes of each file that the process writes,
+    its result included.
     """
 
     memory: int = 1024 * MIB
@@ -83,8 +92,9 @@ class Limits:
 class SandboxError(ValueError):
     """A file that cannot be read within its limits; nothing was changed.
 
-    `kind` is ``memory``, ``time``, ``size`` (of its content), ``crash`` (the parser died or its
-    result is malformed), or the name of the exception that the parser raised.
+    `kind` is ``memory``, ``time`` (of the processor), ``elapsed``, ``size`` (of its content),
+    ``crash`` (the parser died or its result is malformed), or the name of the exception that the
+    parser raised.
     """
 
     def __init__(self, kind: str, message: str) -> None:
@@ -143,7 +153,7 @@ class Sandbox:
         with self.place() as server, tempfile.NamedTemporaryFile(prefix="wrenchbook-") as answer:
             names = {"function": function, "file": file and str(file), "answer": answer.name}
             request = {**names, "arguments": dict(arguments or {}), "limits": asdict(limits)}
-            status = server.send(request, limits.seconds + GRACE_S)
+            status = server.send(request, ELAPSED * limits.seconds + GRACE_S)
             code = os.waitstatus_to_exitcode(status)
             if code in _DISK_ERRORS:
                 raise OSError(code, os.strerror(code))
@@ -241,12 +251,13 @@ def _error(end: Mapping[str, Any], limits: Limits) -> Exception:
     if kind == "OSError" and isinstance(end.get("errno"), int):
         return OSError(end["errno"], message)
     if number is not None:
-        kind = "time" if number in _TIMEOUTS else "crash"
+        kind = _KINDS.get(number, "crash")
     text = _MESSAGES.get(kind)
     if text is None:
         return SandboxError(kind, message)
-    most = {"memory": limits.memory >> 20, "output": limits.output >> 20}
-    return SandboxError(kind, text.format(seconds=limits.seconds, number=number, **most))
+    limit = {"memory": limits.memory >> 20, "output": limits.output >> 20}
+    limit |= {"seconds": limits.seconds, "elapsed": ELAPSED * limits.seconds}
+    return SandboxError(kind, text.format(number=number, **limit))
 
 
 # -- the file of a result: for each part an array of its head (JSON), then its arrays ----------
@@ -357,13 +368,15 @@ def set_limits(limits: Limits) -> None:
     _lower(resource.RLIMIT_CORE, 0)
     _lower(resource.RLIMIT_FSIZE, limits.output)
     _lower(resource.RLIMIT_NOFILE, _OPEN_FILES)
-    _lower(resource.RLIMIT_CPU, math.ceil(limits.seconds))
+    _lower(resource.RLIMIT_CPU, math.ceil(limits.seconds) + 1)  # after SIGPROF: it kills
     with contextlib.suppress(FileNotFoundError):  # no /proc on macOS
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
         _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + limits.memory)
+    signal.signal(signal.SIGPROF, signal.SIG_DFL)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM, signal.SIGXCPU})
-    signal.setitimer(signal.ITIMER_REAL, limits.seconds)
+    signal.setitimer(signal.ITIMER_PROF, limits.seconds)
+    signal.setitimer(signal.ITIMER_REAL, ELAPSED * limits.seconds)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _KINDS)
 
 
 def _lower(what: int, to: int) -> None:

@@ -222,7 +222,7 @@ class Workspace:
         """Return what is wrong with single components, by name; the others answer."""
         damaged: dict[str, str] = {}
         if losses := self.ledger.losses():
-            damaged["(ledger)"] = f"{'; '.join(losses)}. Settle it with: wrenchbook doctor --mend"
+            damaged["(ledger)"] = f"{'; '.join(losses)}. Note it with: wrenchbook doctor --repair"
         for seq, name in self.ledger.damaged.items():
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
         return {**damaged, **self.tables.faults(), **self.library.broken()}
@@ -233,7 +233,7 @@ class Workspace:
         known = self.errors.read(component.name, component.fingerprint)
         # A later solve of an earlier component of this name and setup may have refined it.
         if estimate is not None and (known is None or not known.can_grow):
-            self.errors.settle(component.name, component.fingerprint, estimate)
+            self.errors.record(component.name, component.fingerprint, estimate)
 
     def _on_added(self, component: Component) -> None:
         with suppress(TableBehindError):  # the ledger has rows of an earlier one of this name

@@ -14,8 +14,8 @@ from .table.space import DEFAULT, Space
 COVERED, THIN, OUTSIDE = 0, 1, 2
 NAMES = ("covered", "thin", "outside")
 # In the order of their numbers in surrogate/kernel/wrenchbook.h.
-METHODS = ("griddata", "additive", "tangent", "kriging", "linear", "nearest")
-BY_AXES = METHODS[:3]  # exist for one wrench at one interface alone
+METHODS = ("griddata", "additive", "kriging", "linear")
+BY_AXES = METHODS[:2]  # exist for one wrench at one interface alone
 ANSWERED = (*METHODS, "row", "estimate")  # what a reply may name
 
 WITHOUT_TOLERANCE = 0.01  # of an output's variation, where neither request nor component has one

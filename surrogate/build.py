@@ -210,7 +210,7 @@ def _slopes_at_zero(group: Surrogate) -> Floats:
     elif group.by_kriging and group.kriging is not None:
         found = group.kriging.derivatives(zero)
     else:
-        found = group.composition.derivatives(zero, "tangent" if name == "kriging" else name)
+        found = group.composition.derivatives(zero, name)
     found = without_locked(found, group.locked)[0]
     unknown = ~group.fit.known
     unknown[list(group.locked)] = False  # no output depends on them: zero

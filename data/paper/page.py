@@ -8,8 +8,7 @@ from typing import Any
 import plotly.graph_objects as go
 
 from data.paper.part import OUTPUTS
-from wrenchbook.service.report.page import STYLE, section_html
-from wrenchbook.service.report.text import ReportSection
+from wrenchbook.service.report.layout import STYLE, ReportSection, section_html
 
 LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
 # Colours that remain apart for the colour-blind (Okabe and Ito 2008).

@@ -43,9 +43,30 @@ def over_tolerance(
         errors = np.array(solver_error["mesh"]) @ loads + np.array(
             solver_error.get("mesh_growth", 0.0)
         )
-        found += _of_mesh(errors, allowed, solver_error.get("cell_size"))
+        cell_size = solver_error.get("cell_size")
+        worst, words = _worst(errors, allowed)
+        if worst > 1.0:
+            # Edges and corners where supports end make displacements converge with about the
+            # square. Rounded up to a tenth: a cell "1 times smaller" would help nobody.
+            finer = float(np.ceil(np.round(10.0 * np.sqrt(worst), 6)) / 10.0)
+            sized = "" if cell_size is None else f", about {_length(cell_size / finer)} each"
+            remedy = f"make cells about {finer:.2g} times smaller{sized}"
+            if finer > _WORTH_A_MESH:
+                remedy = "make cells much smaller"
+            message = (
+                f"the mesh alone may be wrong by {words} at the full range: more solves do not "
+                f"lower that. To be within the tolerance {remedy}, or widen [tolerance] or narrow "
+                "[range]"
+            )
+            found += [BundleProblem(WHERE, message)]
     if solver_error.get("linearity") is not None:
-        found += _of_linearity(np.array(solver_error["linearity"]), allowed)
+        worst, words = _worst(np.array(solver_error["linearity"]), allowed)
+        if worst > 1.0:
+            message = (
+                f"nonlinear = false alone may be wrong by {words} at the full range: more solves "
+                "do not lower that. Set nonlinear = true, or narrow [range]"
+            )
+            found += [BundleProblem(WHERE, message)]
     return found + _of_buckling(solver_error.get("buckling"))
 
 
@@ -56,35 +77,6 @@ def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
         return []
     remedy = "mesh in second order on the geometry, or more cells round; the error bar holds it"
     return [BundleProblem("mesh.file", f"{own['basis']}: {remedy}")]
-
-
-def _of_mesh(errors: Array, allowed: Array, cell_size: float | None) -> list[BundleProblem]:
-    worst, words = _worst(errors, allowed)
-    if worst <= 1.0:
-        return []
-    # Edges and corners where supports end make displacements converge with about the square.
-    # Rounded up to a tenth: a cell "1 times smaller" would help nobody.
-    finer = float(np.ceil(np.round(10.0 * np.sqrt(worst), 6)) / 10.0)
-    sized = "" if cell_size is None else f", about {_length(cell_size / finer)} each"
-    remedy = f"make cells about {finer:.2g} times smaller{sized}"
-    if finer > _WORTH_A_MESH:
-        remedy = "make cells much smaller"
-    message = (
-        f"the mesh alone may be wrong by {words} at the full range: more solves do not lower that. "
-        f"To be within the tolerance {remedy}, or widen [tolerance] or narrow [range]"
-    )
-    return [BundleProblem(WHERE, message)]
-
-
-def _of_linearity(errors: Array, allowed: Array) -> list[BundleProblem]:
-    worst, words = _worst(errors, allowed)
-    if worst <= 1.0:
-        return []
-    message = (
-        f"nonlinear = false alone may be wrong by {words} at the full range: more solves do not "
-        "lower that. Set nonlinear = true, or narrow [range]"
-    )
-    return [BundleProblem(WHERE, message)]
 
 
 def _of_buckling(factor: float | None) -> list[BundleProblem]:

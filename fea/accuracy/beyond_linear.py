@@ -76,7 +76,14 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
     deviation, why = np.full(len(compliance), np.nan), ""
-    corners, rest = _corners(compliance, loads), solver.component.at_rest
+    # The corner that turns, or else moves, the interface most, and its opposite.
+    corners = loads.corners()
+    moved = (corners @ compliance.T).reshape(len(corners), -1, PER_INTERFACE)
+    size = np.linalg.norm(moved[:, :, 3:], axis=2).max(axis=1)
+    if not size.max() > 0:
+        size = np.linalg.norm(moved[:, :, :3], axis=2).max(axis=1)
+    most = int(size.argmax())
+    corners, rest = [corners[most], corners[len(corners) - 1 - most]], solver.component.at_rest
     factors = list(solver.buckling(corners[0] + rest))
     if not np.allclose(corners[1], -corners[0]):
         factors[1] = solver.buckling(corners[1] + rest)[0]
@@ -89,17 +96,6 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     return BeyondLinear(
         _SAFETY * deviation, float(lowest) if lowest <= _MOST_REPORTED else None, why
     )
-
-
-def _corners(compliance: Array, loads: DeclaredRange) -> list[Array]:
-    """Return the corner that turns, or else moves, the interface most, and its opposite."""
-    corners = loads.corners()
-    moved = (corners @ compliance.T).reshape(len(corners), -1, PER_INTERFACE)
-    size = np.linalg.norm(moved[:, :, 3:], axis=2).max(axis=1)
-    if not size.max() > 0:
-        size = np.linalg.norm(moved[:, :, :3], axis=2).max(axis=1)
-    most = int(size.argmax())
-    return [corners[most], corners[len(corners) - 1 - most]]
 
 
 class _Corner:

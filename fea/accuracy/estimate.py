@@ -10,14 +10,13 @@ from wrenchbook.fea.accuracy.advice import FINE
 from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
 from wrenchbook.fea.accuracy.convergence import LEAST_RATIO, kept
 from wrenchbook.fea.accuracy.recovered import recovered_error
-from wrenchbook.fea.accuracy.rounded import Roundness, roundness
+from wrenchbook.fea.accuracy.rounded import roundness
 from wrenchbook.fea.accuracy.second_mesh import FINER_UNKNOWNS, coarser, finer
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.facets import EDGES
-from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 Array = np.ndarray
 
@@ -65,10 +64,27 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     bundle = solver.component.bundle
     second = coarser(solver)
     result = {**_mesh(solver, second), **_largest(bundle)}
-    result["cell_size"] = _cell_size(solver.component.mesh)
+    # The median of the cells' edges, from corner to corner, m.
+    lengths = [
+        np.linalg.norm(
+            np.diff(solver.component.mesh.points[block.nodes[:, pair]], axis=1), axis=2
+        ).ravel()
+        for block in solver.component.mesh.blocks
+        for pair in EDGES[block.kind]
+    ]
+    result["cell_size"] = float(np.median(np.concatenate(lengths)))
     if bundle is None or solver.component.analysis.nonlinear:
         return result
-    return result | _linearity(second or solver, bundle.acting)
+    found = beyond_linear(second or solver, bundle.acting)
+    known = bool(np.isfinite(found.deviation).all())
+    basis = "nonlinear solves at two opposite corners of the load range"
+    if found.why:
+        basis += f", a part of them since {found.why}"
+    return result | {
+        "linearity": found.deviation.tolist() if known else None,
+        "linearity_basis": basis,
+        "buckling": found.buckling,
+    }
 
 
 def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
@@ -80,7 +96,17 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     if round_ is None:
         return _report(compliance, np.array(errors), basis)
     errors.append(_ROUND * round_.change)
-    share, words = _of_roundness(round_, compliance)
+    # What straight edges across round surfaces change, and the cells round for 1 %.
+    own = np.diag(compliance)
+    share = float(np.abs(np.diag(round_.change)[own > 0] / own[own > 0]).max())
+    words = (
+        f"straight edges across round surfaces, which turn by up to {np.degrees(round_.turn):.3g} "
+        f"degrees a cell, change it by {100 * share:.2g} %"
+    )
+    if share > FINE:
+        # The change grows with the square of the turn.
+        cells = int(np.ceil(2 * np.pi / (round_.turn * np.sqrt(FINE / share))))
+        words = f"{words}; with {cells} cells round it is 1 %"
     found = _report(compliance, np.array(errors), f"{basis}; {words}")
     rounded = {"mesh": np.abs(errors[-1]).tolist(), "share": share, "basis": words}
     return found | {"rounded": rounded}
@@ -124,21 +150,6 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     return [0.5 * change, lacks], f"{basis}, and recovered stresses, at six unit loads"
 
 
-def _of_roundness(found: Roundness, compliance: Array) -> tuple[float, str]:
-    """Return what straight edges across round surfaces change, and the cells round for 1 %."""
-    own = np.diag(compliance)
-    share = float(np.abs(np.diag(found.change)[own > 0] / own[own > 0]).max())
-    words = (
-        f"straight edges across round surfaces, which turn by up to {np.degrees(found.turn):.3g} "
-        f"degrees a cell, change it by {100 * share:.2g} %"
-    )
-    if share <= FINE:
-        return share, words
-    # The change grows with the square of the turn.
-    cells = int(np.ceil(2 * np.pi / (found.turn * np.sqrt(FINE / share))))
-    return share, f"{words}; with {cells} cells round it is 1 %"
-
-
 _MIXED = 0.02
 """Of the root of the product of two responses' own errors, which no error of the two together can
 exceed (Cauchy and Schwarz: the error's energy is not negative): what one other mesh shows of an
@@ -169,16 +180,6 @@ def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
     added = np.zeros(compliance.T.shape)
     added[:loads] = stiffness @ errors.sum(axis=0)[:, :loads] @ stiffness
     return found | {"mesh_stiffness": added.tolist()}
-
-
-def _cell_size(mesh: Mesh) -> float:
-    """Return the median of the cells' edges, from corner to corner, m."""
-    lengths = [
-        np.linalg.norm(np.diff(mesh.points[block.nodes[:, pair]], axis=1), axis=2).ravel()
-        for block in mesh.blocks
-        for pair in EDGES[block.kind]
-    ]
-    return float(np.median(np.concatenate(lengths)))
 
 
 def accuracy_or_why(solver: Solver) -> dict[str, Any]:
@@ -213,16 +214,3 @@ def _largest(bundle: Bundle | None) -> dict[str, list[float]]:
     largest[: len(idle)][idle] = 0.0
     zero = [0.0] * len(bundle.range.low) + [one.reference for one in bundle.further]
     return {"loads": largest.tolist()} | ({"zero": zero} if any(zero) else {})
-
-
-def _linearity(solver: Solver, loads: DeclaredRange) -> dict[str, Any]:
-    found = beyond_linear(solver, loads)
-    known = bool(np.isfinite(found.deviation).all())
-    basis = "nonlinear solves at two opposite corners of the load range"
-    if found.why:
-        basis += f", a part of them since {found.why}"
-    return {
-        "linearity": found.deviation.tolist() if known else None,
-        "linearity_basis": basis,
-        "buckling": found.buckling,
-    }

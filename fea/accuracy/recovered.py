@@ -16,7 +16,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array
 from scipy.spatial import KDTree
 
 from wrenchbook.fea.assembly.body import gather
@@ -163,7 +163,11 @@ def _at_corners(pieces: list[_Piece], nodes: int) -> dict[int, Array]:
         cells, points = piece.weights.shape
         by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, points, -1)
         recovered = (fit @ by_cell) * own[:, None, None]  # at each cell's corners
-        total += _sums(piece.corners, nodes) @ recovered.reshape(piece.corners.size, -1)
+        count = piece.corners.size
+        entries = (np.ones(count), (piece.corners.ravel(), np.arange(count)))
+        total += coo_array(entries, shape=(nodes, count)).tocsr() @ recovered.reshape(
+            piece.corners.size, -1
+        )
         volume += np.bincount(
             piece.corners.ravel(), np.repeat(own, piece.corners.shape[1]), minlength=nodes
         )
@@ -173,13 +177,6 @@ def _at_corners(pieces: list[_Piece], nodes: int) -> dict[int, Array]:
         ).reshape(nodes, 2, -1, 3, 3)
         for material, total in totals.items()
     }
-
-
-def _sums(corners: Array, nodes: int) -> csr_array:
-    """Return the matrix that adds what stands at the cells' corners into the nodes."""
-    count = corners.size
-    entries = (np.ones(count), (corners.ravel(), np.arange(count)))
-    return coo_array(entries, shape=(nodes, count)).tocsr()
 
 
 def _energy(piece: _Piece, smooth: Array) -> tuple[Array, Array]:

@@ -86,9 +86,48 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     geometry has them.
     """
     bows, largest = np.zeros_like(mesh.points), 0.0
-    corners, middles = _sides(mesh)
+    # The surface's facets with midside nodes: corners and those nodes, each (f, 4). A triangle's
+    # last corner stands twice, and so it has a side of no length.
+    corners, middles = [], []
+    for kind, nodes in outer_surface(mesh.blocks).blocks:
+        count = corners_of(kind)
+        if nodes.shape[1] < 2 * count:
+            continue
+        places = np.minimum(np.arange(4), count - 1)
+        corners.append(nodes[:, places])
+        # The side from the last corner to the first is the last; a triangle's third has no length.
+        sides = np.array([0, 1, 2, 3] if count == 4 else [0, 1, 1, 2])
+        middles.append(nodes[:, count : 2 * count][:, sides])
+    empty = np.empty((0, 4), dtype=np.int64)
+    corners, middles = np.concatenate([empty, *corners]), np.concatenate([empty, *middles])
     points = mesh.points[corners]
-    normals, turn = _corner_normals(corners, points)
+    # The surface's normal at each facet's corners, (f, 4, 3), and the facet's largest turn: the
+    # mean of the normals of the facets there that turn little from this one, by their angles there.
+    normal = np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1])
+    triangle = corners[:, 2] == corners[:, 3]
+    of_triangle = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+    normal[triangle] = of_triangle[triangle]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # The angles of facets at their corners, (f, 4), rad; a repeated corner's is halved.
+    before, after = np.roll(points, 1, axis=1), np.roll(points, -1, axis=1)
+    before[triangle, 3] = points[triangle, 1]
+    after[triangle, 2] = points[triangle, 0]
+    one, other = before - points, after - points
+    cosine = np.einsum("fci,fci->fc", one, other)
+    size = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)
+    angles = np.arccos(np.clip(cosine / np.where(size > 0, size, 1.0), -1.0, 1.0))
+    angles[triangle, 2:] /= 2
+    facet, corner = np.divmod(np.argsort(corners, axis=None, kind="stable"), 4)
+    ends = np.append(np.flatnonzero(np.diff(corners[facet, corner])) + 1, len(facet))
+    normals, turn, start = np.empty_like(points), np.zeros(len(corners)), 0
+    for end in ends.tolist():
+        at, of = facet[start:end], corner[start:end]
+        cosines = np.clip(normal[at] @ normal[at].T, -1.0, 1.0)
+        near = cosines > np.cos(SMOOTH)
+        mean = (near * angles[at, of]) @ normal[at]
+        normals[at, of] = mean / np.linalg.norm(mean, axis=1, keepdims=True)
+        np.maximum.at(turn, at, np.arccos(np.where(near, cosines, 1.0).min(axis=1)))
+        start = end
     for side in range(corners.shape[1]):
         ends = [side, (side + 1) % corners.shape[1]]
         way = points[:, ends[1]] - points[:, ends[0]]
@@ -109,61 +148,3 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         bows[middles[bent, side]] = bow[bent]
         largest = max(largest, float(turn[bent].max(initial=0.0)))
     return bows, largest
-
-
-def _sides(mesh: Mesh) -> tuple[Array, Array]:
-    """Return the surface's facets with midside nodes: corners and those nodes, each (f, 4).
-
-    A triangle's last corner stands twice, and so it has a side of no length.
-    """
-    corners, middles = [], []
-    for kind, nodes in outer_surface(mesh.blocks).blocks:
-        count = corners_of(kind)
-        if nodes.shape[1] < 2 * count:
-            continue
-        places = np.minimum(np.arange(4), count - 1)
-        corners.append(nodes[:, places])
-        # The side from the last corner to the first is the last; a triangle's third has no length.
-        sides = np.array([0, 1, 2, 3] if count == 4 else [0, 1, 1, 2])
-        middles.append(nodes[:, count : 2 * count][:, sides])
-    empty = np.empty((0, 4), dtype=np.int64)
-    return np.concatenate([empty, *corners]), np.concatenate([empty, *middles])
-
-
-def _corner_normals(corners: Array, points: Array) -> tuple[Array, Array]:
-    """Return the surface's normal at each facet's corners, (f, 4, 3), and the facet's largest turn.
-
-    It is the mean of the normals of the facets there that turn little from this one, by the angle
-    that each has at the corner.
-    """
-    normal = np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1])
-    triangle = corners[:, 2] == corners[:, 3]
-    of_triangle = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
-    normal[triangle] = of_triangle[triangle]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    angles = _angles(points, triangle)
-    facet, corner = np.divmod(np.argsort(corners, axis=None, kind="stable"), 4)
-    ends = np.append(np.flatnonzero(np.diff(corners[facet, corner])) + 1, len(facet))
-    normals, turn, start = np.empty_like(points), np.zeros(len(corners)), 0
-    for end in ends.tolist():
-        at, of = facet[start:end], corner[start:end]
-        cosines = np.clip(normal[at] @ normal[at].T, -1.0, 1.0)
-        near = cosines > np.cos(SMOOTH)
-        mean = (near * angles[at, of]) @ normal[at]
-        normals[at, of] = mean / np.linalg.norm(mean, axis=1, keepdims=True)
-        np.maximum.at(turn, at, np.arccos(np.where(near, cosines, 1.0).min(axis=1)))
-        start = end
-    return normals, turn
-
-
-def _angles(points: Array, triangle: Array) -> Array:
-    """Return the angles of facets at their corners, (f, 4), rad; a repeated corner's is halved."""
-    before, after = np.roll(points, 1, axis=1), np.roll(points, -1, axis=1)
-    before[triangle, 3] = points[triangle, 1]
-    after[triangle, 2] = points[triangle, 0]
-    one, other = before - points, after - points
-    cosine = np.einsum("fci,fci->fc", one, other)
-    size = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)
-    found = np.arccos(np.clip(cosine / np.where(size > 0, size, 1.0), -1.0, 1.0))
-    found[triangle, 2:] /= 2
-    return found

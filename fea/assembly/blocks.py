@@ -101,7 +101,14 @@ def _stiffness(
     where: tuple[Array, Array],
 ) -> CellStiffness:
     """Return the cells of one law; `where` is as of `_directions`."""
-    expansion = _expansion(materials, where)
+    # Thermal strains per kelvin, (cells, points or 1, 3, 3), 1/K; None for none.
+    if any(one.thermal_expansion is None for one in materials):
+        expansion = None
+    else:
+        expansion = _by_cell(
+            _directions(materials, where),
+            lambda one, own: (own.swapaxes(-1, -2) * np.array(one.thermal_expansion)) @ own,
+        )
     if law == "orthotropic":
         parts = _directions(materials, where)
         elasticity = _by_cell(parts, lambda one, own: turned_elasticity(_own(one).elasticity, own))
@@ -109,17 +116,9 @@ def _stiffness(
     kind = NeoHookeanStiffness if law == "neo-hookean" else Stiffness
     young = np.array([material.youngs_modulus for material in materials])
     poisson = np.array([material.poisson_ratio for material in materials])
-    return kind(gradients, *_lame(young, poisson), modes, expansion=expansion)
-
-
-def _expansion(materials: list[Material], where: tuple[Array, Array]) -> Array | None:
-    """Return thermal strains per kelvin, (cells, points or 1, 3, 3), 1/K; None for none."""
-    if any(one.thermal_expansion is None for one in materials):
-        return None
-    return _by_cell(
-        _directions(materials, where),
-        lambda one, own: (own.swapaxes(-1, -2) * np.array(one.thermal_expansion)) @ own,
-    )
+    shear = young / (2 * (1 + poisson))
+    first_lame = 2 * shear * poisson / (1 - 2 * poisson)
+    return kind(gradients, first_lame, shear, modes, expansion=expansion)
 
 
 def _directions(
@@ -159,8 +158,3 @@ def _by_cell(
 def _own(material: Material) -> Orthotropic:
     assert material.orthotropic is not None
     return material.orthotropic
-
-
-def _lame(young: Array, poisson: Array) -> tuple[Array, Array]:
-    shear = young / (2 * (1 + poisson))
-    return 2 * shear * poisson / (1 - 2 * poisson), shear

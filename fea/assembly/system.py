@@ -127,7 +127,14 @@ class System:
         start = Linearisation(
             self.body, self.coupling, self.balance_at_rest, self.body.tangent(None), self.pull
         )
-        self._require_supported(start)
+        factor = start.tangent.factor
+        if factor.pivot_ratio < _LEAST_PIVOT:
+            energy = softest_energy(self.body, start.tangent)
+            raise unheld(f"Near {self._place(factor.weakest)} m the mesh", energy)
+        if not np.isfinite(start.compliance).all():
+            raise unheld("The interface", 0.0)
+        if start.interface_ratio < _LEAST_PIVOT:
+            raise unheld("The interface", start.softest_interface_energy)
         self._condition = scaled_condition(start.tangent)  # by the factor, before its release
         return start
 
@@ -166,16 +173,6 @@ class System:
         if temperature:
             heat = abs(temperature) * self._heat[0], temperature**2 * self._heat[1]
         return Balance(state, wrench, forces, energy, least, nodal, border, heat)
-
-    def _require_supported(self, start: Linearisation) -> None:
-        factor = start.tangent.factor
-        if factor.pivot_ratio < _LEAST_PIVOT:
-            energy = softest_energy(self.body, start.tangent)
-            raise unheld(f"Near {self._place(factor.weakest)} m the mesh", energy)
-        if not np.isfinite(start.compliance).all():
-            raise unheld("The interface", 0.0)
-        if start.interface_ratio < _LEAST_PIVOT:
-            raise unheld("The interface", start.softest_interface_energy)
 
     def _place(self, position: int) -> str:
         node = self.body.dissection.nodes[position // 3] if position >= 0 else 0

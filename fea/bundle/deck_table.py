@@ -30,7 +30,19 @@ def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
     command = keys.texts("command", least=1, repeats=True)
     output = keys.table("output")
     reader, options = (None, {}) if output is None else _output(output)
-    files = _files(keys, folder, file)
+    # The further files; all are put into one folder, so none may be in a subfolder.
+    names = keys.texts("files", required=False) or ()
+    found = []
+    for i, name in enumerate(names):
+        key = f"files[{i}]"
+        if Path(name).name != name:
+            keys.wrong(key, f'"{name}" is not directly in the bundle\'s folder; put it there')
+        elif file is not None and name == file.name:
+            keys.wrong(key, "is the deck itself; leave it out")
+        else:
+            each = bundle_file(Keys({key: name}, keys.problems, keys.where), key, folder)
+            found += [] if each is None else [each]
+    files = tuple(found)
     unit = keys.choice("unit", tuple(UNITS), required=False) or "m"
     timeout = keys.number("timeout", "s", above=0.0, below=_LONGEST, required=False)
     moment = keys.choice("moment", MOMENTS, required=False)
@@ -49,19 +61,3 @@ def _output(keys: Keys) -> tuple[DeckReader | None, dict[str, str]]:
     read = {key: keys.text(key) for key in reader.keys}
     keys.close()
     return reader, {"reader": name} | {key: each for key, each in read.items() if each is not None}
-
-
-def _files(keys: Keys, folder: Path, deck: Path | None) -> tuple[Path, ...]:
-    """Return the further files; all are put into one folder, so none may be in a subfolder."""
-    names = keys.texts("files", required=False) or ()
-    found = []
-    for i, name in enumerate(names):
-        key = f"files[{i}]"
-        if Path(name).name != name:
-            keys.wrong(key, f'"{name}" is not directly in the bundle\'s folder; put it there')
-        elif deck is not None and name == deck.name:
-            keys.wrong(key, "is the deck itself; leave it out")
-        else:
-            each = bundle_file(Keys({key: name}, keys.problems, keys.where), key, folder)
-            found += [] if each is None else [each]
-    return tuple(found)

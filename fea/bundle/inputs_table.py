@@ -88,19 +88,17 @@ def check_inputs(
         if one is not None and one.name in names:
             top.wrong("interface", f'none may have the name "{one.name}", which is an input\'s')
     if TEMPERATURE in names:
-        _check_expansions(top, materials)
+        for i, material in enumerate(materials):
+            if material is not None and material.thermal_expansion is None:
+                message = "missing; with [inputs.temperature] every material needs it, in 1/K"
+                top.wrong(f"material[{i}].thermal_expansion", message)
+            if material is not None and material.law == "neo-hookean":
+                message = (
+                    'takes no [inputs.temperature]; of small strains "isotropic" is the same law'
+                )
+                top.wrong(f"material[{i}].law", message)
     if ACCELERATIONS[0] in names:
         check_densities(top, materials, "[inputs.acceleration]")
-
-
-def _check_expansions(top: Keys, materials: tuple[Material | None, ...]) -> None:
-    for i, material in enumerate(materials):
-        if material is not None and material.thermal_expansion is None:
-            message = "missing; with [inputs.temperature] every material needs it, in 1/K"
-            top.wrong(f"material[{i}].thermal_expansion", message)
-        if material is not None and material.law == "neo-hookean":
-            message = 'takes no [inputs.temperature]; of small strains "isotropic" is the same law'
-            top.wrong(f"material[{i}].law", message)
 
 
 def check_densities(top: Keys, materials: tuple[Material | None, ...], key: str) -> None:

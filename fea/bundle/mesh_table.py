@@ -58,7 +58,22 @@ def _from_file(keys: Keys, folder: Path) -> MeshSource | None:
         keys.wrong("file", 'missing; name a mesh "file" or a "generator"')
     file = bundle_file(keys, "file", folder, required="file" in keys)
     if file is not None and file.suffix.lower() in GEOMETRY_ENDINGS:
-        return _from_geometry(keys, file)
+        # The meshing of a geometry file; its cells are of second order.
+        if "unit" in keys:
+            keys.raw("unit", str)
+            keys.wrong("unit", "a STEP file holds its own length unit; leave this key out")
+        size = keys.number("size", "m", above=0.0)
+        curvature = keys.whole("curvature", 3, required=False)
+        _order(keys)
+        groups = _choices(keys, "groups", _FACE_WAYS)
+        regions = _choices(keys, "regions", _BODY_WAYS)
+        if "all" in regions:
+            keys.wrong("regions.all", '"all" is every cell of the mesh; take another name')
+        if size is None:
+            return None
+        return MeshSource(
+            file=file, geometry=GeometryMeshing(size, curvature or 0, groups, regions)
+        )
     unit = keys.choice("unit", tuple(UNITS), required="file" in keys)
     order = _order(keys)
     if file is None or unit is None:
@@ -79,23 +94,6 @@ def _order(keys: Keys) -> int | None:
     return None
 
 
-def _from_geometry(keys: Keys, file: Path) -> MeshSource | None:
-    """Return the meshing of a geometry file; its cells are of second order."""
-    if "unit" in keys:
-        keys.raw("unit", str)
-        keys.wrong("unit", "a STEP file holds its own length unit; leave this key out")
-    size = keys.number("size", "m", above=0.0)
-    curvature = keys.whole("curvature", 3, required=False)
-    _order(keys)
-    groups = _choices(keys, "groups", _FACE_WAYS)
-    regions = _choices(keys, "regions", _BODY_WAYS)
-    if "all" in regions:
-        keys.wrong("regions.all", '"all" is every cell of the mesh; take another name')
-    if size is None:
-        return None
-    return MeshSource(file=file, geometry=GeometryMeshing(size, curvature or 0, groups, regions))
-
-
 def _choices(keys: Keys, key: str, ways: tuple[str, ...]) -> dict[str, Selector]:
     """Return the named choices of the table `key`."""
     table = keys.table(key, required=False)
@@ -105,21 +103,21 @@ def _choices(keys: Keys, key: str, ways: tuple[str, ...]) -> dict[str, Selector]
     for name in table:
         ways_of_one = table.table(name)
         if ways_of_one is not None:
-            found[name] = _choice(ways_of_one, ways)
+            given = [way for way in ways if way in ways_of_one]
+            if not given:
+                ways_of_one.wrong(
+                    ways[0], f"missing; choose by {', '.join(ways[:-1])} or {ways[-1]}"
+                )
+            found[name] = Selector(
+                numbers=_numbers(ways_of_one, ways[0]),
+                near=_points(ways_of_one),
+                plane=_plane(ways_of_one) if "plane" in ways else None,
+                radius=ways_of_one.number("radius", "m", above=0.0, required=False)
+                if "radius" in ways
+                else None,
+            )
             ways_of_one.close()
     return found
-
-
-def _choice(keys: Keys, ways: tuple[str, ...]) -> Selector:
-    given = [way for way in ways if way in keys]
-    if not given:
-        keys.wrong(ways[0], f"missing; choose by {', '.join(ways[:-1])} or {ways[-1]}")
-    return Selector(
-        numbers=_numbers(keys, ways[0]),
-        near=_points(keys),
-        plane=_plane(keys) if "plane" in ways else None,
-        radius=_radius(keys) if "radius" in ways else None,
-    )
 
 
 def _numbers(keys: Keys, key: str) -> tuple[int, ...]:
@@ -152,7 +150,3 @@ def _plane(keys: Keys) -> tuple[int, float] | None:
         keys.wrong("plane", 'missing; "at" is a place along plane = "x", "y" or "z"')
     at = keys.number("at", "m", required="plane" in keys)
     return None if axis is None or at is None else (_AXES.index(axis), at)
-
-
-def _radius(keys: Keys) -> float | None:
-    return keys.number("radius", "m", above=0.0, required=False)

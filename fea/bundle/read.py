@@ -34,11 +34,9 @@ from wrenchbook.fea.spec.schema import (
     Analysis,
     Bundle,
     Deck,
-    DeclaredRange,
     Interface,
     Material,
     MeshSource,
-    ScalarInput,
     Supports,
 )
 from wrenchbook.fea.spec.toml_table import Keys
@@ -118,11 +116,33 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
         "tolerance": read_tolerance(top.table("tolerance", required=False)),
         "deck": read_deck(top.table("deck", required=False), folder),
     }
-    _check_whole(top, any(one is not None and one.held for one in interfaces))
+    # Tables that need each other; an interface that is held stands in for supports.
+    held = any(one is not None and one.held for one in interfaces)
+    if "deck" not in top:
+        if "mesh" in top:
+            for key in _SOLVER_TABLES:
+                if key not in top and not (held and key == "supports"):
+                    brackets = "[[material]]" if key == "material" else f"[{key}]"
+                    more = _OR_HELD if key == "supports" and top.is_array("interface") else ""
+                    top.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
+        else:
+            for key in _SOLVER_TABLES:
+                if key in top and not (key == "interface" and top.is_array(key)):
+                    top.wrong(
+                        key, "needs a [mesh] as well; without one a component is a table only"
+                    )
     _check_frame(top, parts["deck"], interfaces)
     _check_weight(top, parts["deck"], parts["materials"], parts["analysis"])
     check_inputs(top, parts["further"], parts["materials"], interfaces)
-    _check_count(top, parts["range"], parts["further"])
+    # A range whose corners are too many to look at each.
+    loads = parts["range"]
+    if loads is not None:
+        vary = len(parts["further"]) + sum(
+            a < b for a, b in zip(loads.low, loads.high, strict=True)
+        )
+        if vary > MOST_INPUTS:
+            message = f"{vary} inputs vary, and {MOST_INPUTS} may; give some loads the range 0"
+            top.wrong("interface", message)
     top.close()
     if top.problems:
         raise BundleError(top.problems)
@@ -170,22 +190,6 @@ def _syntax_problem(error: Exception) -> BundleProblem:
     return BundleProblem(f"line {found[1]}", message)
 
 
-def _check_whole(top: Keys, held: bool) -> None:
-    """Note tables that need each other; an interface that is held stands in for supports."""
-    if "deck" in top:
-        return
-    if "mesh" in top:
-        for key in _SOLVER_TABLES:
-            if key not in top and not (held and key == "supports"):
-                brackets = "[[material]]" if key == "material" else f"[{key}]"
-                more = _OR_HELD if key == "supports" and top.is_array("interface") else ""
-                top.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
-    else:
-        for key in _SOLVER_TABLES:
-            if key in top and not (key == "interface" and top.is_array(key)):
-                top.wrong(key, "needs a [mesh] as well; without one a component is a table only")
-
-
 def _check_frame(top: Keys, deck: Deck | None, interfaces: list[Interface | None]) -> None:
     """Note what an [interface] says that a deck would not heed."""
     if deck is None or not interfaces or interfaces[0] is None:
@@ -200,16 +204,6 @@ def _check_frame(top: Keys, deck: Deck | None, interfaces: list[Interface | None
     if interface.locked:
         message = "a [deck] is not changed; hold these freedoms in the deck and leave locked out"
         top.wrong("interface.locked", message)
-
-
-def _check_count(top: Keys, loads: DeclaredRange | None, further: tuple[ScalarInput, ...]) -> None:
-    """Note a range whose corners are too many to look at each."""
-    if loads is None:
-        return
-    vary = len(further) + sum(a < b for a, b in zip(loads.low, loads.high, strict=True))
-    if vary > MOST_INPUTS:
-        message = f"{vary} inputs vary, and {MOST_INPUTS} may; give some loads the range 0"
-        top.wrong("interface", message)
 
 
 def _check_weight(

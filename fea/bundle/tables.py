@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrenchbook.fea.bundle.inputs_table import read_expansion
-from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic, Three
+from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import (
     COUPLINGS,
@@ -172,7 +172,14 @@ def read_range(
 
 
 def _interface(keys: Keys, name: str = "", held: bool = False) -> Interface | None:
-    hold, locked = _hold(keys, "section"), _locked(keys)
+    hold = _hold(keys, "section")
+    locked = keys.texts("locked", required=False) or ()
+    for freedom in locked:
+        if freedom not in FREEDOMS:
+            keys.wrong("locked", f'"{freedom}" is none of {", ".join(FREEDOMS)}')
+    if len(locked) == len(FREEDOMS):
+        keys.wrong("locked", "holds every freedom; nothing is left to move")
+    locked = tuple(freedom for freedom in FREEDOMS if freedom in locked)
     keys.close()
     return hold and replace(hold, locked=FREEDOMS if held else locked, name=name)
 
@@ -186,16 +193,6 @@ def _hold(keys: Keys, group: str) -> Interface | None:
     if section is None or axes is None or coupling is None:
         return None
     return Interface(section, None if point is None else np.array(point), axes, coupling)
-
-
-def _locked(keys: Keys) -> tuple[str, ...]:
-    locked = keys.texts("locked", required=False) or ()
-    for freedom in locked:
-        if freedom not in FREEDOMS:
-            keys.wrong("locked", f'"{freedom}" is none of {", ".join(FREEDOMS)}')
-    if len(locked) == len(FREEDOMS):
-        keys.wrong("locked", "holds every freedom; nothing is left to move")
-    return tuple(freedom for freedom in FREEDOMS if freedom in locked)
 
 
 def read_analysis(keys: Keys | None, of_deck: Sequence[str] = ()) -> Analysis:
@@ -293,7 +290,9 @@ def read_material(keys: Keys) -> Material | None:
         own = _orthotropic(keys)
         constants = None if own is None else (max(own.youngs_moduli), own.isotropic_ratio)
     else:
-        own, constants = None, _isotropic(keys)
+        modulus = keys.number("youngs_modulus", "Pa", above=0.0)
+        ratio = keys.number("poisson_ratio", "no unit", above=-1.0, below=0.5)
+        own, constants = None, None if modulus is None or ratio is None else (modulus, ratio)
     density = keys.number("density", "kg/m^3", above=0.0, required=False)
     strength = keys.number("yield_strength", "Pa", above=0.0, required=False)
     expansion = read_expansion(keys, law)
@@ -303,18 +302,30 @@ def read_material(keys: Keys) -> Material | None:
     return Material(region, *constants, density, strength, law, own, expansion)
 
 
-def _isotropic(keys: Keys) -> tuple[float, float] | None:
-    modulus = keys.number("youngs_modulus", "Pa", above=0.0)
-    ratio = keys.number("poisson_ratio", "no unit", above=-1.0, below=0.5)
-    return None if modulus is None or ratio is None else (modulus, ratio)
-
-
 def _orthotropic(keys: Keys) -> Orthotropic | None:
     """Return nine constants and their directions; None if no material can have them."""
     young = _three(keys, "youngs_modulus", "E1, E2, E3", "Pa", positive=True)
     ratios = _three(keys, "poisson_ratio", "nu12, nu13, nu23", "no unit", positive=False)
     shears = _three(keys, "shear_modulus", "G12, G13, G23", "Pa", positive=True)
-    cylinder = _cylinder(keys)
+    # ``cylinder``: a point and the direction of its axis, exactly a unit; None for none.
+    table = keys.table("cylinder", required=False)
+    if table is None:
+        cylinder = None
+    else:
+        point, axis = table.numbers("point", 3, "m"), table.numbers("axis", 3, "no unit")
+        table.close()
+        if "axes" in keys:
+            keys.wrong(
+                "axes", "is for directions that are the same everywhere: leave it or cylinder out"
+            )
+        if point is None or axis is None:
+            cylinder = None
+        elif not 1e-6 < math.sqrt(sum(one * one for one in axis)) < 1e6:
+            table.wrong("axis", "must be a direction: three numbers that are not all zero")
+            cylinder = None
+        else:
+            x, y, z = _unit(axis)
+            cylinder = (point[0], point[1], point[2]), (x, y, z)
     axes = read_axes(keys)
     if young is None or ratios is None or shears is None or axes is None:
         return None
@@ -335,26 +346,6 @@ def _orthotropic(keys: Keys) -> Orthotropic | None:
         keys.wrong("poisson_ratio", message)
         return None
     return own
-
-
-def _cylinder(keys: Keys) -> tuple[Three, Three] | None:
-    """Return ``cylinder``: a point and the direction of its axis, exactly a unit; None for none."""
-    table = keys.table("cylinder", required=False)
-    if table is None:
-        return None
-    point, axis = table.numbers("point", 3, "m"), table.numbers("axis", 3, "no unit")
-    table.close()
-    if "axes" in keys:
-        keys.wrong(
-            "axes", "is for directions that are the same everywhere: leave it or cylinder out"
-        )
-    if point is None or axis is None:
-        return None
-    if not 1e-6 < math.sqrt(sum(one * one for one in axis)) < 1e6:
-        table.wrong("axis", "must be a direction: three numbers that are not all zero")
-        return None
-    x, y, z = _unit(axis)
-    return (point[0], point[1], point[2]), (x, y, z)
 
 
 def _three(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.component import AttachedInterface, ComponentModel
+from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, HeldGroup, in_si
 from wrenchbook.fea.mesh.groups import group_nodes
 from wrenchbook.fea.mesh.mesh import Mesh
@@ -105,7 +105,8 @@ def _other_material(component: ComponentModel, deck: DeckContent, one: Any) -> I
 def _freed(component: ComponentModel, one: HeldGroup) -> Iterator[str]:
     nodes = _nodes(component.mesh, one.group)
     nodes = np.setdiff1d(nodes, component.fixed_nodes)
-    for interface in (*_held(component), *(own for own, _ in component.bushings)):
+    held_ones = [own for own in component.interfaces if len(own.locked) == 6]
+    for interface in (*held_ones, *(own for own, _ in component.bushings)):
         nodes = np.setdiff1d(nodes, interface.section.node_ids)
     held = np.zeros((len(component.mesh.points), 3))
     sliding, projectors = component.sliding
@@ -117,10 +118,6 @@ def _freed(component: ComponentModel, one: HeldGroup) -> Iterator[str]:
             f'{one.where} holds "{one.group}" along {", ".join(one.directions)}; {free} of its '
             "nodes are free in the component: name it under [supports]"
         )
-
-
-def _held(component: ComponentModel) -> list[AttachedInterface]:
-    return [one for one in component.interfaces if len(one.locked) == 6]
 
 
 def _uncoupled(component: ComponentModel, one: CoupledGroup) -> Iterator[str]:

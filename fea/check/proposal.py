@@ -235,7 +235,20 @@ def propose(
     proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m", case)
     proposal.decide += decide
     if unit is None:
-        proposal.unit = _guessed(proposal)
+        materials = proposal.deck.materials.values()
+        largest = max((own.get("youngs_modulus", 0.0) for own in materials), default=0.0)
+        density = max((own.get("density", 0.0) for own in materials), default=0.0)
+        unit = next(unit for least, unit in _UNITS if largest > least)
+        if density > _IN_KILOGRAMS:
+            unit = "m"
+        elif _IN_SLINCHES[0] < density < _IN_SLINCHES[1]:
+            unit = "in"
+        why = (
+            f"; {unit} by its constants" if largest or density else f" and has no constants; {unit}"
+        )
+        pounds = ", with pounds and psi" * (unit == "in")
+        proposal.decide.append(f"unit: a deck names none{why}{pounds} (--unit)")
+        proposal.unit = unit
     lines = proposal.lines(_name(file.stem), deck.name)
     left += proposal.left + [f"{where} {words}" for where, words in proposal.deck.missing.items()]
     notes = [f"# DECIDE: {words}" for words in proposal.decide]
@@ -261,21 +274,6 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
         return text, [], []
     except (OSError, MeshFileError) as error:
         raise BundleError([BundleProblem(file.name, str(error))]) from None
-
-
-def _guessed(proposal: _Proposal) -> str:
-    materials = proposal.deck.materials.values()
-    largest = max((own.get("youngs_modulus", 0.0) for own in materials), default=0.0)
-    density = max((own.get("density", 0.0) for own in materials), default=0.0)
-    unit = next(unit for least, unit in _UNITS if largest > least)
-    if density > _IN_KILOGRAMS:
-        unit = "m"
-    elif _IN_SLINCHES[0] < density < _IN_SLINCHES[1]:
-        unit = "in"
-    why = f"; {unit} by its constants" if largest or density else f" and has no constants; {unit}"
-    pounds = ", with pounds and psi" * (unit == "in")
-    proposal.decide.append(f"unit: a deck names none{why}{pounds} (--unit)")
-    return unit
 
 
 def _text(value: str) -> str:
@@ -313,22 +311,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps(found))
     else:
-        print("\n".join(_as_lines(found)))
+        check = found["check"]
+        print(
+            "\n".join(
+                [
+                    *(f"wrote {file}" for file in found["files"]),
+                    *(f"not taken over: {one}" for one in found["left"]),
+                    *(f"decide: {one}" for one in found["decide"]),
+                    *(f"warning: {one['where']}: {one['message']}" for one in check["warnings"]),
+                    *(f"error: {one['where']}: {one['message']}" for one in check["problems"]),
+                    "ready to solve"
+                    if check["ok"]
+                    else f"then: wrenchbook check {Path(found['files'][0]).parent}",
+                ]
+            )
+        )
     return 0 if found["check"]["ok"] else 1
-
-
-def _as_lines(found: dict[str, Any]) -> list[str]:
-    check = found["check"]
-    return [
-        *(f"wrote {file}" for file in found["files"]),
-        *(f"not taken over: {one}" for one in found["left"]),
-        *(f"decide: {one}" for one in found["decide"]),
-        *(f"warning: {one['where']}: {one['message']}" for one in check["warnings"]),
-        *(f"error: {one['where']}: {one['message']}" for one in check["problems"]),
-        "ready to solve"
-        if check["ok"]
-        else f"then: wrenchbook check {Path(found['files'][0]).parent}",
-    ]
 
 
 if __name__ == "__main__":

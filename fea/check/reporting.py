@@ -31,7 +31,6 @@ from wrenchbook.fea.inspection.cells import quality, quality_warnings
 from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings, stack_problems
 from wrenchbook.fea.mesh.cad.meshing import list_shape
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import GEOMETRY_ENDINGS
@@ -123,7 +122,20 @@ def _list_geometry(path: Path | None, summary: dict[str, Any]) -> None:
 def _look_at_mesh(
     bundle: Bundle, mesh: Mesh, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]
 ) -> None:
-    summary |= _counts(mesh)
+    facets = {
+        name: sum(len(nodes) for _, nodes in group.blocks)
+        for name, group in mesh.facet_groups.items()
+    }
+    summary |= {
+        "unknowns": mesh.unknowns,
+        "nodes": len(mesh.points),
+        "cells": mesh.cell_counts,
+        "groups": {
+            "cells": {n: sum(len(part) for part in r) for n, r in mesh.regions.items()},
+            "facets": facets,
+            "nodes": {name: len(nodes) for name, nodes in mesh.node_groups.items()},
+        },
+    }
     summary["quality"] = quality(mesh)
     _warn(summary, [BundleProblem("mesh", words) for words in quality_warnings(summary["quality"])])
     bodies = bodies_of(mesh)
@@ -136,13 +148,7 @@ def _look_at_mesh(
     component = build(bundle, mesh)
     _warn(summary, contradictions(component))
     _look_at_component(component, bodies, pairs, summary)
-    _try_out(component, riding, nonlinear, summary)
-
-
-def _try_out(
-    component: ComponentModel, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]
-) -> None:
-    """Find what every solve would refuse, then how the part moves and swings."""
+    # Find what every solve would refuse, then how the part moves and swings.
     solver, problems = solver_of(component)
     if solver is None:
         raise BundleError(problems)
@@ -157,11 +163,7 @@ def _try_out(
     _warn(summary, warnings)
     summary["strength"], warnings = strength(solver, nonlinear)
     _warn(summary, warnings)
-    _tell_accuracy(solver, summary)
-
-
-def _tell_accuracy(solver: Solver, summary: dict[str, Any]) -> None:
-    """Find what the solver's answers may be wrong by, and whether that is over the tolerance."""
+    # Find what the solver's answers may be wrong by, and whether that is over the tolerance.
     cost, bundle = summary["estimate"], solver.component.bundle
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
         return
@@ -178,35 +180,16 @@ def _tell_accuracy(solver: Solver, summary: dict[str, Any]) -> None:
 def _look_at_component(
     component: ComponentModel, bodies: Bodies, pairs: Any, summary: dict[str, Any]
 ) -> None:
-    summary |= _what_is_set(component)
-    _warn(summary, set_up_warnings(component))
-    problems = findings.motion_problems(component, bodies, pairs)
-    if problems:
-        raise BundleError(problems)
-    summary["estimate"] = estimate(component)
-
-
-def _counts(mesh: Mesh) -> dict[str, Any]:
-    facets = {
-        name: sum(len(nodes) for _, nodes in group.blocks)
-        for name, group in mesh.facet_groups.items()
-    }
-    return {
-        "unknowns": mesh.unknowns,
-        "nodes": len(mesh.points),
-        "cells": mesh.cell_counts,
-        "groups": {
-            "cells": {n: sum(len(part) for part in r) for n, r in mesh.regions.items()},
-            "facets": facets,
-            "nodes": {name: len(nodes) for name, nodes in mesh.node_groups.items()},
-        },
-    }
-
-
-def _what_is_set(component: ComponentModel) -> dict[str, Any]:
     numbers = component.material_of_cells
     attached = [_section(one) for one in component.interfaces]
-    return {
+    # The ranges of the inputs behind the loads, where there are any.
+    found: dict[str, Any] = {}
+    if own := component.temperature:
+        found["temperature"] = {"low": own.low, "high": own.high, "reference": own.reference}
+    if component.accelerated:
+        found["acceleration"] = [one.high for one in component.further[-3:]]
+    counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
+    summary |= {
         "materials": [
             {
                 "region": material.region,
@@ -219,27 +202,17 @@ def _what_is_set(component: ComponentModel) -> dict[str, Any]:
             }
             for i, material in enumerate(component.materials)
         ],
-        "supports": {"nodes": len(component.fixed_nodes)} | _other_supports(component),
-        **_further(component),
+        "supports": {"nodes": len(component.fixed_nodes)}
+        | {name: count for name, count in counts.items() if count},
+        **found,
         **({"sections": attached} if component.others else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
     }
-
-
-def _further(component: ComponentModel) -> dict[str, Any]:
-    """Return the ranges of the inputs behind the loads, where there are any."""
-    found: dict[str, Any] = {}
-    if own := component.temperature:
-        found["temperature"] = {"low": own.low, "high": own.high, "reference": own.reference}
-    if component.accelerated:
-        found["acceleration"] = [one.high for one in component.further[-3:]]
-    return found
-
-
-def _other_supports(component: ComponentModel) -> dict[str, Any]:
-    """Return what holds the part besides fixed nodes, where there is any."""
-    counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
-    return {name: count for name, count in counts.items() if count}
+    _warn(summary, set_up_warnings(component))
+    problems = findings.motion_problems(component, bodies, pairs)
+    if problems:
+        raise BundleError(problems)
+    summary["estimate"] = estimate(component)
 
 
 def _section(interface: AttachedInterface) -> dict[str, Any]:
@@ -279,7 +252,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("folder", type=Path, metavar="FOLDER", help="folder of the component bundle")
     try:
         options = parser.parse_args(arguments)
-        riding = _riding(options)
+        # The mass that the arguments tell; None if they tell none.
+        if options.mass is None and options.inertia is None and options.centre is None:
+            riding = None
+        else:
+            if options.mass is None:
+                raise ValueError("--inertia and --centre need --mass")
+            riding = Riding.of(options.mass, options.inertia, options.centre)
     except SystemExit as error:
         return int(error.code or 0)
     except (argparse.ArgumentError, ValueError) as error:
@@ -292,18 +271,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _numbers(text: str) -> list[float]:
     return [float(word) for word in text.split(",")]
-
-
-def _riding(options: argparse.Namespace) -> Riding | None:
-    """Return the mass that the arguments tell; None if they tell none.
-
-    Raises
-    ------
-    ValueError
-        If no body has such a mass.
-    """
-    if options.mass is None and options.inertia is None and options.centre is None:
-        return None
-    if options.mass is None:
-        raise ValueError("--inertia and --centre need --mass")
-    return Riding.of(options.mass, options.inertia, options.centre)

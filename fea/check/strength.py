@@ -45,7 +45,34 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     if all(material.yield_strength is None for material in component.materials):
         return [], []
     try:
-        found = _first_order(component, solver)
+        # The worst corner of the range for each material that has cells.
+        corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
+        if len(corners) > _MOST_CORNERS * 2 ** len(component.further):
+            raise ValueError("the range of more than two interfaces has too many corners")
+        unit = solver.unit_stresses()
+        loads = corners
+        if component.analysis.gravity:  # one more load, which is always there
+            sag = small_stress(solver.body, solver.linear.sag[:, :, None])
+            unit = np.concatenate((unit, sag), axis=2)
+            loads = np.column_stack((corners, np.ones(len(corners))))
+        places, numbers = places_of(component, component.mesh.points)
+        found = []
+        for number in np.unique(numbers):
+            own = np.flatnonzero(numbers == number)
+            largest, corner, point = _worst(unit[own], loads)
+            material = component.materials[number]
+            pairs = zip(component.further, corners[corner][count:].tolist(), strict=True)
+            found.append(
+                {
+                    "region": material.region,
+                    "largest": largest,
+                    "at": places[own[point]].tolist(),
+                    "wrench": corners[corner][:count].tolist(),
+                    **{one.name: value + one.reference for one, value in pairs},
+                    "yield_strength": material.yield_strength,
+                    "first_order": component.analysis.nonlinear,
+                }
+            )
     except SolveFailed as error:
         return [], [BundleProblem("material", f"no stresses: {error}")]
     except ValueError as error:
@@ -54,42 +81,6 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     if nonlinear and component.analysis.nonlinear:
         warnings += _at_large(component, solver, found)
     return found, warnings + _yielding(component, found)
-
-
-def _first_order(component: ComponentModel, solver: Solver) -> list[dict[str, Any]]:
-    """Return the worst corner of the range for each material that has cells."""
-    corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
-    if len(corners) > _MOST_CORNERS * 2 ** len(component.further):
-        raise ValueError("the range of more than two interfaces has too many corners")
-    unit = solver.unit_stresses()
-    loads = corners
-    if component.analysis.gravity:  # one more load, which is always there
-        sag = small_stress(solver.body, solver.linear.sag[:, :, None])
-        unit = np.concatenate((unit, sag), axis=2)
-        loads = np.column_stack((corners, np.ones(len(corners))))
-    places, numbers = places_of(component, component.mesh.points)
-    found = []
-    for number in np.unique(numbers):
-        own = np.flatnonzero(numbers == number)
-        largest, corner, point = _worst(unit[own], loads)
-        material = component.materials[number]
-        found.append(
-            {
-                "region": material.region,
-                "largest": largest,
-                "at": places[own[point]].tolist(),
-                "wrench": corners[corner][:count].tolist(),
-                **_further(component, corners[corner][count:]),
-                "yield_strength": material.yield_strength,
-                "first_order": component.analysis.nonlinear,
-            }
-        )
-    return found
-
-
-def _further(component: ComponentModel, acting: Array) -> dict[str, float]:
-    pairs = zip(component.further, acting.tolist(), strict=True)
-    return {one.name: value + one.reference for one, value in pairs}
 
 
 def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:

@@ -55,8 +55,14 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
         ``mechanism`` and ``ill_conditioned``, in the words of the failure.
     """
     points, bundle = solver.component.mesh.points, solver.component.bundle
-    result = {"size": np.ptp(points, axis=0).tolist(), **_volume_and_mass(solver)}
-    result["deflection"] = None
+    component = solver.component
+    volumes = np.zeros(len(component.materials))
+    for numbers, volume in solver.volumes:
+        np.add.at(volumes, numbers, volume)
+    densities = [one.density for one in component.materials]
+    known = None if None in densities else float(volumes @ np.array(densities, dtype=float))
+    size = np.ptp(points, axis=0).tolist()
+    result = {"size": size, "volume": float(volumes.sum()), "mass": known, "deflection": None}
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
         return result, []
     try:
@@ -117,16 +123,6 @@ _UNITS = (
     "If that is not so, a unit is wrong: lengths of the mesh (unit), youngs_modulus in Pa, force "
     "in N, moment in N·m"
 )
-
-
-def _volume_and_mass(solver: Solver) -> dict[str, Any]:
-    component = solver.component
-    volumes = np.zeros(len(component.materials))
-    for numbers, volume in solver.volumes:
-        np.add.at(volumes, numbers, volume)
-    densities = [one.density for one in component.materials]
-    known = None if None in densities else float(volumes @ np.array(densities, dtype=float))
-    return {"volume": float(volumes.sum()), "mass": known}
 
 
 def _problem(failure: SolveFailed) -> BundleProblem:

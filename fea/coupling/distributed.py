@@ -71,7 +71,21 @@ class Distributed(SectionCoupling):
         columns[:, :, 6:9] = self._weights[:, None, None] * np.eye(3)
         columns[:, :, 9:] = -weighted_arms
         block = np.zeros((2 * PER_INTERFACE, 2 * PER_INTERFACE))
-        self._fill(block, own)
+        # Write the border's own derivatives, less those of the spin itself.
+        centre = skew(own.centre) @ own.spin
+        inertia = own.inertia()
+        turning = -skew(own.force) @ skew(own.centre) + np.einsum(
+            "i,iab,ibc->ac",
+            self._weights,
+            skew(np.cross(own.places, own.moment)),
+            skew(own.arms),
+        )
+        block[3:6, 3:6] = own.spin.T @ turning @ own.spin
+        block[:3, 6:9] = block[6:9, :3] = -np.eye(3)
+        block[6:9, 3:6] = centre
+        block[3:6, 6:9] = centre.T
+        block[3:6, 9:] = own.spin.T @ inertia
+        block[9:, 3:6] = inertia.T @ own.spin
         excess = own.carried_moment() - wrench[3:]
         block[3:6, 3:6] += spin_slope(state.interface[3:], excess)
         return Border(np.zeros_like(columns), columns, block)
@@ -103,23 +117,6 @@ class Distributed(SectionCoupling):
         second = moment[:, None] @ moved
         second = -(second + second.swapaxes(0, 1))
         return moments, np.moveaxis(changes, 0, 2), np.moveaxis(second, (0, 1), (2, 3))
-
-    def _fill(self, block: Array, own: _Turned) -> None:
-        """Write the border's own derivatives, less those of the spin itself."""
-        centre = skew(own.centre) @ own.spin
-        inertia = own.inertia()
-        turning = -skew(own.force) @ skew(own.centre) + np.einsum(
-            "i,iab,ibc->ac",
-            self._weights,
-            skew(np.cross(own.places, own.moment)),
-            skew(own.arms),
-        )
-        block[3:6, 3:6] = own.spin.T @ turning @ own.spin
-        block[:3, 6:9] = block[6:9, :3] = -np.eye(3)
-        block[6:9, 3:6] = centre
-        block[3:6, 6:9] = centre.T
-        block[3:6, 9:] = own.spin.T @ inertia
-        block[9:, 3:6] = inertia.T @ own.spin
 
 
 class _Turned:

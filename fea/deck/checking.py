@@ -33,12 +33,16 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     """
     content = deck.file.read_bytes()
     problems = [_missing(name) for name in missing_placeholders(content)]
-    text = "\n".join(_text(file) for file in (deck.file, *deck.files))
+    text = "\n".join(
+        file.read_text(encoding="utf-8", errors="replace") for file in (deck.file, *deck.files)
+    )
     mistakes = reader_named(deck.output["reader"]).mistakes(text, deck)
     problems += [BundleProblem("deck.file", f"{deck.file.name} {mistake}") for mistake in mistakes]
     if problems:
         raise BundleError(problems)
-    program = _found(deck)
+    program = deck.command[0]
+    own = [file for file in deck.files if Path(program) == Path(file.name)]
+    program = program if own and "/" in program else shutil.which(program)
     summary = {
         "file": deck.file.name,
         "program": program,
@@ -58,18 +62,6 @@ def _missing(placeholder: str) -> BundleProblem:
     return BundleProblem("deck.file", message)
 
 
-def _found(deck: Deck) -> str | None:
-    program = deck.command[0]
-    own = [file for file in deck.files if Path(program) == Path(file.name)]
-    if own and "/" in program:
-        return program
-    return shutil.which(program)
-
-
 def _not_here(program: str) -> BundleProblem:
     message = f'the program "{program}" is not on the PATH of this machine; install it where '
     return BundleProblem("deck.command", message + "solves run")
-
-
-def _text(file: Path) -> str:
-    return file.read_text(encoding="utf-8", errors="replace")

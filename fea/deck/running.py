@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.fea.deck import failures
-from wrenchbook.fea.readers.reader import Complaint, DeckReader, DeckRun, OutputError, Reading
+from wrenchbook.fea.readers.reader import DeckReader, DeckRun, OutputError, Reading
 from wrenchbook.fea.readers.registry import reader_named
 from wrenchbook.fea.solution import Progress
 from wrenchbook.fea.spec.schema import UNITS, Deck
@@ -115,20 +115,21 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
         raise failures.timed_out(command[0], deck.timeout) from None
     except OSError as error:
         raise failures.no_solver(command[0], error.strerror or str(error)) from None
-    _require_success(command[0], code, reader.complaint(run), run)
-    try:
-        return reader.read(run, deck.output)
-    except OutputError as error:
-        raise failures.bad_output(str(error), run.folder) from None
-
-
-def _require_success(program: str, code: int, complaint: Complaint | None, run: DeckRun) -> None:
+    program = command[0]
+    complaint = reader.complaint(run)
     if complaint is not None and complaint.not_converged:
         raise failures.not_converged(program, complaint.quoted)
     if complaint is not None:
         raise failures.solver_failed(program, _how(code), complaint.quoted, run.folder)
     if code != 0:
-        raise failures.solver_failed(program, _how(code), _tail(run.printed), run.folder)
+        text = run.printed.read_text(encoding="utf-8", errors="replace").strip()
+        raise failures.solver_failed(
+            program, _how(code), text[-_MOST_QUOTED:] or "nothing", run.folder
+        )
+    try:
+        return reader.read(run, deck.output)
+    except OutputError as error:
+        raise failures.bad_output(str(error), run.folder) from None
 
 
 def _how(code: int) -> str:
@@ -142,11 +143,6 @@ def _how(code: int) -> str:
         name = f"signal {-code}"
     memory = " (out of memory?)" if -code == signal.SIGKILL else ""
     return f"was ended by {name}{memory}"
-
-
-def _tail(printed: Path) -> str:
-    text = printed.read_text(encoding="utf-8", errors="replace").strip()
-    return text[-_MOST_QUOTED:] or "nothing"
 
 
 _GRACE = 2.0  # seconds between asking to end and killing; engines wait 5 s for us
@@ -194,9 +190,22 @@ def run_command(
     child = _start(command, folder, printed)
     try:
         with _guarded(child.pid):
-            return _wait(child, deadline, watch)
+            while True:
+                left = deadline - time.monotonic()
+                if left <= 0.0:
+                    raise OutOfTime
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    return child.wait(min(left, _LOOK_EVERY))
+                if watch is not None:
+                    watch()
     finally:
-        _end(child)
+        # End what is left of the child's process group.
+        if child.poll() is None:
+            _signal(child.pid, signal.SIGTERM)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.wait(_GRACE)
+        _signal(child.pid, signal.SIGKILL)
+        child.wait()
 
 
 def _start(command: Sequence[str], folder: Path, printed: Path) -> subprocess.Popen[bytes]:
@@ -209,17 +218,6 @@ def _start(command: Sequence[str], folder: Path, printed: Path) -> subprocess.Po
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
-
-
-def _wait(child: subprocess.Popen[bytes], deadline: float, watch: Callable[[], None] | None) -> int:
-    while True:
-        left = deadline - time.monotonic()
-        if left <= 0.0:
-            raise OutOfTime
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            return child.wait(min(left, _LOOK_EVERY))
-        if watch is not None:
-            watch()
 
 
 @contextlib.contextmanager
@@ -237,16 +235,6 @@ def _guarded(group: int) -> Iterator[None]:
     finally:
         with contextlib.suppress(BrokenPipeError):
             guard.communicate(b"\n")
-
-
-def _end(child: subprocess.Popen[bytes]) -> None:
-    """End what is left of the child's process group."""
-    if child.poll() is None:
-        _signal(child.pid, signal.SIGTERM)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            child.wait(_GRACE)
-    _signal(child.pid, signal.SIGKILL)
-    child.wait()
 
 
 def _signal(group: int, number: int) -> None:

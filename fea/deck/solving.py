@@ -15,7 +15,7 @@ from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.deck import failures
 from wrenchbook.fea.deck.running import run_deck
 from wrenchbook.fea.solution import Progress, Solution, checked_wrench
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck, DeclaredRange
+from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck
 
 Array = np.ndarray
 
@@ -73,7 +73,40 @@ def solve_deck(
         raise ValueError("the bundle has no deck")
     report = progress or (lambda fraction, message: None)
     with _work_folder(folder) as place:
-        found = _solution(_Runs(bundle.deck, place, report, accept), bundle, whole)
+        # Run the deck as often as it takes, and gather what is known.
+        runs = _Runs(bundle.deck, place, report, accept)
+        if bundle.analysis.nonlinear:
+            displacement, compliance = _nonlinear(runs, whole), np.full((6, 6), np.nan)
+            work = np.nan
+        else:
+            # Displacement and compliance of a linear deck.
+            displacement = runs.run("wrench", whole, 0.0, 1.0 / 7.0)
+            # Loads of the size expected, so that nothing in the deck is far from its purpose.
+            sizes = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
+            columns = []
+            for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
+                load = np.zeros(6)
+                load[i] = sizes[i]
+                columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
+            compliance = np.stack(columns, axis=1)
+            # Each entry against the largest of its kind: what symmetry forbids is only roundoff.
+            largest = (np.abs(compliance) @ np.abs(whole)).reshape(2, 3).max(axis=1)
+            gaps = np.abs(compliance @ whole - displacement).reshape(2, 3).max(axis=1)
+            if (gaps > _LINEAR_GAP * largest).any():
+                raise failures.not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
+            _require_reciprocal(compliance, sizes)
+            work = float(whole @ displacement)
+        found = Solution(
+            wrench=whole,
+            displacement=displacement,
+            compliance=compliance,
+            strain_energy=0.5 * work,
+            work=work,
+            unknowns=runs.unknowns,
+            seconds=0.0,
+            history=(),
+            nodes=np.empty((0, 3)),
+        )
     accept(found.displacement)
     report(1.0, "done")
     return replace(found, seconds=time.perf_counter() - started)
@@ -102,27 +135,6 @@ class _Runs:
         return displacement
 
 
-def _solution(runs: _Runs, bundle: Bundle, wrench: Array) -> Solution:
-    """Run the deck as often as it takes, and gather what is known."""
-    if bundle.analysis.nonlinear:
-        displacement, compliance = _nonlinear(runs, wrench), np.full((6, 6), np.nan)
-        work = np.nan
-    else:
-        displacement, compliance = _linear(runs, wrench, bundle.range)
-        work = float(wrench @ displacement)
-    return Solution(
-        wrench=wrench,
-        displacement=displacement,
-        compliance=compliance,
-        strain_energy=0.5 * work,
-        work=work,
-        unknowns=runs.unknowns,
-        seconds=0.0,
-        history=(),
-        nodes=np.empty((0, 3)),
-    )
-
-
 def _nonlinear(runs: _Runs, wrench: Array) -> Array:
     """Return the displacement of a nonlinear deck under a spatial wrench.
 
@@ -145,44 +157,16 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
         if gap <= _MOMENT_GAP * size:
             return displacement
         if number:
-            inverse = _broyden(inverse, step, excess - before)
+            # The inverse Jacobian after a step that changed the excess so (the "good" update).
+            change = excess - before
+            row = step @ inverse
+            scale = float(row @ change)
+            if abs(scale) >= 1e-3 * float(step @ step):
+                inverse = inverse + np.outer(step - inverse @ change, row) / scale
         step, before = -inverse @ excess, excess
         acting = acting + step
     runs.accept(displacement)
     raise failures.moment_unsettled(_MOST_RUNS, gap / size)
-
-
-def _broyden(inverse: Array, step: Array, change: Array) -> Array:
-    """Return the inverse Jacobian after a step that changed the excess so (the "good" update)."""
-    row = step @ inverse
-    scale = float(row @ change)
-    if abs(scale) < 1e-3 * float(step @ step):
-        return inverse
-    return inverse + np.outer(step - inverse @ change, row) / scale
-
-
-def _linear(runs: _Runs, wrench: Array, expected: DeclaredRange) -> tuple[Array, Array]:
-    """Return displacement and compliance of a linear deck."""
-    displacement = runs.run("wrench", wrench, 0.0, 1.0 / 7.0)
-    # Loads of the size expected, so that nothing in the deck is far from what it was made for.
-    sizes = np.maximum(np.abs(expected.low), np.abs(expected.high))
-    columns = []
-    for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
-        load = np.zeros(6)
-        load[i] = sizes[i]
-        columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
-    compliance = np.stack(columns, axis=1)
-    _require_linear(compliance, wrench, displacement)
-    _require_reciprocal(compliance, sizes)
-    return displacement, compliance
-
-
-def _require_linear(compliance: Array, wrench: Array, displacement: Array) -> None:
-    # Each entry against the largest of its kind: a motion that symmetry forbids is only roundoff.
-    largest = (np.abs(compliance) @ np.abs(wrench)).reshape(2, 3).max(axis=1)
-    gaps = np.abs(compliance @ wrench - displacement).reshape(2, 3).max(axis=1)
-    if (gaps > _LINEAR_GAP * largest).any():
-        raise failures.not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
 
 
 def _require_reciprocal(compliance: Array, sizes: Array) -> None:

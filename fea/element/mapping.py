@@ -54,7 +54,13 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     element = reference_element(block.kind, integration)
     jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes  # dX_i/dxi_j
     determinant = np.linalg.det(jacobian)
-    _require_unfolded(points, block)
+    bad = folded_cells(points, block)
+    if bad.size:
+        listed = ", ".join(str(cell) for cell in bad[:5])
+        raise inverted_elements(
+            f"{bad.size} of {len(block)} {block.kind} cells are turned inside out or flat "
+            f"(cell numbers {listed}{', ...' if bad.size > 5 else ''})."
+        )
     inverse = np.linalg.inv(jacobian)
     slopes = inverse.transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)
     return Gradients(np.ascontiguousarray(slopes), determinant * element.weights, element.values)
@@ -82,13 +88,3 @@ def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:
             np.searchsorted(nodes, facets.ravel()), part.ravel(), minlength=nodes.size
         )
     return nodes, weights
-
-
-def _require_unfolded(points: Array, block: CellBlock) -> None:
-    bad = folded_cells(points, block)
-    if bad.size:
-        listed = ", ".join(str(cell) for cell in bad[:5])
-        raise inverted_elements(
-            f"{bad.size} of {len(block)} {block.kind} cells are turned inside out or flat "
-            f"(cell numbers {listed}{', ...' if bad.size > 5 else ''})."
-        )

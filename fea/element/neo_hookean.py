@@ -61,7 +61,9 @@ class _State(DenseState):
         self.shear = cells.shear[part, None]
         self.first_lame = cells.first_lame[part, None]
         self.modes = cells.modes_of(part)
-        self.growth = _growth(self.H)  # J - 1
+        trace = np.trace(self.H, axis1=-2, axis2=-1)
+        minors = 0.5 * (trace**2 - np.sum(self.H * self.H.swapaxes(-1, -2), axis=(-2, -1)))
+        self.growth = trace + minors + np.linalg.det(self.H)  # J - 1
         self.J = 1.0 + self.growth
         self.inverse = np.linalg.inv(np.eye(3) + 2.0 * self.E)
         # A cell turned inside out has no energy: not a number, which Newton's method takes as such.
@@ -162,13 +164,6 @@ class _State(DenseState):
         own = 1.5 * self.shear * np.expm1(-np.log1p(less) / 3.0)
         own = np.where(self.J > 0.0, own, np.nan)
         return float(np.vdot(self.weights, own) + 0.5 * np.vdot(self.pressure, self.growth))
-
-
-def _growth(H: Array) -> Array:
-    """Return det(I + H) - 1 with all its digits, shape (...)."""
-    trace = np.trace(H, axis1=-2, axis2=-1)
-    minors = 0.5 * (trace**2 - np.sum(H * H.swapaxes(-1, -2), axis=(-2, -1)))
-    return trace + minors + np.linalg.det(H)
 
 
 def _deviator(strain: Array) -> Array:

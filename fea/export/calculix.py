@@ -24,7 +24,7 @@ from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE, Bundle, Material
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE, Bundle
 
 Array = np.ndarray
 
@@ -68,12 +68,6 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
         If CalculiX has no counterpart: a distributed coupling, whose mean motion it does not
         report, interfaces of different axes, or cells it has no element for.
     """
-    _require_counterparts(component)
-    lines = [*(f"** {comment}" for comment in comments), *_body(component), *_step(component)]
-    return "\n".join(lines) + "\n"
-
-
-def _require_counterparts(component: ComponentModel) -> None:
     problems = []
     for one in component.interfaces:
         if one.coupling != "rigid":
@@ -99,6 +93,8 @@ def _require_counterparts(component: ComponentModel) -> None:
             problems.append(BundleProblem("mesh", message))
     if problems:
         raise BundleError(problems)
+    lines = [*(f"** {comment}" for comment in comments), *_body(component), *_step(component)]
+    return "\n".join(lines) + "\n"
 
 
 def _body(component: ComponentModel) -> Iterator[str]:
@@ -116,47 +112,8 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield "*NSET, NSET=FIXED"
         yield from _rows(component.fixed_nodes + 1)
     yield from _sliding(component)
-    yield from _bushings(component)
-    for i, one in enumerate(component.interfaces):
-        ref = len(points) + 2 * i + 1
-        yield f"*NSET, NSET={_set('SECTION', one)}"
-        yield from _rows(one.section.node_ids + 1)
-        yield f"*RIGID BODY, NSET={_set('SECTION', one)}, REF NODE={ref}, ROT NODE={ref + 1}"
-    if component.temperature is not None:
-        reference = _numbers([component.temperature.reference])
-        yield f"*INITIAL CONDITIONS, TYPE=TEMPERATURE\nALL, {reference}"
-    yield "*BOUNDARY"
-    if component.fixed_nodes.size:
-        yield "FIXED, 1, 3"
-    for one in component.interfaces:
-        yield from (f"{_place(name, one)}, {_axis(name)}" for name in one.locked)
-
-
-def _materials(component: ComponentModel) -> Iterator[str]:
-    for i, material in enumerate(component.materials):
-        yield f"*MATERIAL, NAME=M{i}"
-        yield from _elasticity(material, component.analysis.nonlinear)
-        heavy = component.accelerated or component.analysis.gravity is not None
-        if heavy and material.density is not None:
-            yield f"*DENSITY\n{_numbers([material.density])}"
-        if component.temperature is not None:
-            yield _expansion(material, component.temperature.reference)
-        place = ""
-        if material.orthotropic is not None:
-            yield from _orientation(i, material.orthotropic, component.axes)
-            place = f", ORIENTATION=O{i}"
-        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
-
-
-def _set(kind: str, interface: AttachedInterface) -> str:
-    return f"{kind}_{interface.name}".upper() if interface.name else kind
-
-
-def _bushings(component: ComponentModel) -> Iterator[str]:
-    """Yield each bushing as a rigid body, and a spring for each eigenvector of its stiffness.
-
-    The spring is on a node of its own, whose displacement is that combination of the six freedoms.
-    """
+    # Each bushing as a rigid body, and a spring for each eigenvector of its stiffness: on a node of
+    # its own, whose displacement is that combination of the six freedoms.
     node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
     element = sum(len(block) for block in component.mesh.blocks) + 1
     for i, (own, stiffness) in enumerate(component.bushings):
@@ -178,6 +135,53 @@ def _bushings(component: ComponentModel) -> Iterator[str]:
             yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
             yield f"*SPRING, ELSET=K{element}\n1\n{_numbers([size])}"
             node, element = node + 1, element + 1
+    for i, one in enumerate(component.interfaces):
+        ref = len(points) + 2 * i + 1
+        yield f"*NSET, NSET={_set('SECTION', one)}"
+        yield from _rows(one.section.node_ids + 1)
+        yield f"*RIGID BODY, NSET={_set('SECTION', one)}, REF NODE={ref}, ROT NODE={ref + 1}"
+    if component.temperature is not None:
+        reference = _numbers([component.temperature.reference])
+        yield f"*INITIAL CONDITIONS, TYPE=TEMPERATURE\nALL, {reference}"
+    yield "*BOUNDARY"
+    if component.fixed_nodes.size:
+        yield "FIXED, 1, 3"
+    for one in component.interfaces:
+        yield from (f"{_place(name, one)}, {_axis(name)}" for name in one.locked)
+
+
+def _materials(component: ComponentModel) -> Iterator[str]:
+    for i, material in enumerate(component.materials):
+        yield f"*MATERIAL, NAME=M{i}"
+        own = material.orthotropic
+        if own is not None:
+            constants = [*own.youngs_moduli, *own.poisson_ratios, *own.shear_moduli]
+            yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"  # eight a line, the ninth on the next
+            yield f"{_numbers(constants[:8])}\n{_numbers(constants[8:])}"
+        # A hyperelastic deck is never linear.
+        elif material.law == "neo-hookean" and component.analysis.nonlinear:
+            shear = material.youngs_modulus / (2 * (1 + material.poisson_ratio))
+            bulk = material.youngs_modulus / (3 * (1 - 2 * material.poisson_ratio))
+            yield f"*HYPERELASTIC, NEO HOOKE\n{_numbers([shear / 2, 2 / bulk])}"
+        else:
+            yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
+        heavy = component.accelerated or component.analysis.gravity is not None
+        if heavy and material.density is not None:
+            yield f"*DENSITY\n{_numbers([material.density])}"
+        if component.temperature is not None:
+            values = material.thermal_expansion or (0.0, 0.0, 0.0)
+            kind, count = ("", 1) if material.orthotropic is None else (", TYPE=ORTHO", 3)
+            yield f"*EXPANSION, ZERO={component.temperature.reference:.12e}{kind}"
+            yield _numbers(values[:count])
+        place = ""
+        if material.orthotropic is not None:
+            yield from _orientation(i, material.orthotropic, component.axes)
+            place = f", ORIENTATION=O{i}"
+        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
+
+
+def _set(kind: str, interface: AttachedInterface) -> str:
+    return f"{kind}_{interface.name}".upper() if interface.name else kind
 
 
 def _sliding(component: ComponentModel) -> Iterator[str]:
@@ -191,26 +195,6 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
             words = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
             equation = f"*EQUATION\n{len(words)}\n" + ", ".join(words)
             yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
-
-
-def _elasticity(material: Material, nonlinear: bool) -> Iterator[str]:
-    own = material.orthotropic
-    if own is not None:
-        constants = [*own.youngs_moduli, *own.poisson_ratios, *own.shear_moduli]
-        yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"  # eight a line, the ninth on the next
-        yield f"{_numbers(constants[:8])}\n{_numbers(constants[8:])}"
-    elif material.law == "neo-hookean" and nonlinear:  # a hyperelastic deck is never linear
-        shear = material.youngs_modulus / (2 * (1 + material.poisson_ratio))
-        bulk = material.youngs_modulus / (3 * (1 - 2 * material.poisson_ratio))
-        yield f"*HYPERELASTIC, NEO HOOKE\n{_numbers([shear / 2, 2 / bulk])}"
-    else:
-        yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
-
-
-def _expansion(material: Material, reference: float) -> str:
-    values = material.thermal_expansion or (0.0, 0.0, 0.0)
-    kind, count = ("", 1) if material.orthotropic is None else (", TYPE=ORTHO", 3)
-    return f"*EXPANSION, ZERO={reference:.12e}{kind}\n{_numbers(values[:count])}"
 
 
 def _orientation(number: int, own: Orthotropic, axes: Array) -> Iterator[str]:

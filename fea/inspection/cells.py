@@ -57,8 +57,17 @@ class Measure:
 
 def scaled_jacobian(points: Array, block: CellBlock) -> Array:
     """Return the least scaled Jacobian of each cell's corners, shape (m,)."""
-    triples, ideal = _corner_edges(block.kind)
+    # For each corner itself and its three neighbours, right-handed, and the ideal.
+    places = node_places(block.kind)
+    pairs = EDGES[block.kind]
+    triples = []
+    for corner in range(int(np.max(pairs)) + 1):
+        ends = [b if a == corner else a for a, b in pairs if corner in (a, b)]
+        edges = places[ends] - places[corner]
+        triples.append([corner, *(ends if np.linalg.det(edges) > 0 else ends[::-1])])
+    ideal = {"tet": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}[block.kind[:3]]
     at = points[block.nodes]
+    triples = np.array(triples)
     edges = at[:, triples[:, 1:]] - at[:, triples[:, :1]]
     volume = np.linalg.det(edges)
     length = np.linalg.norm(edges, axis=3).prod(axis=2)
@@ -144,16 +153,3 @@ def _worst(mesh: Mesh, measure: Measure) -> dict[str, Any]:
         "bad": bad,
         "limit": measure.limit,
     }
-
-
-def _corner_edges(kind: str) -> tuple[Array, float]:
-    """Return for each corner itself and its three neighbours, right-handed, and the ideal."""
-    places = node_places(kind)
-    pairs = EDGES[kind]
-    triples = []
-    for corner in range(int(np.max(pairs)) + 1):
-        ends = [b if a == corner else a for a, b in pairs if corner in (a, b)]
-        edges = places[ends] - places[corner]
-        triples.append([corner, *(ends if np.linalg.det(edges) > 0 else ends[::-1])])
-    ideal = {"tet": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}[kind[:3]]
-    return np.array(triples), ideal

@@ -100,8 +100,15 @@ class Cutter:
         """Return which cells lie beyond the cheapest cut, shape (c,), bool."""
         count = cells.size
         places = self._centres[cells]
-        pairs = _shared(pairs)
-        starts = _starts(pairs.nodes)
+        # Without the nodes of one cell, which no cut can share; `starts` is where each node begins.
+        same = pairs.nodes[1:] == pairs.nodes[:-1]
+        several = np.append(same, False) | np.append(False, same)
+        pairs = Incidence(pairs.nodes[several], pairs.cells[several])
+        starts = (
+            np.flatnonzero(np.append(True, pairs.nodes[1:] != pairs.nodes[:-1]))
+            if pairs.nodes.size
+            else pairs.nodes
+        )
         low = max(int(count * (0.5 - _WINDOW)), 1)
         sizes = np.arange(low, max(count - low, low) + 1)  # of the first half
         dearer = 1.0 + _UNEVEN * (2.0 * sizes / count - 1.0) ** 2
@@ -127,18 +134,6 @@ def _directions(places: Array) -> Array:
     if len(places) < _MANY_CELLS:
         return np.concatenate([_AXES, own])
     return np.concatenate([_AXES, own, _DIAGONALS])
-
-
-def _shared(pairs: Incidence) -> Incidence:
-    """Leave out the nodes of one cell, which no cut can share."""
-    same = pairs.nodes[1:] == pairs.nodes[:-1]
-    several = np.append(same, False) | np.append(False, same)
-    return Incidence(pairs.nodes[several], pairs.cells[several])
-
-
-def _starts(nodes: Array) -> Array:
-    """Return where each node begins among sorted nodes, indices, shape (different nodes,)."""
-    return np.flatnonzero(np.append(True, nodes[1:] != nodes[:-1])) if nodes.size else nodes
 
 
 def _on_both_sides(ranks: Array, starts: Array, count: int) -> Array:

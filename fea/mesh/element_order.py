@@ -57,24 +57,7 @@ def second_order(mesh: Mesh) -> Mesh:
     facet group gets the faces of the new cells, a node group the nodes of edges both ends of which
     are in it.
     """
-    pairs, middles = _edges_of(mesh)
-    points = np.concatenate([mesh.points, 0.5 * mesh.points[pairs[middles < 0]].sum(axis=1)])
-    middles = middles.copy()
-    new = middles < 0
-    middles[new] = len(mesh.points) + np.arange(int(new.sum()))
-    blocks = tuple(_raised(block, pairs, middles) for block in mesh.blocks)
-    return Mesh(
-        points,
-        blocks,
-        mesh.regions,
-        _facet_groups(mesh, blocks),
-        {name: _with_middles(ids, pairs, middles) for name, ids in mesh.node_groups.items()},
-        mesh.deck,
-    )
-
-
-def _edges_of(mesh: Mesh) -> tuple[Array, Array]:
-    """Return the edges of the first-order cells as sorted pairs, and their middle nodes or -1."""
+    # The edges of the first-order cells as sorted pairs, and their middle nodes or -1.
     pairs = [np.empty((0, 2), dtype=np.int64)]
     known = [np.empty((0, 3), dtype=np.int64)]
     for block in mesh.blocks:
@@ -91,7 +74,25 @@ def _edges_of(mesh: Mesh) -> tuple[Array, Array]:
     there = np.concatenate(known)
     place, found = _find(unique, there[:, :2])
     middles[place[found]] = there[found, 2]
-    return unique, middles
+    pairs = unique
+    points = np.concatenate([mesh.points, 0.5 * mesh.points[pairs[middles < 0]].sum(axis=1)])
+    middles = middles.copy()
+    new = middles < 0
+    middles[new] = len(mesh.points) + np.arange(int(new.sum()))
+    blocks = tuple(_raised(block, pairs, middles) for block in mesh.blocks)
+    finder = FaceFinder(blocks)
+    groups = {}
+    for name, group in mesh.facet_groups.items():
+        faces = [face for kind, nodes in group.blocks for face in finder.find(kind, nodes)[0]]
+        groups[name] = FacetGroup(tuple(FacetBlock(kind, nodes) for kind, nodes in faces))
+    return Mesh(
+        points,
+        blocks,
+        mesh.regions,
+        groups,
+        {name: _with_middles(ids, pairs, middles) for name, ids in mesh.node_groups.items()},
+        mesh.deck,
+    )
 
 
 def _raised(block: CellBlock, pairs: Array, middles: Array) -> CellBlock:
@@ -112,15 +113,6 @@ def _find(pairs: Array, queries: Array) -> tuple[Array, Array]:
     keys, query_keys = pairs @ [base, 1], queries @ [base, 1]
     place = np.minimum(np.searchsorted(keys, query_keys), len(keys) - 1)
     return place, keys[place] == query_keys
-
-
-def _facet_groups(mesh: Mesh, blocks: tuple[CellBlock, ...]) -> dict[str, FacetGroup]:
-    finder = FaceFinder(blocks)
-    groups = {}
-    for name, group in mesh.facet_groups.items():
-        faces = [face for kind, nodes in group.blocks for face in finder.find(kind, nodes)[0]]
-        groups[name] = FacetGroup(tuple(FacetBlock(kind, nodes) for kind, nodes in faces))
-    return groups
 
 
 def _with_middles(ids: Array, pairs: Array, middles: Array) -> Array:

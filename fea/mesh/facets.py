@@ -125,7 +125,10 @@ class FaceFinder:
         for face_kind, faces in self._by_corners[count]:
             corners = np.sort(faces[:, :count], axis=1)
             keys, first = np.unique(corners, axis=0, return_index=True)
-            chosen = first[_rows_in(keys, sought)]
+            # Which rows of `keys` are also rows of `sought`; neither has a row twice.
+            both = np.concatenate([sought, keys])
+            _, inverse, times = np.unique(both, axis=0, return_inverse=True, return_counts=True)
+            chosen = first[times[inverse.ravel()[len(sought) :]] == 2]
             missing -= len(chosen)
             if len(chosen):
                 found.append(FacetBlock(face_kind, faces[np.sort(chosen)]))
@@ -135,10 +138,3 @@ class FaceFinder:
 def corners_of(kind: str) -> int:
     """Return how many corners a kind of facet has."""
     return 3 if kind.startswith("tri") else 4
-
-
-def _rows_in(rows: Array, among: Array) -> Array:
-    """Return which of `rows` are also rows of `among`; each has no row twice."""
-    both = np.concatenate([among, rows])
-    _, inverse, times = np.unique(both, axis=0, return_inverse=True, return_counts=True)
-    return times[inverse.ravel()[len(among) :]] == 2

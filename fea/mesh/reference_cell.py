@@ -105,7 +105,16 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
     KeyError
         If the kind is unknown.
     """
-    points, weights = _quadrature(kind, integration)
+    if kind in _GAUSS_POINTS:
+        count = 2 if (kind == "hex20" and integration == "reduced") else _GAUSS_POINTS[kind]
+        points, weights = _tensor_gauss(count, node_places(kind).shape[1])
+    else:
+        mass = integration == "mass"
+        if kind in _SIMPLEX_DEGREES:
+            degrees = _MASS_SIMPLEX_DEGREES if mass else _SIMPLEX_DEGREES
+            points, weights = _simplex(node_places(kind).shape[1], degrees[kind])
+        else:
+            points, weights = _wedge(*(_MASS_WEDGE_RULES if mass else _WEDGE_RULES)[kind])
     values, slopes = tabulate(kind, points)
     return ReferenceElement(kind, values, slopes, weights)
 
@@ -127,31 +136,33 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
     The points are reference coordinates, shape (points, dimension); all are dimensionless.
     """
     if kind == "wedge15":
-        return _wedge15(points)
+        # Serendipity wedge (not in scikit-fem), after Zienkiewicz and Taylor, volume 1, section
+        # 4.10. With barycentric L_c and z = 2 zeta - 1 in -1..1: corner
+        # L (2L - 1) (1 +- z)/2 - L (1 - z^2)/2, midside of a triangle edge 2 L_c L_d (1 +- z),
+        # midside of an upright edge L (1 - z^2).
+        x, y, z = points[:, 0], points[:, 1], 2 * points[:, 2] - 1
+        L = np.stack([1 - x - y, x, y])
+        dL = np.array([[-1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[:, None, :]
+        both = [
+            *(_wedge_corner(L[c], dL[c], z, side) for side in (-1, 1) for c in range(3)),
+            *(
+                _wedge_edge(L[c], dL[c], L[d], dL[d], z, side)
+                for side in (-1, 1)
+                for c, d in ((0, 1), (1, 2), (2, 0))
+            ),
+            *(_wedge_upright(L[c], dL[c], z) for c in range(3)),
+        ]
+        values, slopes = zip(*both, strict=True)
+        return np.stack(values, axis=1), np.stack(slopes, axis=1)
     element = getattr(skfem, _SKFEM_NAMES[kind])()
-    order = _to_vtk_order(element.doflocs, node_places(kind))
-    values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
-    return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
-
-
-def _to_vtk_order(doflocs: Array, places: Array) -> Array:
-    """Find for each node place in VTK order the number scikit-fem gives it."""
-    distance = np.abs(places[:, None, :] - np.asarray(doflocs)[None, :, :]).max(axis=2)
+    # Find for each node place in VTK order the number scikit-fem gives it.
+    places = node_places(kind)
+    distance = np.abs(places[:, None, :] - np.asarray(element.doflocs)[None, :, :]).max(axis=2)
     order = distance.argmin(axis=1)
     if distance.min(axis=1).max() > 1e-12 or len(set(order.tolist())) != len(places):
         raise AssertionError("scikit-fem moved the nodes of a reference element")
-    return order
-
-
-def _quadrature(kind: str, integration: str) -> tuple[Array, Array]:
-    if kind in _GAUSS_POINTS:
-        count = 2 if (kind == "hex20" and integration == "reduced") else _GAUSS_POINTS[kind]
-        return _tensor_gauss(count, node_places(kind).shape[1])
-    mass = integration == "mass"
-    if kind in _SIMPLEX_DEGREES:
-        degrees = _MASS_SIMPLEX_DEGREES if mass else _SIMPLEX_DEGREES
-        return _simplex(node_places(kind).shape[1], degrees[kind])
-    return _wedge(*(_MASS_WEDGE_RULES if mass else _WEDGE_RULES)[kind])
+    values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
+    return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
 
 
 def _tensor_gauss(count: int, dimension: int) -> tuple[Array, Array]:
@@ -177,28 +188,6 @@ def _wedge(degree: int, count: int) -> tuple[Array, Array]:
     place, weight = _gauss(count)
     points = [[*point, height] for height in place for point in flat]
     return np.array(points), (weight[:, None] * flat_weights[None, :]).ravel()
-
-
-def _wedge15(points: Array) -> tuple[Array, Array]:
-    """Serendipity wedge (not in scikit-fem), after Zienkiewicz and Taylor, volume 1, section 4.10.
-
-    With barycentric L_c and z = 2 zeta - 1 in -1..1: corner L (2L - 1) (1 +- z)/2 - L (1 - z^2)/2,
-    midside of a triangle edge 2 L_c L_d (1 +- z), midside of an upright edge L (1 - z^2).
-    """
-    x, y, z = points[:, 0], points[:, 1], 2 * points[:, 2] - 1
-    L = np.stack([1 - x - y, x, y])
-    dL = np.array([[-1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[:, None, :]
-    both = [
-        *(_wedge_corner(L[c], dL[c], z, side) for side in (-1, 1) for c in range(3)),
-        *(
-            _wedge_edge(L[c], dL[c], L[d], dL[d], z, side)
-            for side in (-1, 1)
-            for c, d in ((0, 1), (1, 2), (2, 0))
-        ),
-        *(_wedge_upright(L[c], dL[c], z) for c in range(3)),
-    ]
-    values, slopes = zip(*both, strict=True)
-    return np.stack(values, axis=1), np.stack(slopes, axis=1)
 
 
 _UP = np.array([0.0, 0.0, 2.0])  # dz/dzeta

@@ -59,32 +59,27 @@ def surface_of(mesh: Mesh, most: int = MOST_VERTICES) -> Surface:
     nodes, flat = np.unique(triangles, return_inverse=True)
     triangles, whole = flat.reshape(-1, 3), len(nodes)
     if whole > most:
-        kept, triangles = _simplified(mesh.points[nodes], triangles, most)
+        # Merge the vertices in each box of a grid into the first of them: vertex clustering
+        # (Rossignac and Borrel 1993), of the finest grid that leaves `most`.
+        points = mesh.points[nodes]
+        span = np.ptp(points, axis=0).max()
+        few, many = 1, int(np.sqrt(most)) * 8  # boxes along the longest side
+        while few + 1 < many:
+            middle = (few + many) // 2
+            taken = np.unique(_boxes(points, span / middle), axis=0)
+            few, many = (middle, many) if len(taken) <= most else (few, middle)
+        _, first, box = np.unique(
+            _boxes(points, span / few), axis=0, return_index=True, return_inverse=True
+        )
+        merged = box.ravel()[triangles]
+        corners = np.sort(merged, axis=1)
+        flat = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
+        _, once = np.unique(corners, axis=0, return_index=True)
+        kept = np.intersect1d(once, np.flatnonzero(~flat))
+        used, renumbered = np.unique(merged[kept], return_inverse=True)
+        kept, triangles = first[used], renumbered.reshape(-1, 3)
         nodes = nodes[kept]
     return Surface(nodes, triangles.astype(np.int32), whole)
-
-
-def _simplified(points: Array, triangles: Array, most: int) -> tuple[Array, Array]:
-    """Merge the vertices in each box of a grid into the first of them.
-
-    Vertex clustering (Rossignac and Borrel 1993), of the finest grid that leaves `most`.
-    """
-    span = np.ptp(points, axis=0).max()
-    few, many = 1, int(np.sqrt(most)) * 8  # boxes along the longest side
-    while few + 1 < many:
-        middle = (few + many) // 2
-        taken = np.unique(_boxes(points, span / middle), axis=0)
-        few, many = (middle, many) if len(taken) <= most else (few, middle)
-    _, first, box = np.unique(
-        _boxes(points, span / few), axis=0, return_index=True, return_inverse=True
-    )
-    merged = box.ravel()[triangles]
-    corners = np.sort(merged, axis=1)
-    flat = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
-    _, once = np.unique(corners, axis=0, return_index=True)
-    kept = np.intersect1d(once, np.flatnonzero(~flat))
-    used, renumbered = np.unique(merged[kept], return_inverse=True)
-    return first[used], renumbered.reshape(-1, 3)
 
 
 def _boxes(points: Array, size: float) -> Array:

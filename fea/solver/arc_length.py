@@ -112,7 +112,9 @@ class ArcPath:
                 if self._length < _LEAST * self._first:
                     break
                 continue
-            course = self._course(ahead)
+            step = self._between(ahead)
+            whole = float(np.linalg.norm(step)) * ahead.speed
+            course = float(np.vdot(self._field(ahead), step)) / whole if whole > 0 else 1.0
             if abs(course) < _LEAST_COSINE and self._length > _LEAST * self._first:
                 self._length *= 0.5
                 continue
@@ -121,7 +123,20 @@ class ArcPath:
                 if not past_limit and self._length > _FINE * self._first:
                     self._length *= 0.5
                     continue
-                return self._ending(ahead, past_limit)
+                # Place the critical factor between two points, by a cubic in the path's length.
+                if not past_limit:
+                    middle = 0.5 * (self._point.size + ahead.size) / self._whole
+                    return Ending("bifurcation", middle, self._point.found)
+                length = float(np.linalg.norm(self._between(ahead)))
+                place = np.linspace(0.0, 1.0, 201)
+                start, end = length / self._point.speed, -length / ahead.speed
+                cubic = (
+                    self._point.size * (1 + 2 * place) * (1 - place) ** 2
+                    + start * place * (1 - place) ** 2
+                    + ahead.size * place**2 * (3 - 2 * place)
+                    + end * place**2 * (place - 1)
+                )
+                return Ending("limit", float(cubic.max()) / self._whole, self._point.found)
             if ahead.size >= self._whole:
                 return Ending("reached", 1.0, ahead.found)
             accept(ahead.found, ahead.size / self._whole)
@@ -129,22 +144,6 @@ class ArcPath:
             if ahead.found.iterations <= _FEW_ITERATIONS:
                 self._length = min(_GROWTH * self._length, _LONGEST * self._first)
         return Ending("lost", self._point.size / self._whole, self._point.found)
-
-    def _ending(self, ahead: _Point, past_limit: bool) -> Ending:
-        """Place the critical factor between two points, by a cubic in the path's length."""
-        if not past_limit:
-            middle = 0.5 * (self._point.size + ahead.size) / self._whole
-            return Ending("bifurcation", middle, self._point.found)
-        length = float(np.linalg.norm(self._between(ahead)))
-        place = np.linspace(0.0, 1.0, 201)
-        start, end = length / self._point.speed, -length / ahead.speed
-        cubic = (
-            self._point.size * (1 + 2 * place) * (1 - place) ** 2
-            + start * place * (1 - place) ** 2
-            + ahead.size * place**2 * (3 - 2 * place)
-            + end * place**2 * (place - 1)
-        )
-        return Ending("limit", float(cubic.max()) / self._whole, self._point.found)
 
     def _step(self) -> _Point | None:
         """Find the next point; None, with the length halved, if there is none that near."""
@@ -212,9 +211,3 @@ class ArcPath:
 
     def _between(self, ahead: _Point) -> Array:
         return ahead.found.balance.state.nodes - self._point.found.balance.state.nodes
-
-    def _course(self, ahead: _Point) -> float:
-        """Return the cosine between a step and the way on with more load: negative past a limit."""
-        step = self._between(ahead)
-        whole = float(np.linalg.norm(step)) * ahead.speed
-        return float(np.vdot(self._field(ahead), step)) / whole if whole > 0 else 1.0

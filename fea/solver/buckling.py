@@ -48,7 +48,20 @@ def buckling_factors(
     if not matrix.count_nonzero():
         return np.inf, np.inf
     stressed = Inertia(system, -matrix, np.zeros((system.coupling.freedoms,) * 2))
-    values = _extremes(stressed)
+    # Eigenvalues of K^-1 (-G), those of largest size among them.
+    modes = min(_MODES, stressed.size)
+    motions = np.random.default_rng(_SEED).standard_normal((modes, stressed.size))
+    before, values = np.zeros(2), np.zeros(modes)
+    for _ in range(_ITERATIONS):
+        loads = np.stack([stressed.times(one) for one in motions])
+        moved = stressed.solved(loads)
+        stiffness = moved @ loads.T
+        geometric = moved @ np.stack([stressed.times(one) for one in moved]).T
+        values, motions = _ritz(stiffness, geometric, moved)
+        ends = np.array([values.min(), values.max()])
+        if (np.abs(ends - before) <= _CONVERGED * np.abs(ends).max()).all():
+            break
+        before = ends
     return _factor(values.max()), _factor(-values.min())
 
 
@@ -66,24 +79,6 @@ def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
         columns.append(np.tile(nodes, (1, count)).ravel())
     places = np.concatenate(rows), np.concatenate(columns)
     return csr_array(coo_array((np.concatenate(entries), places), (body.size, body.size)))
-
-
-def _extremes(stressed: Inertia) -> Array:
-    """Return eigenvalues of K^-1 (-G), those of largest size among them."""
-    modes = min(_MODES, stressed.size)
-    motions = np.random.default_rng(_SEED).standard_normal((modes, stressed.size))
-    before, values = np.zeros(2), np.zeros(modes)
-    for _ in range(_ITERATIONS):
-        loads = np.stack([stressed.times(one) for one in motions])
-        moved = stressed.solved(loads)
-        stiffness = moved @ loads.T
-        geometric = moved @ np.stack([stressed.times(one) for one in moved]).T
-        values, motions = _ritz(stiffness, geometric, moved)
-        ends = np.array([values.min(), values.max()])
-        if (np.abs(ends - before) <= _CONVERGED * np.abs(ends).max()).all():
-            break
-        before = ends
-    return values
 
 
 def _ritz(stiffness: Array, geometric: Array, moved: Array) -> tuple[Array, Array]:

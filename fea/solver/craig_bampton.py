@@ -85,29 +85,27 @@ def craig_bampton(
     count = system.coupling.freedoms
     inertia = Inertia(system, mass, np.zeros((count, count)))
     (_, origin, axes), *moving = frames
-    _require_frames(inertia, len(moving), modes, heavy=bool(mass.nnz))
+    freedoms = inertia.active.size
+    if freedoms != 6 * len(moving):
+        raise ValueError("a frame needs its six freedoms: leave `locked` out of the interface")
+    if not mass.nnz:
+        raise ValueError("nothing has a mass: give the materials a density")
+    if not 0 < modes < inertia.size - freedoms:
+        raise ValueError(f"there are 1 to {inertia.size - freedoms - 1} modes, not {modes}")
     shapes, compliance = static_shapes(inertia)
     squares, motions = _held_modes(inertia, shapes, modes)
     moved = np.concatenate([_frame_motion(own, point - origin, axes) for _, point, own in moving])
     static = _nodal(inertia, shapes)
     base = np.einsum("ij,njk->nik", body, _rigid(points - origin, axes)) - static @ moved
     fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
-    stiffness, energies = _stiffness(compliance, moved, squares), _energies(mass, fields)
+    total = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
+    energies = 0.5 * np.asarray(total + np.transpose(total))  # twice the kinetic ones of pairs
+    stiffness = _stiffness(compliance, moved, squares)
     own = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
     names, origins, rows = zip(*frames, strict=True)
     turned = np.array(rows).swapaxes(1, 2)
     held, free = (np.sqrt(one) / (2 * np.pi) for one in (squares, own))
     return CraigBampton(names, np.array(origins), turned, stiffness, energies, held, free)
-
-
-def _require_frames(inertia: Inertia, moving: int, modes: int, *, heavy: bool) -> None:
-    freedoms = inertia.active.size
-    if freedoms != 6 * moving:
-        raise ValueError("a frame needs its six freedoms: leave `locked` out of the interface")
-    if not heavy:
-        raise ValueError("nothing has a mass: give the materials a density")
-    if not 0 < modes < inertia.size - freedoms:
-        raise ValueError(f"there are 1 to {inertia.size - freedoms - 1} modes, not {modes}")
 
 
 def _stiffness(compliance: Array, moved: Array, squares: Array) -> Array:
@@ -157,9 +155,3 @@ def _frame_motion(own: Array, arm: Array, axes: Array) -> Array:
     """Return a frame's motion (6, 6), in its axes `own`, by that of another at an arm (3,), m."""
     turned = np.hstack([np.zeros((3, 3)), axes.T])
     return np.vstack([own @ _rigid(arm[None], axes)[0], own @ turned])
-
-
-def _energies(mass: csr_array, fields: Array) -> Array:
-    """Return twice the kinetic energies of pairs of fields (n, 3, k), shape (k, k)."""
-    total = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
-    return 0.5 * np.asarray(total + np.transpose(total))

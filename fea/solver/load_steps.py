@@ -188,7 +188,11 @@ class LoadPath:
         if target > 1.0 - 0.5 * _LEAST_STEP:
             target = 1.0
         try:
-            found = self._iterate(target)
+            start = self._system.reload(self._balance, target * self._wrench)
+            most = MOST_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
+            found = find_equilibrium(
+                self._system, start, self._tangent, self._reporter(target), most
+            )
         except Stuck as stuck:
             if stuck.at_roundoff:
                 raise ill_conditioned(f"At load factor {target:.3g} {stuck}.") from None
@@ -204,11 +208,6 @@ class LoadPath:
             self._accept(found, target)
             return found
         return None
-
-    def _iterate(self, target: float) -> Equilibrium:
-        start = self._system.reload(self._balance, target * self._wrench)
-        most = MOST_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
-        return find_equilibrium(self._system, start, self._tangent, self._reporter(target), most)
 
     def _explained(self, found: Equilibrium, target: float) -> bool:
         """Whether a step's secant lies between the tangents at its ends, more or less."""

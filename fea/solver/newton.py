@@ -149,11 +149,19 @@ def find_equilibrium(
         step = correct(system, balance, tangent, *tangent.correction(balance))
         balance = step.balance
         report(iteration, balance.norm)
-        _require_sane(balance)
+        if not np.isfinite(balance.norm):
+            raise Stuck("the iteration ran away to forces that are not finite")
+        if largest_rotation(balance.state.interface) > _FAR_ROTATION:
+            raise Stuck("the iteration turned the interface by more than 115 degrees")
         if proper and step.converged:
             return Equilibrium(balance, tangent_after(system, step, tangent), iteration)
         sizes.append(step.size)
-        _require_progress(sizes)
+        recent = sizes[-_MOST_IDLE:]
+        if len(recent) == _MOST_IDLE and max(recent) < _NEARLY and min(recent) > 0.5 * max(recent):
+            raise Stuck(
+                f"corrections stay at {recent[-1]:.0e} of the displacement: roundoff",
+                at_roundoff=True,
+            )
         proper = step.nearly
         balance = _settled(system, step, tangent) if proper else balance
         if iteration == 1:
@@ -182,7 +190,9 @@ def correct(
         If it is not finite, or a thousand times as large as the part.
     """
     change = nodes + tangent.border.ties @ border
-    _require_near(change, border, system.body.extent)
+    largest = np.abs(change).max(initial=0.0)
+    if not (np.isfinite(border).all() and largest < _FAR * system.body.extent):
+        raise Stuck("the iteration ran away")
     state = system.coupling.moved(balance.state, nodes, border)
     after = system.balance(state, balance.wrench)
     work = abs(float(np.vdot(balance.nodal, nodes) + balance.border @ border))
@@ -223,24 +233,3 @@ def tangent_after(system: System, step: Correction, tangent: Linearisation) -> L
 
 def _quotient(part: float, whole: float) -> float:
     return float(part / whole) if whole > 0 else 0.0
-
-
-def _require_near(change: Array, border: Array, extent: float) -> None:
-    largest = np.abs(change).max(initial=0.0)
-    if not (np.isfinite(border).all() and largest < _FAR * extent):
-        raise Stuck("the iteration ran away")
-
-
-def _require_sane(balance: Balance) -> None:
-    if not np.isfinite(balance.norm):
-        raise Stuck("the iteration ran away to forces that are not finite")
-    if largest_rotation(balance.state.interface) > _FAR_ROTATION:
-        raise Stuck("the iteration turned the interface by more than 115 degrees")
-
-
-def _require_progress(sizes: list[float]) -> None:
-    recent = sizes[-_MOST_IDLE:]
-    if len(recent) == _MOST_IDLE and max(recent) < _NEARLY and min(recent) > 0.5 * max(recent):
-        raise Stuck(
-            f"corrections stay at {recent[-1]:.0e} of the displacement: roundoff", at_roundoff=True
-        )

@@ -96,23 +96,21 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
     own = body.third(state.nodes, fields)
     own += coupling.third(state, (balance.forces, changes), fields, border)
     if body.expands:
-        own += _of_heat(system, balance, fields, coupling.active.size)
+        # The strain energy's derivatives by the temperature, input number `place`.
+        nodes, temperature = balance.state.nodes, system.temperature(balance.wrench)
+        steps = _WARMER * np.arange(-2, 3)
+        near = [system.body.at(temperature + step).forces(nodes) for step in steps]
+        forces, energies, _ = zip(*near, strict=True)
+        ahead = system.body.at(temperature + 1j * _COMPLEX_STEP).second(nodes, fields)
+        once = np.zeros((fields.shape[2],) * 3)
+        twice = np.zeros_like(once)
+        once[:, :, coupling.active.size] = np.imag(ahead) / _COMPLEX_STEP
+        bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
+        twice[coupling.active.size, coupling.active.size] = contract(bend[:, :, None], fields)[0]
+        found = every_place(once + twice)
+        found[coupling.active.size, coupling.active.size, coupling.active.size] += (
+            _JERK @ energies / _WARMER**3
+        )
+        own += found
     tensor[np.ix_(active, active, active)] = -own
     return tensor
-
-
-def _of_heat(system: System, balance: Balance, fields: Array, place: int) -> Array:
-    """Return the strain energy's derivatives by the temperature, input number `place`."""
-    nodes, temperature = balance.state.nodes, system.temperature(balance.wrench)
-    steps = _WARMER * np.arange(-2, 3)
-    near = [system.body.at(temperature + step).forces(nodes) for step in steps]
-    forces, energies, _ = zip(*near, strict=True)
-    ahead = system.body.at(temperature + 1j * _COMPLEX_STEP).second(nodes, fields)
-    once = np.zeros((fields.shape[2],) * 3)
-    twice = np.zeros_like(once)
-    once[:, :, place] = np.imag(ahead) / _COMPLEX_STEP
-    bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
-    twice[place, place] = contract(bend[:, :, None], fields)[0]
-    found = every_place(once + twice)
-    found[place, place, place] += _JERK @ energies / _WARMER**3
-    return found

@@ -13,7 +13,7 @@ from wrenchbook.fea.assembly.linearisation import contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.coupling.rotation import skew
-from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
 
 Array = np.ndarray
@@ -307,19 +307,15 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
     count = len(mesh.points)
     total = csr_array((count, count))
     for block, own in zip(mesh.blocks, density, strict=True):
-        entries = _cell_mass(mesh.points, block, own)
+        # The mass matrix of each cell, shape (cells, nodes, nodes), kg.
+        element = reference_element(block.kind, "mass")
+        jacobian = mesh.points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes
+        weights = np.linalg.det(jacobian) * element.weights * own[:, None]
+        products = element.values[:, :, None] * element.values[:, None, :]
+        size = block.nodes.shape[1]
+        entries = (weights @ products.reshape(len(products), -1)).reshape(len(block), size, size)
         rows = np.repeat(block.nodes, block.nodes.shape[1], axis=1)
         columns = np.tile(block.nodes, (1, block.nodes.shape[1]))
         places = rows.ravel(), columns.ravel()
         total = total + coo_array((entries.ravel(), places), shape=(count, count)).tocsr()
     return csr_array(total)
-
-
-def _cell_mass(points: Array, block: CellBlock, density: Array) -> Array:
-    """Return the mass matrix of each cell, shape (cells, nodes, nodes), kg."""
-    element = reference_element(block.kind, "mass")
-    jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes
-    weights = np.linalg.det(jacobian) * element.weights * density[:, None]
-    products = element.values[:, :, None] * element.values[:, None, :]
-    size = block.nodes.shape[1]
-    return (weights @ products.reshape(len(products), -1)).reshape(len(block), size, size)

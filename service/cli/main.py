@@ -34,7 +34,7 @@ from wrenchbook.service.cli.recording import RECORDING_COMMANDS
 from wrenchbook.service.cli.screen import Screen
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
 from wrenchbook.service.client import Displacement, ProblemError, Scene, ServerUnreachable
-from wrenchbook.service.client.deformed import deformed_format
+from wrenchbook.service.client.client import deformed_format
 from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.contract import OnThin
 

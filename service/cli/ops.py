@@ -65,25 +65,27 @@ def restore(
 
 def doctor(
     data: Folder = DEFAULT_DATA,
-    mend: Annotated[
+    repair: Annotated[
         bool,
-        typer.Option("--mend", help="repair the ledger or a table from the copy that is intact"),
+        typer.Option(
+            "--repair", "--mend", help="repair the ledger or a table from the copy that is intact"
+        ),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Check the ledger, tables, files and disk of a data directory; nothing is ever deleted."""
-    from wrenchbook.service.ops.checks import REPAIR
+    from wrenchbook.service.ops.checks import COMMAND
     from wrenchbook.service.ops.doctor import examine
 
-    findings = examine(data, mend=mend)
+    findings = examine(data, repair=repair)
     if as_json:
         print_json({"findings": [vars(one) for one in findings]})
     else:
         for one in findings:
-            colour = {"fault": "red", "mended": "yellow", "note": None}[one.kind]
+            colour = {"fault": "red", "repaired": "yellow", "note": None}[one.kind]
             plain(_out, f"{one.kind}: {one.what}", style=colour)
             if one.remedy:
-                plain(_out, f"  {one.remedy.replace(REPAIR, REPAIR + _data_option(data))}")
+                plain(_out, f"  {one.remedy.replace(COMMAND, COMMAND + _data_option(data))}")
     faults = sum(one.kind == "fault" for one in findings)
     if not as_json:
         plain(_out, f"{faults} fault{'s' * (faults != 1)}." if faults else f"{data} is in order.")

@@ -9,8 +9,7 @@
 """
 
 from ..messages import DeformedShape, Stress
-from .deformed import SurfaceCalls
-from .displacement import DisplacementCalls
+from .client import Client, Event
 from .errors import (
     InvalidArgument,
     MissingPackage,
@@ -20,55 +19,12 @@ from .errors import (
     TableError,
     WrenchbookError,
 )
-from .events import Event, EventCalls
-from .job import Job, JobCalls, Round
-from .library import LibraryCalls
+from .job import Job, Round
 from .recorder import Recorder, RecorderError
-from .recording import Envelope, Recording, RecordingCalls, Started
+from .recording import Envelope, Recording, Started
 from .replies import Displacement, Displacements
 from .scene import ComponentPlan, Scene, SceneError
-from .table import DownloadCalls, Table
-from .transport import Connection
-
-
-class Calls(
-    DisplacementCalls,
-    SurfaceCalls,
-    JobCalls,
-    LibraryCalls,
-    DownloadCalls,
-    RecordingCalls,
-    EventCalls,
-):
-    """The calls of both clients."""
-
-
-class Client(Calls, Connection):
-    """A client of one server, for any number of threads.
-
-    Parameters
-    ----------
-    url : str
-        Address of the server.
-    timeout : float
-        Seconds without an answer before `ServerTimeout`; the time that a call lets the server wait
-        is added. A server that refuses the connection, as while it restarts, is tried again for as
-        long, but 10 s at most.
-    key : str, optional
-        A key of the server; the variable WRENCHBOOK_KEY if not given.
-
-    Attributes
-    ----------
-    retry_s : float
-        Those 10 s; 0 for no second attempt.
-
-    Examples
-    --------
-    >>> with Client() as client:                                # doctest: +SKIP
-    ...     answer = client.displacement("plate", [0, 0, -800], on_thin="wait")
-    ...     answer.translation, answer.error_translation
-    """
-
+from .table import Table
 
 __all__ = [
     "Client",

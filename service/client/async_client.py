@@ -3,20 +3,61 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+import copy
+import functools
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Self, TypeVar
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
-from . import Calls
-from .request import Call, Item, Items
-from .transport import Transport
+from .client import Client
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 AT_ONCE = 100  # threads, and so connections: further requests wait for one
 
 
-class AsyncClient(Calls, Transport):
+def _awaited(
+    call: Callable[Concatenate[Client, P], T],
+) -> Callable[Concatenate[AsyncClient, P], Coroutine[Any, Any, T]]:
+    """Return a blocking call as one that is awaited."""
+
+    @functools.wraps(call)
+    async def method(self: AsyncClient, /, *args: P.args, **options: P.kwargs) -> T:
+        return await self.run(lambda client: call(client, *args, **options))
+
+    return method
+
+
+def _iterated(
+    call: Callable[Concatenate[Client, P], Iterator[T]],
+) -> Callable[Concatenate[AsyncClient, P], AsyncGenerator[T, None]]:
+    """Return a blocking call that is an iterator as an asynchronous one."""
+
+    @functools.wraps(call)
+    async def method(
+        self: AsyncClient, /, *args: P.args, **options: P.kwargs
+    ) -> AsyncGenerator[T, None]:
+        connection = copy.copy(self._client)  # the iterator's own, which its end closes
+        items, end = call(connection, *args, **options), object()
+        try:
+            while (item := await self.run(lambda _: next(items, end))) is not end:
+                yield item  # type: ignore[misc]
+        finally:
+            connection.abandon()
+
+    return method
+
+
+def _attribute(name: str) -> Any:
+    """Return an attribute of the blocking client."""
+    return property(
+        lambda self: getattr(self._client, name),
+        lambda self, value: setattr(self._client, name, value),
+    )
+
+
+class AsyncClient:
     """A client of one server for asyncio: the calls of `Client`, each of them awaited.
 
     Calls of several tasks are on the wire at the same time, 100 at most; further ones wait. Each
@@ -37,11 +78,18 @@ class AsyncClient(Calls, Transport):
     ...     answers = await asyncio.gather(*calls)
     """
 
+    url: str = _attribute("url")
+    timeout: float = _attribute("timeout")
+    retry_s: float = _attribute("retry_s")
+
     def __init__(
         self, url: str = "http://127.0.0.1:8000", timeout: float = 30.0, key: str | None = None
     ) -> None:
-        super().__init__(url, timeout, key)
+        self._client = Client(url, timeout, key)
         self._threads = ThreadPoolExecutor(AT_ONCE, "wrenchbook")
+
+    def __repr__(self) -> str:
+        return f"Async{self._client!r}"
 
     async def __aenter__(self) -> Self:
         return self
@@ -53,29 +101,50 @@ class AsyncClient(Calls, Transport):
         """Close the idle connections; a later call opens a new one."""
         self._threads.shutdown(wait=False)
         self._threads = ThreadPoolExecutor(AT_ONCE, "wrenchbook")
-        self._close_idle()
+        self._client.close()
 
-    async def run(self, call: Call[T]) -> T:
-        """Perform the steps of a call in a thread, and return its result."""
-        return await asyncio.get_running_loop().run_in_executor(self._threads, self.finish, call)
+    async def run(self, call: Callable[[Client], T]) -> T:
+        """Call a function with the blocking client, in a thread."""
+        return await asyncio.get_running_loop().run_in_executor(self._threads, call, self._client)
 
-    async def iterate(self, call: Items[T]) -> AsyncGenerator[T, None]:
-        """Perform the steps of a call that is an iterator, each in a thread; yield its items."""
-        loop = asyncio.get_running_loop()
-        try:
-            step = next(call)
-            while True:
-                if isinstance(step, Item):
-                    yield step.value
-                    step = next(call)
-                    continue
-                try:
-                    result = await loop.run_in_executor(self._threads, self.perform, step)
-                except Exception as error:
-                    step = call.throw(error)
-                else:
-                    step = call.send(result)
-        except StopIteration:
-            return
-        finally:
-            call.close()
+    call = _awaited(Client.call)
+    call_json = _awaited(Client.call_json)
+    displacement = _awaited(Client.displacement)
+    displacements = _awaited(Client.displacements)
+    solve = _awaited(Client.solve)
+    deformed = _awaited(Client.deformed)
+    deformed_file = _awaited(Client.deformed_file)
+    job = _awaited(Client.job)
+    wait = _awaited(Client.wait)
+    jobs = _awaited(Client.jobs)
+    cancel = _awaited(Client.cancel)
+    cancel_jobs = _awaited(Client.cancel_jobs)
+    retry = _awaited(Client.retry)
+    fill = _awaited(Client.fill)
+    fill_until = _iterated(Client.fill_until)
+    components = _awaited(Client.components)
+    component = _awaited(Client.component)
+    compliance = _awaited(Client.compliance)
+    add_component = _awaited(Client.add_component)
+    import_table = _awaited(Client.import_table)
+    export_table = _awaited(Client.export_table)
+    invalidate_row = _awaited(Client.invalidate_row)
+    restore_row = _awaited(Client.restore_row)
+    withdraw_import = _awaited(Client.withdraw_import)
+    make_report = _awaited(Client.make_report)
+    report_state = _awaited(Client.report_state)
+    report = _awaited(Client.report)
+    health = _awaited(Client.health)
+    is_ready = _awaited(Client.is_ready)
+    download = _awaited(Client.download)
+    record = _awaited(Client.record)
+    recording = _awaited(Client.recording)
+    clear_recording = _awaited(Client.clear_recording)
+    start_recording = _awaited(Client.start_recording)
+    widen_envelope = _awaited(Client.widen_envelope)
+    envelope = _awaited(Client.envelope)
+    clear_envelope = _awaited(Client.clear_envelope)
+    start_envelope = _awaited(Client.start_envelope)
+    resolve = _awaited(Client.resolve)
+    send_block = _awaited(Client.send_block)
+    events = _iterated(Client.events)

@@ -16,6 +16,7 @@ the same with JOINT_FEEDBACK_IN_JOINT_FRAME. Both are the parent holding the chi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Literal, TypeAlias
 
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InvalidArgument
-from .rotation import quaternion
+from .rotation import sinc
 from .wrenches import one_wrench
 
 Vector = NDArray[np.float64]
@@ -199,7 +200,9 @@ def quaternion_wxyz(rotation: ArrayLike) -> Vector:
 
     The unit quaternion has shape (4,) and is dimensionless.
     """
-    return quaternion(rotation)
+    vector = np.asarray(rotation, dtype=float)
+    angle = math.sqrt(float(vector @ vector))
+    return np.concatenate([[math.cos(0.5 * angle)], 0.5 * sinc(0.5 * angle) * vector])
 
 
 def quaternion_xyzw(rotation: ArrayLike) -> Vector:
@@ -207,7 +210,7 @@ def quaternion_xyzw(rotation: ArrayLike) -> Vector:
 
     The unit quaternion has shape (4,) and is dimensionless.
     """
-    return np.roll(quaternion(rotation), -1)
+    return np.roll(quaternion_wxyz(rotation), -1)
 
 
 def _on(component: Side, parent_to_child: Vector) -> Vector:

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..messages import JobLink, Queued
 from .errors import InvalidArgument, Json, ServerTimeout
-from .request import (
-    Call,
-    Item,
-    Items,
-    Pause,
-    component_path,
-    json_request,
-    sync_and_async,
-    sync_and_async_iterator,
-)
+from .transport import Connection, component_path
 from .wrenches import Tolerance, options
 
 Vector = NDArray[np.float64]
@@ -42,7 +33,7 @@ class Job(JobLink):
     url : str
         Path of the job on the server.
     component : str
-        Empty in the short form that a displacement carries.
+        Its name.
     seconds : float or None
         Time its last attempt took, s; None while it has not ended.
     raw : dict
@@ -51,6 +42,13 @@ class Job(JobLink):
 
     component: str = ""
     seconds: float | None = None
+
+    @classmethod
+    def read(cls, body: Mapping[str, Json], component: str = "") -> Self:
+        """Make a job of its JSON, whose short form lacks the component."""
+        job = super().read(body)
+        job.__dict__["component"] = job.component or component
+        return job
 
     @property
     def ended(self) -> bool:
@@ -101,11 +99,10 @@ def joined(first: Any, second: Any) -> Vector | None:
     return np.concatenate([first, second])
 
 
-class JobCalls:
+class JobCalls(Connection):
     """Follow, cancel and retry jobs; fill tables."""
 
-    @sync_and_async
-    def job(self, job: Job | int, wait_s: float | None = None) -> Call[Job]:
+    def job(self, job: Job | int, wait_s: float | None = None) -> Job:
         """Return a job as it is now, or, with `wait_s`, once it has ended or the time is up.
 
         Raises
@@ -113,10 +110,10 @@ class JobCalls:
         ProblemError
             If there is no such job (404).
         """
-        return (yield from _job(job, wait_s))
+        query = {"wait_s": wait_s or None}
+        return Job.read(self.call_json("GET", _path(job), query=query, wait_s=wait_s))
 
-    @sync_and_async
-    def wait(self, job: Job | int | Answer, timeout: float = 600.0) -> Call[Job]:
+    def wait(self, job: Job | int | Answer, timeout: float = 600.0) -> Job:
         """Wait until a job has ended, and return it: look at its `Job.status`.
 
         Parameters
@@ -133,16 +130,30 @@ class JobCalls:
         ServerTimeout
             If it has not ended by then; it goes on in the server.
         """
-        return (yield from _ended(job, timeout))
+        path, deadline = _path(job), time.monotonic() + timeout
+        while True:
+            began = time.monotonic()
+            poll_s = max(0.0, min(deadline - began, LONGEST_POLL_S))
+            reply = self.call_json("GET", path, query={"wait_s": poll_s or None}, wait_s=poll_s)
+            now = Job.read(reply)
+            if now.ended:
+                return now
+            if time.monotonic() >= deadline:
+                raise ServerTimeout(
+                    f"job {now.id} is still {now.status} after {timeout:g} s; it goes on in the "
+                    "server"
+                )
+            # Some servers answer at once instead of waiting: 20 requests a second at most.
+            if time.monotonic() - began < 0.05:
+                time.sleep(0.05)
 
-    @sync_and_async
     def jobs(
         self,
         component: str | None = None,
         status: str | None = None,
         limit: int | None = None,
         after: int | None = None,
-    ) -> Call[list[Job]]:
+    ) -> list[Job]:
         """Return the jobs, newest first, of one component or status if given.
 
         Parameters
@@ -155,16 +166,14 @@ class JobCalls:
             Those after this job's number: the last one of the page before.
         """
         query = {"component": component, "status": status, "limit": limit, "after": after}
-        reply = yield json_request("GET", "/v1/jobs", query=query)
-        return [Job.read(one) for one in reply.json()["jobs"]]
+        reply = self.call_json("GET", "/v1/jobs", query=query)
+        return [Job.read(job) for job in reply["jobs"]]
 
-    @sync_and_async
-    def cancel(self, job: Job | int) -> Call[Job]:
+    def cancel(self, job: Job | int) -> Job:
         """Cancel a job that has not ended, and return it."""
-        return Job.read((yield json_request("DELETE", _path(job), repeatable=False)).json())
+        return Job.read(self.call_json("DELETE", _path(job), repeatable=False))
 
-    @sync_and_async
-    def cancel_jobs(self, component: str | None = None, status: str = "waiting") -> Call[int]:
+    def cancel_jobs(self, component: str | None = None, status: str = "waiting") -> int:
         """Cancel all jobs of a status that has not ended, of one component if given.
 
         Parameters
@@ -185,16 +194,14 @@ class JobCalls:
             If there is no such component (404), or jobs of that status have ended (422).
         """
         query = {"component": component, "status": status}
-        reply = yield json_request("DELETE", "/v1/jobs", query=query, repeatable=False)
-        return reply.json()["cancelled"]
+        reply = self.call_json("DELETE", "/v1/jobs", query=query, repeatable=False)
+        return reply["cancelled"]
 
-    @sync_and_async
-    def retry(self, job: Job | int) -> Call[Job]:
+    def retry(self, job: Job | int) -> Job:
         """Queue a failed or cancelled job again, and return it."""
-        reply = yield json_request("POST", f"{_path(job)}/retry", {}, repeatable=False)
-        return Job.read(reply.json())
+        reply = self.call_json("POST", f"{_path(job)}/retry", {}, repeatable=False)
+        return Job.read(reply)
 
-    @sync_and_async
     def fill(
         self,
         name: str,
@@ -204,7 +211,7 @@ class JobCalls:
         range: Mapping[str, Json] | None = None,  # noqa: A002 (the contract's word)
         outputs: Sequence[str] | None = None,
         for_joint: bool = False,
-    ) -> Call[Round]:
+    ) -> Round:
         """Queue one round of the solves that lower a table's error most.
 
         Parameters
@@ -230,9 +237,11 @@ class JobCalls:
             If the component is a table only and cannot be solved (409), or `range` is not within
             its load range, or given with `for_joint` (422).
         """
-        return (yield from _fill(name, tolerance, budget, range, outputs, for_joint))
+        part = {"range": dict(range) if range else None, "outputs": outputs and list(outputs)}
+        body = options(tolerance=tolerance, budget=budget, for_joint=for_joint or None, **part)
+        path = component_path(name, "fill")
+        return Round.read(self.call_json("POST", path, body, repeatable=False))
 
-    @sync_and_async_iterator
     def fill_until(
         self,
         name: str,
@@ -244,7 +253,7 @@ class JobCalls:
         range: Mapping[str, Json] | None = None,  # noqa: A002 (the contract's word)
         outputs: Sequence[str] | None = None,
         for_joint: bool = False,
-    ) -> Items[Round]:
+    ) -> Iterator[Round]:
         """Fill a table round by round, each designed on what the one before has found.
 
         Parameters
@@ -270,12 +279,18 @@ class JobCalls:
             If a round does not end in time; its jobs go on in the server.
         """
         while budget > 0:
-            count = min(round_size, budget)
-            queued = yield from _fill(name, tolerance, count, range, outputs, for_joint)
+            queued = self.fill(
+                name,
+                tolerance,
+                min(round_size, budget),
+                range=range,
+                outputs=outputs,
+                for_joint=for_joint,
+            )
             deadline, ended = time.monotonic() + timeout, ()
             for job in queued.jobs:
-                ended += ((yield from _ended(job, deadline - time.monotonic())),)
-            yield Item(replace(queued, jobs=ended))
+                ended += (self.wait(job, deadline - time.monotonic()),)
+            yield replace(queued, jobs=ended)
             budget -= len(ended)
             if not any(job.status == "done" for job in ended):
                 return
@@ -290,40 +305,3 @@ def _path(job: Job | int | Answer) -> str:
         raise InvalidArgument(
             f"a job is a Job, its number, or an answer that has a job, not {job!r}{why}"
         ) from None
-
-
-def _job(job: Job | int | Answer, wait_s: float | None) -> Call[Job]:
-    query = {"wait_s": wait_s} if wait_s else None
-    return Job.read((yield json_request("GET", _path(job), query=query, wait_s=wait_s)).json())
-
-
-def _ended(job: Job | int | Answer, timeout: float) -> Call[Job]:
-    """Return a job once it has ended."""
-    deadline = time.monotonic() + timeout
-    while True:
-        began = time.monotonic()
-        now = yield from _job(job, max(0.0, min(deadline - began, LONGEST_POLL_S)))
-        if now.ended:
-            return now
-        if time.monotonic() >= deadline:
-            raise ServerTimeout(
-                f"job {now.id} is still {now.status} after {timeout:g} s; it goes on in the server"
-            )
-        # Some servers answer at once instead of waiting: 20 requests a second at most.
-        if time.monotonic() - began < 0.05:
-            yield Pause(0.05)
-
-
-def _fill(
-    name: str,
-    tolerance: Tolerance | None,
-    budget: int | None,
-    range_: Mapping[str, Json] | None,
-    outputs: Sequence[str] | None,
-    for_joint: bool,
-) -> Call[Round]:
-    """Queue one round of solves."""
-    part = {"range": dict(range_) if range_ else None, "outputs": outputs and list(outputs)}
-    body = options(tolerance=tolerance, budget=budget, for_joint=for_joint or None, **part)
-    path = component_path(name, "fill")
-    return Round.read((yield json_request("POST", path, body, repeatable=False)).json())

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import Document, InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
-from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
+from .transport import BINARY, Connection, component_path
 
 _FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed")
 _TEXTS = ("csv", "json")
@@ -27,16 +27,11 @@ _ENDINGS = {
 }
 # The content decides how a file is read; these endings are of other kinds of file.
 _NOT_READ = frozenset({".fmu", ".wbt", ".pdf", ".xls"})
+_IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
 
 
 def table_format(file: str | Path) -> str:
-    """Return the format of a table file to be written, by its ending.
-
-    Raises
-    ------
-    ValueError
-        If the ending is none of a table's; the message lists those there are.
-    """
+    """Return the format of a table file to be written, by its ending; InvalidArgument if none."""
     suffix = Path(file).suffix
     if suffix.lower() not in _ENDINGS:
         named = f"the ending {suffix}" if suffix else "no ending"
@@ -48,13 +43,7 @@ def table_format(file: str | Path) -> str:
 
 
 def check_readable(file: str | Path) -> None:
-    """Refuse a file whose ending says that it is no table to be read.
-
-    Raises
-    ------
-    ValueError
-        The message says what may be read.
-    """
+    """Refuse a file whose ending says that it is no table to be read: InvalidArgument."""
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
         raise InvalidArgument(
@@ -63,25 +52,20 @@ def check_readable(file: str | Path) -> None:
         )
 
 
-_IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
-
-
-class LibraryCalls:
+class LibraryCalls(Connection):
     """Components, and their tables as files."""
 
-    @sync_and_async
-    def components(self) -> Call[list[Document]]:
+    def components(self) -> list[Document]:
         """Return the library: per component its name, title, range, rows, table version."""
-        found: list[Document] = []
+        components: list[Document] = []
         next_page = "/v1/components"
         while next_page:
-            page = (yield Request("GET", next_page)).json()
-            found += page["components"]
+            page = self.call_json("GET", next_page)
+            components += page["components"]
             next_page = page.get("next")
-        return found
+        return components
 
-    @sync_and_async
-    def component(self, name: str) -> Call[Document]:
+    def component(self, name: str) -> Document:
         """Return a component: its wrench contract, load range, rows and coverage.
 
         Raises
@@ -89,10 +73,9 @@ class LibraryCalls:
         ProblemError
             If there is no such component (404).
         """
-        return (yield Request("GET", component_path(name))).json()
+        return self.call_json("GET", component_path(name))
 
-    @sync_and_async
-    def compliance(self, name: str) -> Call[Document]:
+    def compliance(self, name: str) -> Document:
         """Return a component's 6x6 compliance and checks of its rows against physics.
 
         Returns
@@ -107,10 +90,9 @@ class LibraryCalls:
         ProblemError
             If there is no such component (404).
         """
-        return (yield Request("GET", component_path(name, "compliance"))).json()
+        return self.call_json("GET", component_path(name, "compliance"))
 
-    @sync_and_async
-    def add_component(self, component: str | Path | Mapping[str, Json]) -> Call[Document]:
+    def add_component(self, component: str | Path | Mapping[str, Json]) -> Document:
         """Add a component.
 
         Parameters
@@ -134,8 +116,7 @@ class LibraryCalls:
         """
         path = "/v1/components"
         if isinstance(component, Mapping):
-            request = json_request("POST", path, dict(component), repeatable=False)
-            return (yield request).json()
+            return self.call_json("POST", path, dict(component), repeatable=False)
         bundle = Path(component)
         if not bundle.is_dir():
             archive = bundle.read_bytes()
@@ -150,9 +131,8 @@ class LibraryCalls:
                         packed.write(source, inside.as_posix())  # hidden files stay behind
             archive = buffer.getvalue()
         kind, content = _form({"bundle": (f"{bundle.stem}.zip", archive)})
-        return (yield Request("POST", path, content, kind, repeatable=False)).json()
+        return self.call("POST", path, content, kind=kind, repeatable=False).json()
 
-    @sync_and_async
     def import_table(
         self,
         name: str,
@@ -163,7 +143,7 @@ class LibraryCalls:
         *,
         displacements: str | Path | None = None,
         **columns: Json,
-    ) -> Call[Document]:
+    ) -> Document:
         """Load a table from outside: all its rows, or none; with ``partial=True`` the good ones.
 
         Parameters
@@ -195,19 +175,41 @@ class LibraryCalls:
         ValueError, ProblemError
             If the file cannot be read; if rows have mistakes (422), which ``errors`` names.
         """
-        kind, content, filename = _table_body(table, displacements)
-        query = _import_query(format, dry_run, decimal, filename, columns)
+        if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
+            table = Path(table)
+        if isinstance(table, Path):
+            filename, content = _named_file(table)
+        else:
+            filename, content = "", table.encode() if isinstance(table, str) else table
+        kind = BINARY
+        if displacements is not None:
+            logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
+            kind, content = _form(logs)
+        mapping, ignore, rig = (columns.pop(name, None) for name in ("mapping", "ignore", "rig"))
+        for part in ("frame", "load_point", "displacement_point"):
+            value = columns.get(part)
+            if value is not None and not isinstance(value, str):
+                columns[part] = ",".join(map(repr, np.ravel(value).astype(float).tolist()))
+        query = {
+            "format": None if format is None else _known(format),
+            "dry_run": dry_run or None,
+            "decimal": decimal,
+            "mapping": json.dumps(dict(mapping)) if mapping else None,
+            "ignore": list(ignore or ()) or None,
+            "filename": filename or None,
+            "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
+            **columns,
+        }
         path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
-        return (yield Request("POST", path, content, kind, query, wait_s=wait_s)).json()
+        return self.call("POST", path, content, kind=kind, query=query, wait_s=wait_s).json()
 
-    @sync_and_async
     def export_table(
         self,
         name: str,
         format: str = "csv",  # noqa: A002 (the contract's word)
         units: Mapping[str, str] | None = None,
         table_version: int | None = None,
-    ) -> Call[Json]:
+    ) -> Json:
         """Return a component's table.
 
         Parameters
@@ -229,11 +231,10 @@ class LibraryCalls:
         """
         chosen = _known(format)
         query = {"format": chosen, "table_version": table_version, **(units or {})}
-        content = (yield Request("GET", component_path(name, "table"), query=query)).content
+        content = self.call("GET", component_path(name, "table"), query=query).content
         return content.decode() if chosen in _TEXTS else content
 
-    @sync_and_async
-    def invalidate_row(self, name: str, row: int) -> Call[None]:
+    def invalidate_row(self, name: str, row: int) -> None:
         """Take a row out of a component's table; it stays in the ledger, see `restore_row`.
 
         Parameters
@@ -248,17 +249,15 @@ class LibraryCalls:
         ProblemError
             If there is no such component or row (404).
         """
-        yield Request("DELETE", component_path(name, f"table/{int(row)}"))
+        self.call("DELETE", component_path(name, f"table/{int(row)}"))
 
-    @sync_and_async
-    def restore_row(self, name: str, row: int) -> Call[None]:
+    def restore_row(self, name: str, row: int) -> None:
         """Take a row back into a component's table; parameters and errors as `invalidate_row`."""
-        yield Request("POST", component_path(name, f"table/{int(row)}/restore"))
+        self.call("POST", component_path(name, f"table/{int(row)}/restore"))
 
-    @sync_and_async
     def withdraw_import(
         self, name: str, number: int, finding: str | None = None, *, restore: bool = False
-    ) -> Call[Document]:
+    ) -> Document:
         """Withdraw the rows of an import, or those that one of its findings names.
 
         The rows stay in the ledger. Rows that are withdrawn already do not change.
@@ -285,10 +284,9 @@ class LibraryCalls:
         """
         path = component_path(name, f"imports/{int(number)}{'/restore' if restore else ''}")
         query = {"finding": finding}
-        return (yield Request("POST" if restore else "DELETE", path, query=query)).json()
+        return self.call("POST" if restore else "DELETE", path, query=query).json()
 
-    @sync_and_async
-    def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Call[Document]:
+    def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Document:
         """Start making a report of error against run time; it takes minutes.
 
         Parameters
@@ -308,16 +306,14 @@ class LibraryCalls:
         """
         query = {"wrenches": wrenches, "seed": seed}
         path = component_path(name, "report")
-        return (yield Request("POST", path, query=query, repeatable=False)).json()
+        return self.call("POST", path, query=query, repeatable=False).json()
 
-    @sync_and_async
-    def report_state(self, name: str) -> Call[Document]:
+    def report_state(self, name: str) -> Document:
         """Return ``state`` (none, running, done, failed), ``fraction`` and ``message``."""
         query = {"format": "state"}
-        return (yield Request("GET", component_path(name, "report"), query=query)).json()
+        return self.call_json("GET", component_path(name, "report"), query=query)
 
-    @sync_and_async
-    def report(self, name: str, format: str = "json") -> Call[bytes]:  # noqa: A002 (the contract's word)
+    def report(self, name: str, format: str = "json") -> bytes:  # noqa: A002 (the contract's word)
         """Return the latest report as ``json``, ``md`` or ``html``.
 
         Raises
@@ -326,10 +322,9 @@ class LibraryCalls:
             If there is none yet (404).
         """
         query = {"format": format}
-        return (yield Request("GET", component_path(name, "report"), query=query)).content
+        return self.call("GET", component_path(name, "report"), query=query).content
 
-    @sync_and_async
-    def health(self) -> Call[Document]:
+    def health(self) -> Document:
         """Return the server's readiness: ``status`` and, if it is not ready, its ``faults``.
 
         Raises
@@ -338,58 +333,19 @@ class LibraryCalls:
             If nothing answers.
         """
         try:
-            return (yield Request("GET", "/health/ready", retry=False)).json()
+            return self.call_json("GET", "/health/ready", retry=False)
         except ProblemError as error:
             if error.status == 503 and error.body:
                 return error.body
             raise
 
-    @sync_and_async
-    def is_ready(self) -> Call[bool]:
+    def is_ready(self) -> bool:
         """Return whether a server answers and is ready."""
         try:
-            yield Request("GET", "/health/ready", retry=False)
+            self.call("GET", "/health/ready", retry=False)
         except (ServerUnreachable, ServerTimeout, ProblemError):
             return False
         return True
-
-
-def _import_query(
-    format_: str | None, dry_run: bool, decimal: str | None, filename: str, columns: Document
-) -> Document:
-    """Return the query of an import."""
-    mapping, ignore = columns.pop("mapping", None), columns.pop("ignore", ())
-    rig = columns.pop("rig", None)
-    for part in ("frame", "load_point", "displacement_point"):
-        value = columns.get(part)
-        if value is not None and not isinstance(value, str):
-            columns[part] = ",".join(map(repr, np.ravel(value).astype(float).tolist()))
-    return {
-        "format": None if format_ is None else _known(format_),
-        "dry_run": dry_run or None,
-        "decimal": decimal,
-        "mapping": json.dumps(dict(mapping)) if mapping else None,
-        "ignore": list(ignore) or None,
-        "filename": filename or None,
-        "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
-        **columns,
-    }
-
-
-def _table_body(
-    table: str | bytes | Path, displacements: str | Path | None
-) -> tuple[str, bytes, str]:
-    """Return the media type, the content and the file name of an import."""
-    if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
-        table = Path(table)
-    if isinstance(table, Path):
-        filename, content = _named_file(table)
-    else:
-        filename, content = "", table.encode() if isinstance(table, str) else table
-    if displacements is None:
-        return BINARY, content, filename
-    logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
-    return *_form(logs), filename
 
 
 def _named_file(file: str | Path) -> tuple[str, bytes]:

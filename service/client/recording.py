@@ -13,7 +13,7 @@ from ..contract import LOADS, MAX_BLOCK
 from ..messages import Envelope, Recording
 from .errors import Document, InvalidArgument
 from .job import Job
-from .request import BINARY, Call, Request, component_path, json_request, sync_and_async
+from .transport import BINARY, Connection, component_path
 from .wrenches import Tolerance, many_wrenches, options, tolerance_body
 
 Kind = Literal["recording", "envelope"]
@@ -28,14 +28,13 @@ class Started(messages.Started):
     jobs: tuple[Job, ...]
 
 
-class RecordingCalls:
+class RecordingCalls(Connection):
     """Save wrenches for later, track extremes, and have them solved.
 
     A loop of 1 kHz uses a `Recorder`, which never waits for the server.
     """
 
-    @sync_and_async
-    def record(self, name: str, wrenches: ArrayLike) -> Call[Document]:
+    def record(self, name: str, wrenches: ArrayLike) -> Document:
         """LM_direct: save wrenches, shape (n, inputs), N and N·m, in a component's recording.
 
         Returns
@@ -53,22 +52,19 @@ class RecordingCalls:
         ServerUnreachable, ServerTimeout
             See `Connection.call`; `recording` then has what was recorded.
         """
-        return (yield from _send_blocks(name, "recording", wrenches))
+        return self._send_blocks(name, "recording", wrenches)
 
-    @sync_and_async
-    def recording(self, name: str) -> Call[Recording]:
+    def recording(self, name: str) -> Recording:
         """Return what is recorded of a component; raises ProblemError (404)."""
-        return Recording.read((yield json_request("GET", component_path(name, "recording"))).json())
+        return Recording.read(self.call_json("GET", component_path(name, "recording")))
 
-    @sync_and_async
-    def clear_recording(self, name: str) -> Call[int]:
+    def clear_recording(self, name: str) -> int:
         """Forget a component's recording, and return how many wrenches it had taken in."""
-        return (yield json_request("DELETE", component_path(name, "recording"))).json()["cleared"]
+        return self.call_json("DELETE", component_path(name, "recording"))["cleared"]
 
-    @sync_and_async
     def start_recording(
         self, name: str, budget: int | None = None, *, beyond_range: bool = False
-    ) -> Call[Started]:
+    ) -> Started:
         """LM_start: queue the solves of recorded wrenches that the table does not cover.
 
         Parameters
@@ -86,10 +82,9 @@ class RecordingCalls:
             If the component is a table only and cannot be solved (409).
         """
         body = options(budget=budget, beyond_range=beyond_range or None)
-        return (yield from _start(name, "recording/start", body))
+        return Started.read(self.call_json("POST", component_path(name, "recording/start"), body))
 
-    @sync_and_async
-    def widen_envelope(self, name: str, wrenches: ArrayLike) -> Call[Document]:
+    def widen_envelope(self, name: str, wrenches: ArrayLike) -> Document:
         """LM_max: widen a component's envelope by wrenches, shape (n, inputs), N and N·m.
 
         Returns
@@ -97,67 +92,54 @@ class RecordingCalls:
         dict
             ``recorded``, ``count``, ``min`` and ``max``. Errors are those of `record`.
         """
-        return (yield from _send_blocks(name, "envelope", wrenches))
+        return self._send_blocks(name, "envelope", wrenches)
 
-    @sync_and_async
-    def envelope(self, name: str, tolerance: Tolerance | None = None) -> Call[Envelope]:
+    def envelope(self, name: str, tolerance: Tolerance | None = None) -> Envelope:
         """Return a component's envelope; with `tolerance` (m, rad) in the place of its own."""
         query = None if tolerance is None else tolerance_body(tolerance)
-        reply = yield json_request("GET", component_path(name, "envelope"), query=query)
-        return Envelope.read(reply.json())
+        reply = self.call_json("GET", component_path(name, "envelope"), query=query)
+        return Envelope.read(reply)
 
-    @sync_and_async
-    def clear_envelope(self, name: str) -> Call[int]:
+    def clear_envelope(self, name: str) -> int:
         """Forget a component's envelope, and return how many wrenches it had taken in."""
-        return (yield json_request("DELETE", component_path(name, "envelope"))).json()["cleared"]
+        return self.call_json("DELETE", component_path(name, "envelope"))["cleared"]
 
-    @sync_and_async
-    def start_envelope(self, name: str, *, beyond_range: bool = False) -> Call[Started]:
+    def start_envelope(self, name: str, *, beyond_range: bool = False) -> Started:
         """Queue the solves of the wrenches at a component's extremes; as `start_recording`."""
         body = options(beyond_range=beyond_range or None)
-        return (yield from _start(name, "envelope/start", body))
+        return Started.read(self.call_json("POST", component_path(name, "envelope/start"), body))
 
-    @sync_and_async
     def resolve(
         self, name: str, budget: int | None = None, *, beyond_range: bool = False
-    ) -> Call[Started]:
+    ) -> Started:
         """Queue a solve for each wrench that only rows of another setup of a component have.
 
         A component whose files change is another setup: its earlier rows leave the table
         (``another_setup`` of `component`). Parameters and errors are those of `start_recording`.
         """
         body = options(budget=budget, beyond_range=beyond_range or None)
-        return (yield from _start(name, "table/resolve", body))
+        return Started.read(self.call_json("POST", component_path(name, "table/resolve"), body))
 
-    @sync_and_async
     def send_block(
         self, name: str, kind: Kind, wrenches: bytes, client: str, sequence: int
-    ) -> Call[Document]:
+    ) -> Document:
         """Send a block of packed wrenches, little-endian float64 (n, inputs), under its key.
 
         However often it is sent, it is taken in once. A refused connection is not tried again.
         """
-        return (yield _block_request(name, kind, wrenches, client, sequence)).json()
+        query = {"client": client, "sequence": sequence}
+        path = component_path(name, kind)
+        return self.call("POST", path, wrenches, kind=BINARY, query=query, retry=False).json()
 
-
-def _block_request(
-    name: str, kind: Kind, wrenches: bytes, client: str, sequence: int, *, retry: bool = False
-) -> Request:
-    query = {"client": client, "sequence": sequence}
-    return Request("POST", component_path(name, kind), wrenches, BINARY, query, retry=retry)
-
-
-def _send_blocks(name: str, kind: Kind, wrenches: ArrayLike) -> Call[Document]:
-    """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as it takes."""
-    block, client, reply = checked_rows(wrenches), secrets.token_hex(16), {}
-    for sequence, start in enumerate(range(0, max(len(block), 1), MAX_BLOCK)):
-        part = np.ascontiguousarray(block[start : start + MAX_BLOCK], dtype="<f8").tobytes()
-        reply = (yield _block_request(name, kind, part, client, sequence, retry=True)).json()
-    return reply | {"recorded": len(block)}
-
-
-def _start(name: str, call: str, body: Document) -> Call[Started]:
-    return Started.read((yield json_request("POST", component_path(name, call), body)).json())
+    def _send_blocks(self, name: str, kind: Kind, wrenches: ArrayLike) -> Document:
+        """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as it takes."""
+        block, key, reply = checked_rows(wrenches), secrets.token_hex(16), {}
+        path = component_path(name, kind)
+        for sequence, start in enumerate(range(0, max(len(block), 1), MAX_BLOCK)):
+            part = np.ascontiguousarray(block[start : start + MAX_BLOCK], dtype="<f8").tobytes()
+            query = {"client": key, "sequence": sequence}
+            reply = self.call("POST", path, part, kind=BINARY, query=query).json()
+        return reply | {"recorded": len(block)}
 
 
 def checked_rows(wrenches: ArrayLike) -> Vector:

@@ -21,8 +21,8 @@ from .notebook import (
     named_columns,
     require_pandas,
 )
-from .response import Response
 from .rotation import rotation_matrix
+from .transport import Response
 from .wrenches import wrench_of
 
 Vector = NDArray[np.float64]
@@ -120,7 +120,7 @@ class Displacement:
             method=body.get("method"),
             table_version=body.get("table_version"),
             elapsed_us=body.get("elapsed_us"),
-            job=Job.read(job) if job else None,
+            job=Job.read(job, component) if job else None,
             reason=body.get("reason") or "",
             within_tolerance=body.get("within_tolerance"),
             derivative=_array(body.get("derivative")),
@@ -278,7 +278,9 @@ class Displacements:
             displacements=_block(body["displacements"], count),
             errors=_block(body["errors"], count),
             coverage=np.array(body["coverage"], dtype=np.str_),
-            jobs={job["index"]: Job.read(job) for job in jobs if job.get("id") is not None},
+            jobs={
+                job["index"]: Job.read(job, component) for job in jobs if job.get("id") is not None
+            },
             no_job={job["index"]: job.get("reason") or "" for job in jobs if job.get("id") is None},
             table_version=body.get("table_version"),
             elapsed_us=body.get("elapsed_us"),

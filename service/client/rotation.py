@@ -1,4 +1,4 @@
-"""Rotation vectors: to a matrix, to a quaternion."""
+"""The matrix of a rotation vector."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     """
     x, y, z = np.asarray(rotation, dtype=float).tolist()
     angle = math.sqrt(x * x + y * y + z * z)
-    first, second = _sinc(angle), 0.5 * _sinc(0.5 * angle) ** 2
+    first, second = sinc(angle), 0.5 * sinc(0.5 * angle) ** 2
     # Element by element: a simulator asks at each of its steps, and numpy's calls would be half.
     return np.array(
         (
@@ -41,16 +41,6 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     )
 
 
-def quaternion(rotation: ArrayLike) -> Vector:
-    """Return the unit quaternion (w, x, y, z) of a rotation vector, shape (3,), rad.
-
-    MuJoCo and Drake order it so; ROS and PyBullet write (x, y, z, w): see `conventions`.
-    """
-    vector = np.asarray(rotation, dtype=float)
-    angle = math.sqrt(float(vector @ vector))
-    return np.concatenate([[math.cos(0.5 * angle)], 0.5 * _sinc(0.5 * angle) * vector])
-
-
-def _sinc(angle: float) -> float:
+def sinc(angle: float) -> float:
     """Return sin(a)/a, 1 at zero; exact in floats for small angles, where sin(a) = a."""
     return math.sin(angle) / angle if angle > 0.0 else 1.0

@@ -6,15 +6,18 @@ import json
 import tomllib
 from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, overload
+from typing import TYPE_CHECKING, Any, Self, overload
 
 import numpy as np
 
 from ..contract import OUTPUTS
 from ..messages import Plan
 from .errors import Document, InvalidArgument, Json
-from .request import AsyncRunner, BlockingRunner, Call, json_request
+from .transport import Connection
 from .wrenches import tolerance_body
+
+if TYPE_CHECKING:
+    from .async_client import AsyncClient
 
 _FIELDS = ("force", "moment", "loads", "inputs", "outputs", "tolerance")
 
@@ -94,11 +97,11 @@ class Scene:
         SceneError
             If the scene has no such component.
         """
-        one = self.component(name)
+        need = self.component(name)
         return {
-            "range": {word: one[word] for word in _FIELDS[:4] if word in one},
-            "outputs": one.get("outputs"),
-            "tolerance": one.get("tolerance"),
+            "range": {field: need[field] for field in _FIELDS[:4] if field in need},
+            "outputs": need.get("outputs"),
+            "tolerance": need.get("tolerance"),
         }
 
     def component(self, name: str) -> Document:
@@ -114,10 +117,10 @@ class Scene:
         return self.components[name]
 
     @overload
-    def plan(self, client: BlockingRunner) -> dict[str, ComponentPlan]: ...
+    def plan(self, client: Connection) -> dict[str, ComponentPlan]: ...
     @overload
-    def plan(self, client: AsyncRunner) -> Coroutine[Any, Any, dict[str, ComponentPlan]]: ...
-    def plan(self, client: Any) -> Any:
+    def plan(self, client: AsyncClient) -> Coroutine[Any, Any, dict[str, ComponentPlan]]: ...
+    def plan(self, client: Connection | AsyncClient) -> object:
         """Return what the scene needs of each component, and what that saves.
 
         The call of an `AsyncClient` is awaited.
@@ -129,13 +132,13 @@ class Scene:
         ServerUnreachable, ServerTimeout
             See `Connection.call`.
         """
-        return client.run(self._plan())
+        return self._plan(client) if isinstance(client, Connection) else client.run(self._plan)
 
-    def _plan(self) -> Call[dict[str, ComponentPlan]]:
-        reply = yield json_request("POST", "/v1/scenes/plan", {"components": self.components})
-        plans = reply.json()["components"]
+    def _plan(self, client: Connection) -> dict[str, ComponentPlan]:
+        reply = client.call_json("POST", "/v1/scenes/plan", {"components": self.components})
         return {
-            name: ComponentPlan.read({**plan, "component": name}) for name, plan in plans.items()
+            name: ComponentPlan.read({**plan, "component": name})
+            for name, plan in reply["components"].items()
         }
 
     def query(self, name: str) -> str:
@@ -145,55 +148,49 @@ class Scene:
 
 def _checked(name: str, need: Json) -> Document:
     """Return one component's need as the wire has it."""
+    where = f"components.{name}"
     if not isinstance(need, Mapping):
-        raise SceneError(f"components.{name}: a table of {', '.join(_FIELDS)}, not {need!r}")
+        raise SceneError(f"{where}: a table of {', '.join(_FIELDS)}, not {need!r}")
     if unknown := need.keys() - set(_FIELDS):
         raise SceneError(
-            f"components.{name}: unknown {', '.join(sorted(unknown))}; it has {', '.join(_FIELDS)}"
+            f"{where}: unknown {', '.join(sorted(unknown))}; it has {', '.join(_FIELDS)}"
         )
-    where = f"components.{name}"
     if (loads := need.get("loads")) is None:
         body: Document = _wrench(where, need, ("force", "moment"))
     else:
-        each = _named(f"{where}.loads", loads).items()
-        body = {"loads": {one: _wrench(f"{where}.loads.{one}", own, own) for one, own in each}}
+        by_name = _named(f"{where}.loads", loads).items()
+        body = {"loads": {k: _wrench(f"{where}.loads.{k}", load, load) for k, load in by_name}}
     if (further := need.get("inputs")) is not None:
         spans = _named(f"{where}.inputs", further).items()
-        body["inputs"] = {one: _span(f"{where}.inputs.{one}", span) for one, span in spans}
+        body["inputs"] = {k: _span(f"{where}.inputs.{k}", span) for k, span in spans}
     if (outputs := need.get("outputs")) is not None:
-        body["outputs"] = _outputs(f"components.{name}.outputs", outputs)
+        listed = isinstance(outputs, Sequence) and not isinstance(outputs, str)
+        parts = [str(output).rpartition(".") for output in outputs] if listed else []
+        if not parts or any(output not in OUTPUTS for _, _, output in parts):
+            raise SceneError(
+                f"{where}.outputs: one or more of {', '.join(OUTPUTS)}, not {outputs!r}"
+            )
+        ordered = sorted({(interface, OUTPUTS.index(output)) for interface, _, output in parts})
+        body["outputs"] = [f"{k}.{OUTPUTS[place]}".lstrip(".") for k, place in ordered]
     if need.get("tolerance") is not None:
         try:
             body["tolerance"] = tolerance_body(need["tolerance"])
         except ValueError as error:
-            raise SceneError(f"components.{name}.tolerance: {error}") from None
+            raise SceneError(f"{where}.tolerance: {error}") from None
     return body
 
 
-def _named(where: str, given: Json) -> Mapping[str, Json]:
-    if not isinstance(given, Mapping):
-        raise SceneError(f"{where}: a table by name, not {given!r}")
-    return given
+def _named(where: str, value: Json) -> Mapping[str, Json]:
+    if not isinstance(value, Mapping):
+        raise SceneError(f"{where}: a table by name, not {value!r}")
+    return value
 
 
-def _wrench(where: str, need: Json, words: Iterable[str]) -> Document:
-    """Return the spans of force and moment; those that `words` names must be there."""
-    if unknown := set(words) - {"force", "moment"}:
+def _wrench(where: str, need: Json, parts: Iterable[str]) -> Document:
+    """Return the spans of force and moment; those that `parts` names must be there."""
+    if unknown := set(parts) - {"force", "moment"}:
         raise SceneError(f"{where}: unknown {', '.join(sorted(unknown))}; it has force, moment")
-    return {word: _spans(f"{where}.{word}", need.get(word)) for word in words}
-
-
-def _outputs(where: str, outputs: Json) -> list[str]:
-    listed = isinstance(outputs, Sequence) and not isinstance(outputs, str)
-    known = listed and all(str(one).rpartition(".")[2] in OUTPUTS for one in outputs)
-    if not known or not outputs:
-        raise SceneError(f"{where}: one or more of {', '.join(OUTPUTS)}, not {outputs!r}")
-    return sorted(set(outputs), key=_place)
-
-
-def _place(output: str) -> tuple[str, int]:
-    interface, _, own = output.rpartition(".")
-    return interface, OUTPUTS.index(own)
+    return {part: _spans(f"{where}.{part}", need.get(part)) for part in parts}
 
 
 def _spans(where: str, spans: Json) -> list[list[float]]:

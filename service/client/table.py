@@ -21,9 +21,8 @@ from ..contract import COVERAGE, LOADS
 from .errors import InvalidArgument, TableError, required
 from .notebook import html_table, named_columns
 from .replies import EXACT, ROUNDED, Displacement, Displacements, bars_within
-from .request import Call, Request, component_path, sync_and_async
 from .scene import ComponentPlan, Scene
-from .transport import Connection, Transport
+from .transport import Connection, component_path
 from .wrenches import (
     Load,
     Tolerance,
@@ -393,7 +392,7 @@ class Table:
                 f"{self!r} is of a file: download the newest version from a server"
             )
         with self._fetching:
-            fetched = self._client.run(_fetch(self.name, self._scene, self._now[1]))
+            fetched = _fetch(self._client, self.name, self._scene, self._now[1])
             if fetched is not None:
                 self._now = fetched
             return fetched is not None
@@ -460,11 +459,10 @@ class Table:
         vars(self).update(state, _fetching=threading.Lock())
 
 
-class DownloadCalls(Transport):
+class DownloadCalls(Connection):
     """Tables for this process."""
 
-    @sync_and_async
-    def download(self, name: str, scene: Scene | None = None) -> Call[Table]:
+    def download(self, name: str, scene: Scene | None = None) -> Table:
         """Return a component's table, which answers in this process; its calls all block.
 
         Parameters
@@ -481,19 +479,23 @@ class DownloadCalls(Transport):
             another format: install the server's version.
         ProblemError
             If there is no such component (404), or the scene goes beyond its load range (422).
-        SceneError
-            If the scene has no such component.
+        InvalidArgument
+            If the scene is no `Scene`; SceneError if it has no such component.
         ServerUnreachable, ServerTimeout
             See `Client.call`.
         """
+        if not (scene is None or isinstance(scene, Scene)):
+            raise InvalidArgument(
+                f"scene= takes a Scene, such as Scene.read('scene.toml'), not {scene!r}"
+            )
         try:
             kernel()  # an error comes before the download
         except RuntimeError as error:
             raise TableError(str(error)) from error
-        fetched = yield from _fetch(name, scene, None)
+        fetched = _fetch(self, name, scene, None)
         assert fetched is not None
         packed, etag = fetched
-        return Table(packed, name, self.blocking(), etag, scene)
+        return Table(packed, name, self, etag, scene)
 
 
 def _frozen(values: tuple[float, ...] | None) -> Vector | None:
@@ -511,14 +513,14 @@ def _columns(quantities: Iterable[Input | Output]) -> list[str]:
 
 
 def _fetch(
-    name: str, scene: Scene | None, etag: str | None
-) -> Call[tuple[PackedTable, str | None] | None]:
+    client: Connection, name: str, scene: Scene | None, etag: str | None
+) -> tuple[PackedTable, str | None] | None:
     """Return a component's table and its ETag; None if the server's is that of `etag`."""
     call, query = "table", {"format": "packed"}
     if scene is not None:
         call, query = "scene", {"wanted": scene.query(name)}
     headers = {"If-None-Match": etag} if etag else None
-    reply = yield Request("GET", component_path(name, call), query=query, headers=headers)
+    reply = client.call("GET", component_path(name, call), query=query, headers=headers)
     newest = reply.headers.get("ETag")
     # Some proxies answer from their cache with 200 where nothing is new.
     if reply.status == 304 or (etag is not None and newest == etag):

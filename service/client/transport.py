@@ -4,44 +4,77 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import io
 import json
 import os
 import socket
 import time
-from collections.abc import Iterator, Mapping
-from typing import Any, Self, TypeVar
-from urllib.parse import urlencode, urlsplit
+from collections.abc import Mapping
+from email.message import Message
+from functools import cached_property
+from typing import Any, Self
+from urllib.parse import quote, urlencode, urlsplit
 
-from .errors import InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
-from .request import (
-    JSON,
-    Call,
-    Item,
-    Items,
-    Listen,
-    NextLine,
-    Pause,
-    Request,
-    Step,
-    json_request,
-    sync_and_async,
+from .errors import (
+    InvalidArgument,
+    Json,
+    ProblemError,
+    ServerTimeout,
+    ServerUnreachable,
+    WrenchbookError,
 )
-from .response import Response, receive
 
-T = TypeVar("T")
-
+JSON = "application/json"
+BINARY = "application/octet-stream"
 RETRY_S = 10.0  # a restart takes 2.5 s with 20 tables of 20,000 rows
 BACKOFF_S = (0.1, 1.0)  # between attempts: doubled from, up to
 _ONE_WRITE = 65_536  # bytes that are worth copying to be sent at once: any request but a batch
 # What a call raises when the other side has closed a kept connection.
 _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
+_ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
+_BLANK_LINE = b"\r\n\r\n"
+_LENGTH = b"\r\ncontent-length:"
+# Fields that say what has to be done with a connection or a body: http.client knows how.
+_UNUSUAL = (b"\r\nconnection:", b"\r\ntransfer-encoding:", b"\r\ncontent-encoding:")
+_SUCCESS = (b"HTTP/1.1 200 ", b"HTTP/1.1 201 ", b"HTTP/1.1 202 ")
 _JSON_FIELDS = {"Content-Type": JSON, "Accept": JSON}
 
 _pause = time.sleep
 
 
-class Transport:
-    """The address of a server, and connections to it that block.
+class Response:
+    """A response as it was received; `will_close`: its connection is of no further use."""
+
+    def __init__(
+        self,
+        status: int,
+        content: bytes,
+        head: bytes = b"",
+        reason: str = "",
+        *,
+        will_close: bool = False,
+    ) -> None:
+        self.status, self.content, self.head = status, content, head
+        self.reason, self.will_close = reason, will_close
+
+    @cached_property
+    def headers(self) -> Message:
+        """The header fields, parsed at their first use."""
+        _, _, lines = self.head.partition(b"\r\n")
+        return http.client.parse_headers(io.BytesIO(lines + _BLANK_LINE))
+
+    def json(self) -> Json:
+        """Return the body as JSON."""
+        return json.loads(self.content)
+
+
+def component_path(name: str, call: str = "") -> str:
+    """Return the path of a component's call, or of the component itself."""
+    return f"/v1/components/{quote(name, safe='')}" + (f"/{call}" if call else "")
+
+
+class Connection:
+    """Blocking connections to one server.
 
     Each request takes an idle connection or opens one, and puts it back: threads never share one,
     and a loop of calls stays on one socket. A forked child opens its own. Parameters are those of
@@ -71,12 +104,36 @@ class Transport:
         self._shown = shown if self._port == default else f"{shown}:{self._port}"
         self._idle: list[http.client.HTTPConnection] = []
         self._process_id = os.getpid()
+        self._stream: Lines | None = None  # of the last `listen`
+        self._abandoned = False
 
     def __repr__(self) -> str:
         key = ", key=..." if self._key else ""
         return f"{type(self).__name__}({self.url!r}, timeout={self.timeout:g}{key})"
 
-    @sync_and_async
+    def __getstate__(self) -> Mapping[str, object]:
+        """Everything but the connections."""
+        return vars(self) | {"_idle": [], "_stream": None}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the idle connections; a later call opens a new one."""
+        idle, self._idle = self._idle, []  # those of requests on the way close after the answer
+        while (connection := _last(idle)) is not None:
+            connection.close()
+
+    def abandon(self) -> None:
+        """Close for good: a call of another thread ends, its stream at once."""
+        self._abandoned = True
+        if (stream := self._stream) is not None:
+            stream.close()
+        self.close()
+
     def call(
         self,
         method: str,
@@ -88,8 +145,26 @@ class Transport:
         headers: Mapping[str, str] | None = None,
         wait_s: float | None = None,
         repeatable: bool = True,
-    ) -> Call[Response]:
-        """Send one request and return its answer; parameters are those of `Request`.
+        retry: bool = True,
+    ) -> Response:
+        """Send one request and return its answer.
+
+        Parameters
+        ----------
+        method, path : str
+            The path is below the server's address, quoted.
+        content : bytes, optional
+            JSON unless `kind` names another content type.
+        query : mapping, optional
+            Parameters; those that are None are left out.
+        wait_s : float, optional
+            Seconds that the server may wait before it answers; adds to the timeout.
+        repeatable : bool
+            Whether sending the request twice does no more than once. Others are sent once, on a new
+            connection: the server may have closed a kept one.
+        retry : bool
+            Whether a server that refuses the connection is tried again, and one that is busy (503
+            with Retry-After) if `repeatable`.
 
         Raises
         ------
@@ -100,92 +175,65 @@ class Transport:
         ServerTimeout
             If the answer does not come in time.
         """
-        return (yield Request(method, path, content, kind, query, headers, wait_s, repeatable))
-
-    @sync_and_async
-    def call_json(self, method: str, path: str, body: object = None, **options: Any) -> Call[Json]:
-        """Send `body` as JSON and return the answer's JSON; options as in `call`."""
-        return (yield json_request(method, path, body, **options)).json()
-
-    def blocking(self) -> Connection:
-        """Return a blocking connection to the same server."""
-        return Connection(self.url, self.timeout, self._key)
-
-    def finish(self, call: Call[T]) -> T:
-        """Perform the steps of a call, and return its result."""
-        try:
-            step = next(call)
-            while True:
-                try:
-                    result = self.perform(step)
-                except Exception as error:
-                    step = call.throw(error)
-                else:
-                    step = call.send(result)
-        except StopIteration as end:
-            return end.value
-
-    def perform(self, step: Step) -> object:
-        """Send a request, listen, read a line or wait."""
-        if isinstance(step, Request):
-            return self._send(step)
-        if isinstance(step, NextLine):
-            return step.stream.readline()
-        if isinstance(step, Pause):
-            return _pause(step.seconds)
-        return self._listen(step)
-
-    def _send(self, request: Request) -> Response:
-        """Send a request, again while the server certainly has not taken it."""
+        fields = _JSON_FIELDS if kind is None else {"Content-Type": kind}
+        fields = {**fields, **(headers or {})}
+        if content is not None or method != "GET":
+            fields = {"Content-Length": str(len(content or b"")), **fields}
+        head = self._head(method, path, query, fields)
+        timeout = self.timeout + (wait_s or 0.0)
         began, attempt = time.monotonic(), 0
         while True:
             try:
-                return self._send_once(request)
+                return self._send(method, head, content or b"", timeout, repeatable)
             except (ServerUnreachable, ProblemError) as error:
-                pause = None
+                pause = None  # none: the server may have taken the request
                 if isinstance(error, ServerUnreachable):
                     if error.refused:
                         pause = min(BACKOFF_S[0] * 2**attempt, BACKOFF_S[1])
-                elif error.status == 503 and request.repeatable:
+                elif error.status == 503 and repeatable:
                     pause = error.retry_after
                 limit = min(self.timeout, self.retry_s) - (time.monotonic() - began)
-                if pause is None or pause > limit or not request.retry:
+                if pause is None or pause > limit or not retry:
                     raise
                 _pause(pause)
                 attempt += 1
 
-    def _send_once(self, request: Request) -> Response:
+    def call_json(self, method: str, path: str, body: object = None, **options: Any) -> Json:
+        """Send `body` as JSON and return the answer's JSON; options as in `call`."""
+        content = None if body is None else json.dumps(body, allow_nan=False).encode()
+        return self.call(method, path, content, **options).json()
+
+    def _send(
+        self, method: str, head: bytes, content: bytes, timeout: float, repeatable: bool
+    ) -> Response:
         """Send a request on a kept connection, or on a new one if there is none or it is dead."""
+        self._require_wanted()
         if self._process_id != os.getpid():
             # Forked: the sockets belong to the parent. Drop them without a byte on the wire.
             self._idle, self._process_id = [], os.getpid()
-        if request.repeatable and (kept := _last(self._idle)) is not None:
+        if repeatable and (connection := _last(self._idle)) is not None:
             try:
-                return self._exchange(kept, request)
+                return self._exchange(connection, method, head, content, timeout)
             except _CLOSED:
-                self._close_idle()  # the server has closed what was kept: once more on a new one
+                self.close()  # the server has closed what was kept: once more on a new one
         try:
-            return self._exchange(self._kind(self._host, self._port), request)
+            connection = self._kind(self._host, self._port)
+            return self._exchange(connection, method, head, content, timeout)
         except TimeoutError:
             raise
         except (http.client.HTTPException, OSError) as error:
             raise self._unreachable(error) from error
 
-    def _close_idle(self) -> None:
-        """Close the idle connections; those of requests on the way close after the answer."""
-        idle, self._idle = self._idle, []
-        while (connection := _last(idle)) is not None:
-            connection.close()
-
-    def _exchange(self, connection: http.client.HTTPConnection, request: Request) -> Response:
+    def _exchange(
+        self,
+        connection: http.client.HTTPConnection,
+        method: str,
+        head: bytes,
+        content: bytes,
+        timeout: float,
+    ) -> Response:
         """Send and receive on one connection, then keep it, or close it when anything failed."""
-        fields = _JSON_FIELDS if request.kind is None else {"Content-Type": request.kind}
-        fields = {**fields, **(request.headers or {})}
-        content = request.content or b""
-        if request.content is not None or request.method != "GET":
-            fields = {"Content-Length": str(len(content)), **fields}
-        head = self._head(request.method, request.path, request.query, fields)
-        timeout, idle = self.timeout + (request.wait_s or 0.0), self._idle
+        idle = self._idle
         try:
             connection.timeout = timeout
             if connection.sock is None:
@@ -198,7 +246,7 @@ class Transport:
             else:
                 sock.sendall(head)
                 sock.sendall(content)
-            response = receive(sock, request.method)
+            response = receive(sock, method)
         except TimeoutError as error:
             connection.close()
             raise ServerTimeout(
@@ -216,14 +264,20 @@ class Transport:
             raise problem(response)
         return response
 
-    def _listen(self, listen: Listen) -> _Lines:
-        """Return the answer to a GET that is read line by line, on a connection of its own."""
-        connection = self._kind(self._host, self._port, timeout=listen.timeout)
+    def _listen(
+        self, path: str, query: Mapping[str, object], headers: Mapping[str, str], timeout: float
+    ) -> Lines:
+        """Return the answer to a GET that is read line by line, on a connection of its own.
+
+        Reading raises TimeoutError after `timeout` seconds without a byte.
+        """
+        self._require_wanted()
+        connection = self._kind(self._host, self._port, timeout=timeout)
         try:
             connection.connect()
             sock = connection.sock
             assert sock is not None
-            sock.sendall(self._head("GET", listen.path, listen.query, listen.headers))
+            sock.sendall(self._head("GET", path, query, headers))
             response = http.client.HTTPResponse(sock, method="GET")
             response.begin()
         except ConnectionError as error:
@@ -235,7 +289,14 @@ class Transport:
                 refused = Response(response.status, response.read(), reason=response.reason)
             refused.headers = response.headers
             raise problem(refused)
-        return _Lines(response, sock)
+        self._stream = Lines(response, sock)
+        if self._abandoned:
+            self._stream.close()
+        return self._stream
+
+    def _require_wanted(self) -> None:
+        if self._abandoned:
+            raise WrenchbookError("the iteration was cancelled")
 
     def _head(
         self,
@@ -263,59 +324,17 @@ class Transport:
         return "\r\n".join([*lines, "", ""]).encode("latin-1")
 
     def _unreachable(self, error: BaseException) -> ServerUnreachable:
-        unreachable = ServerUnreachable(
-            f"no answer from {self.url} ({error or type(error).__name__}); "
-            "start a server with: wrenchbook serve"
-        )
+        why = str(error) or type(error).__name__
+        text = f"no answer from {self.url} ({why}); start a server with: wrenchbook serve"
+        closed = ConnectionResetError, BrokenPipeError, http.client.IncompleteRead
+        if isinstance(error, closed):
+            text = f"{self.url} ended the connection before its reply ({why}); try again"
+        unreachable = ServerUnreachable(text)
         unreachable.refused = isinstance(error, ConnectionRefusedError)
         return unreachable
 
 
-class Connection(Transport):
-    """Blocking connections to one server; parameters are those of `Transport`."""
-
-    run = Transport.finish
-
-    def __getstate__(self) -> Mapping[str, object]:
-        """Everything but the connections."""
-        return vars(self) | {"_idle": []}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the idle connections; a later call opens a new one."""
-        self._close_idle()
-
-    def blocking(self) -> Connection:
-        """Return this connection."""
-        return self
-
-    def iterate(self, call: Items[T]) -> Iterator[T]:
-        """Perform the steps of a call that is an iterator, and yield its items."""
-        try:
-            step = next(call)
-            while True:
-                if isinstance(step, Item):
-                    yield step.value
-                    step = next(call)
-                    continue
-                try:
-                    result = self.perform(step)
-                except Exception as error:
-                    step = call.throw(error)
-                else:
-                    step = call.send(result)
-        except StopIteration:
-            return
-        finally:
-            call.close()
-
-
-class _Lines:
+class Lines:
     """The lines of a response that goes on."""
 
     def __init__(self, response: http.client.HTTPResponse, sock: socket.socket) -> None:
@@ -334,6 +353,72 @@ def _last(idle: list[http.client.HTTPConnection]) -> http.client.HTTPConnection 
         return idle.pop()
     except IndexError:
         return None
+
+
+def receive(sock: socket.socket, method: str) -> Response:
+    """Read the answer to a request that has been sent.
+
+    HTTPException or OSError if none comes, or it breaks off, or is no HTTP. An ordinary success is
+    read here, others by http.client, which reads each header field into an e-mail message: that
+    takes longer than the server does.
+    """
+    received = sock.recv(_ENOUGH)
+    if not received:
+        raise http.client.RemoteDisconnected("the server closed the connection without an answer")
+    end = received.find(_BLANK_LINE)
+    head, content = received[: max(end, 0)].lower(), received[end + len(_BLANK_LINE) :]
+    _, _, after = head.partition(_LENGTH)
+    length = after.partition(b"\r\n")[0].strip()
+    if (
+        received.startswith(_SUCCESS)
+        and length.isdigit()
+        and int(length) >= len(content)
+        and _LENGTH not in after
+        and not any(field in head for field in _UNUSUAL)
+    ):
+        pieces, missing = [content], int(length) - len(content)
+        while missing:
+            piece = sock.recv(min(missing, 1 << 20))
+            if not piece:
+                raise http.client.IncompleteRead(b"".join(pieces), missing)
+            pieces.append(piece)
+            missing -= len(piece)
+        return Response(int(head[9:12]), b"".join(pieces), received[:end])
+    replay = _Replay(received, sock)
+    unusual = http.client.HTTPResponse(replay, method=method)  # pyright: ignore
+    try:
+        unusual.begin()
+        if replay.ended:  # http.client takes a head that breaks off as complete
+            raise http.client.IncompleteRead(received)
+        content, close = unusual.read(), unusual.will_close
+        response = Response(unusual.status, content, reason=unusual.reason, will_close=close)
+        response.headers = unusual.headers
+        return response
+    finally:
+        unusual.close()
+
+
+class _Replay(io.RawIOBase):
+    """The bytes received, then the socket's: all that http.client needs of a socket."""
+
+    def __init__(self, received: bytes, sock: socket.socket) -> None:
+        super().__init__()
+        self._received, self._sock, self.ended = received, sock, False
+
+    def makefile(self, _mode: str) -> io.BufferedReader:
+        return io.BufferedReader(self)
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: memoryview) -> int:  # pyright: ignore
+        if not self._received:
+            count = self._sock.recv_into(buffer)
+            self.ended = not count
+            return count
+        count = min(len(buffer), len(self._received))
+        buffer[:count], self._received = self._received[:count], self._received[count:]
+        return count
 
 
 def problem(response: Response) -> ProblemError:

@@ -86,7 +86,13 @@ def loads_body(
     if is_wrench:
         body = _parts(one_wrench(np.zeros(3) if force is None else force, moment))
     elif loads is not None:
-        body["loads"] = {name: _parts(_wrench_of(load)) for name, load in loads.items()}
+        body["loads"] = {}
+        for name, load in loads.items():
+            parts = load if isinstance(load, Mapping) else {"force": load}
+            if unknown := ", ".join(parts.keys() - {"force", "moment"}):
+                raise InvalidArgument(f"a load has force and moment, not {unknown}")
+            wrench = one_wrench(parts.get("force", np.zeros(3)), parts.get("moment"))
+            body["loads"][name] = _parts(wrench)
     elif inputs is None:
         raise InvalidArgument("give a force, a moment or loads")
     for name, value in (inputs or {}).items():
@@ -101,15 +107,6 @@ def wrench_of(body: Mapping[str, Json]) -> Vector:
     """Return the wrench that `loads_body` gives for one interface, shape (6,), N and N·m."""
     zero = [0.0] * 3
     return np.array([*body.get("force", zero), *body.get("moment", zero)])
-
-
-def _wrench_of(load: Load) -> Vector:
-    if not isinstance(load, Mapping):
-        return one_wrench(load)
-    unknown = ", ".join(load.keys() - {"force", "moment"})
-    if unknown:
-        raise InvalidArgument(f"a load has force and moment, not {unknown}")
-    return one_wrench(load.get("force", np.zeros(3)), load.get("moment"))
 
 
 def _parts(wrench: Vector) -> Document:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.io import loadmat, whosmat
 
 from wrenchbook.service.formats.arrow import MAX_UNPACKED, cell_text
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.formats.columns import Columns, WritableRows
+from wrenchbook.service.formats.columns import TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.rows import Array, ParsedTable, Problem, good_rows
 from wrenchbook.service.formats.text import PIECE, Cells, read_columns
@@ -34,21 +35,16 @@ def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
                 message = f"is a table of another component's inputs, outputs or units, not {names}"
                 report.mistakes.ruin(0, "file", message)
                 return
-            piece = ParsedTable(
-                wrench=rows.wrench,
-                displacement=rows.displacement,
-                uncertainty=rows.uncertainty,
-                compliance=rows.compliance,
-                source=tuple(str(text).strip() for text in rows.source),
-                note=tuple(note.strip() for note in notes),
-                fingerprint=tuple(str(text).strip() for text in rows.fingerprint),
-                row=np.arange(1, len(rows) + 1) + report.read,
-                curvature=rows.curvature,
-            )
-            good = np.ones(len(piece), dtype=bool)
+            piece = vars(rows) | {
+                "seq": np.arange(1, len(rows) + 1) + report.read,
+                "source": np.strings.strip(rows.source),
+                "fingerprint": np.strings.strip(rows.fingerprint),
+                "note": [note.strip() for note in notes],
+            }
+            good = np.ones(len(rows), dtype=bool)
             for at, key, message in (*_number_problems(piece, columns), *_text_problems(piece)):
                 good[at] = False
-                report.mistakes.add(int(piece.row[at]), key, message)
+                report.mistakes.add(int(piece["seq"][at]), key, message)
             yield good_rows(piece, good, options, report)
             report.read += len(rows)
             if report.is_beyond_limits():
@@ -128,25 +124,24 @@ def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> byte
         return path.read_bytes()
 
 
-def _number_problems(piece: ParsedTable, columns: Columns) -> Iterator[Problem]:
+def _number_problems(piece: Mapping[str, Any], columns: Columns) -> Iterator[Problem]:
     """Yield wrong uncertainties and incomplete tangents."""
-    bounds = piece.uncertainty
+    bounds = piece["uncertainty"]
     for at, output in np.argwhere(np.isinf(bounds) | (bounds < 0.0)).tolist():
         message = (
             f"{bounds[at, output]}: an uncertainty of {columns.displacement[output]} is 0 or more"
         )
         yield at, f"uncertainty[{output}]", message
     count = len(columns.compliance)
-    tangents: Array = piece.compliance.reshape(-1, count)
+    tangents: Array = piece["compliance"].reshape(-1, count)
     broken = ~np.isfinite(tangents).all(axis=1) & ~np.isnan(tangents).all(axis=1)
     for at in np.flatnonzero(broken).tolist():
         message = f"is not {count} finite numbers; a row has all {count} tangents or none (NaN)"
         yield at, "compliance", message
 
 
-def _text_problems(piece: ParsedTable) -> Iterator[Problem]:
-    columns = {"source": piece.source, "fingerprint": piece.fingerprint, "note": piece.note}
-    for key, texts in columns.items():
-        for at, text in enumerate(texts):
+def _text_problems(piece: Mapping[str, Any]) -> Iterator[Problem]:
+    for key in TEXTS:
+        for at, text in enumerate(piece[key]):
             if problem := text_problem(text):
                 yield at, key, problem

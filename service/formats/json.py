@@ -33,12 +33,11 @@ from wrenchbook.service.formats.rows import (
     Array,
     ParsedTable,
     good_rows,
-    known_column,
     number_word,
 )
 from wrenchbook.service.formats.text import PIECE, read_records
 from wrenchbook.service.formats.units import vanished
-from wrenchbook.surrogate.table.rows import curvature_column
+from wrenchbook.surrogate.table.rows import curvature_column, unknown_column
 
 MAX_BYTES = 112 * 1024 * 1024
 """Decoded rows take seven times their text: 450,000 rows are 800 MB."""
@@ -242,18 +241,20 @@ class _JsonRows:
         n, m = len(self._columns.wrench), len(self._columns.displacement)
         block: Array = np.array(self._numbers, dtype=float).reshape(-1, n + 2 * m + m * n)
         source, note, fingerprint = zip(*self._texts, strict=True) if self._texts else ((), (), ())
-        piece = ParsedTable(
-            wrench=block[:, :n],
-            displacement=block[:, n : n + m],
-            uncertainty=known_column(block[:, n + m : n + 2 * m]),
-            compliance=known_column(block[:, n + 2 * m :].reshape(-1, m, n)),
-            source=source,
-            note=note,
-            fingerprint=fingerprint,
-            row=np.array(self._row, dtype=np.int64),
-            curvature=curvature_column(self._curvatures, self._columns.space),
-        )
-        return good_rows(piece, np.ones(len(piece), dtype=bool), options, report)
+        uncertainty, tangents = block[:, n + m : n + 2 * m], block[:, n + 2 * m :].reshape(-1, m, n)
+        piece = {
+            "seq": np.array(self._row, dtype=np.int64),
+            "wrench": block[:, :n],
+            "displacement": block[:, n : n + m],
+            "compliance": _known_column(tangents),
+            "curvature": curvature_column(self._curvatures, self._columns.space),
+            "uncertainty": _known_column(uncertainty),
+            "source": np.array(source, dtype=str),
+            "fingerprint": np.array(fingerprint, dtype=str),
+            "space": self._columns.space,
+            "note": note,
+        }
+        return good_rows(piece, np.ones(len(block), dtype=bool), options, report)
 
     def _refuse(self, key: str, message: str) -> None:
         self.mistakes.append((self._at, key, message))
@@ -328,6 +329,11 @@ class _JsonRows:
         if problem := text_problem(value):
             self._refuse(key, problem)
         return value.strip()
+
+
+def _known_column(column: Array) -> Array:
+    """Return a column, (n, ...), m and rad; without memory if all of it is unknown."""
+    return unknown_column(*column.shape) if np.isnan(column).all() else column
 
 
 def _are(values: Any, count: int) -> TypeGuard[list[Any]]:

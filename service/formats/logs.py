@@ -57,15 +57,15 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
     if mistakes:
         mistakes.whole = True
         return None
-    time = np.concatenate([np.empty(0), *(one.time for one in parts if one.time is not None)])
+    time = np.concatenate([np.empty(0), *(part.time for part in parts if part.time is not None)])
     steps = np.diff(time)
     if not len(steps) or (steps <= 0.0).any():
-        rows = [row for one in parts for row in one.row.tolist()]
+        rows = [row for part in parts for row in part.seq.tolist()]
         at = int(np.argmax(steps <= 0.0)) + 1 if len(steps) else 0
         message = "the log of the loads needs times that grow from sample to sample"
         mistakes.ruin(rows[at] if rows else 0, "time", message)
         return None
-    return time, np.concatenate([one.wrench for one in parts])
+    return time, np.concatenate([part.wrench for part in parts])
 
 
 def _applied_lag(
@@ -79,10 +79,12 @@ def _applied_lag(
         return None
     auto = options.time_offset_s == "auto"
     applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s
-    when = np.concatenate([np.empty(0), *(one.time for one in pieces if one.time is not None)])
+    when = np.concatenate(
+        [np.empty(0), *(piece.time for piece in pieces if piece.time is not None)]
+    )
     found = None
     if len(when) and options.space.is_default:
-        moved = np.concatenate([one.displacement for one in pieces])
+        moved = np.concatenate([piece.displacement for piece in pieces])
         found = estimate_lag(Logs(time, wrench, when, moved), applied)
     if auto and (found is None or found.others):
         message = (
@@ -121,7 +123,7 @@ def with_loads(
             message = (
                 "one log has clock times and the other seconds from its beginning; convert one"
             )
-            report.mistakes.ruin(int(piece.row[0]), "time", message)
+            report.mistakes.ruin(int(piece.seq[0]), "time", message)
             return
         when = piece.time + lag
         after = np.clip(np.searchsorted(time, when, side="right"), 1, len(time) - 1)

@@ -26,6 +26,7 @@ from wrenchbook.service.formats.logs import joined_loads, with_loads, zeroed
 from wrenchbook.service.formats.options import Format, Options, ReadReport
 from wrenchbook.service.formats.rig import rigged, with_known_point
 from wrenchbook.service.formats.rows import (
+    MEASURED,
     ParsedTable,
     is_corrected,
     with_own_setup,
@@ -36,7 +37,8 @@ from wrenchbook.service.formats.xlsx import read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MOST, find
 from wrenchbook.surrogate.findings.finding import RigFinding
-from wrenchbook.surrogate.table.rows import Rows, unknown_column
+from wrenchbook.surrogate.table.rows import Rows, joined, unknown_column
+from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 MAX_PREVIEW = 100
 MAX_BYTES = 512 * 1024 * 1024
@@ -45,8 +47,7 @@ MAX_BYTES = 512 * 1024 * 1024
 _LIMITS = Limits(memory=1024 << 20, seconds=60.0, output=1024 << 20)
 """A million rows of 17 digits take 20 s and 300 MB."""
 
-_NUMBERS = ("wrench", "displacement", "uncertainty", "compliance")
-_TEXTS = ("source", "note", "fingerprint")
+_NUMBERS = ("seq", "wrench", "displacement", "uncertainty", "compliance", "curvature")
 _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]] = {
     "csv": read_csv,
     "xlsx": read_xlsx,
@@ -78,10 +79,11 @@ class ReadResult:
 
     report: Mapping[str, Any]
     parts: Sequence[Part]
+    space: Space = DEFAULT
 
     def pieces(self) -> Iterator[ParsedTable]:
         """Yield the rows in pieces."""
-        return (_piece(part) for part in self.parts)
+        return (_piece(part, self.space) for part in self.parts)
 
 
 def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) -> ReadResult:
@@ -100,7 +102,7 @@ def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) ->
         report = ReadReport()
         report.mistakes.ruin(0, "file", str(error))
         return ReadResult({**report.as_json(0, []), "findings": []}, [])
-    return ReadResult(parts[-1].fields, parts[:-1])
+    return ReadResult(parts[-1].fields, parts[:-1], options.space)
 
 
 def warm_up() -> None:
@@ -129,7 +131,7 @@ def table_parts(
         for at in range(min(preview, MAX_PREVIEW, good + len(piece)) - len(shown)):
             wrench, moved = piece.wrench[at].tolist(), piece.displacement[at].tolist()
             moved = [None if np.isnan(value) else value for value in moved]
-            shown.append({"row": int(piece.row[at]), "wrench": wrench, "displacement": moved})
+            shown.append({"row": int(piece.seq[at]), "wrench": wrench, "displacement": moved})
         good += len(piece)
         if len(piece):
             yield _part(piece)
@@ -141,18 +143,17 @@ class FindingsSample:
     """Every k-th row of a file, at most twice as many as findings look at."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[np.ndarray, ...]] = []
+        self.parts: list[Rows] = []
         self._stride, self._skip = 1, 0
 
     def add(self, piece: ParsedTable) -> None:
         """Take the next rows of the file."""
-        part = piece.wrench, piece.displacement, piece.row
-        self._parts.append(tuple(one[self._skip :: self._stride].copy() for one in part))
+        self.parts.append(piece.take(np.arange(self._skip, len(piece), self._stride)))
         self._skip = (self._skip - len(piece)) % self._stride
-        if sum(len(row) for _, _, row in self._parts) > 2 * MOST:
-            joined = tuple(np.concatenate(one) for one in zip(*self._parts, strict=True))
-            self._parts = [tuple(one[::2] for one in joined)]
-            if len(joined[0]) % 2:  # the last row is in the sample: the next is two strides on
+        if sum(map(len, self.parts)) > 2 * MOST:
+            rows = joined(self.parts)
+            self.parts = [rows.take(np.arange(0, len(rows), 2))]
+            if len(rows) % 2:  # the last row is in the sample: the next is two strides on
                 self._skip += self._stride
             self._stride *= 2
 
@@ -162,13 +163,11 @@ class FindingsSample:
         `known` are those of the join of two logs; rows of a wrong join show nothing else. The other
         findings are on one wrench and its displacement: other spaces have none.
         """
-        if known or not self._parts or options.load_range is None or not options.space.is_default:
+        if known or not self.parts or options.load_range is None or not options.space.is_default:
             return [finding.body() for finding in known]
-        wrench, moved, row = (np.concatenate(one) for one in zip(*self._parts, strict=True))
-        rows = Rows.of(wrench, moved, seq=row)
         solved = None if options.solved is None else np.array(options.solved)
-        found = find(rows, options.load_range, solved, linear=options.linear)
-        return [finding.body() for finding in found]
+        findings = find(joined(self.parts), options.load_range, solved, linear=options.linear)
+        return [finding.body() for finding in findings]
 
 
 def read_table_file(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -302,30 +301,32 @@ def _format_of_zip(path: Path) -> Format:
 
 def _part(piece: ParsedTable) -> Part:
     """Return a piece as a part, without unknown columns; equal texts are one text."""
-    numbers = {name: getattr(piece, name) for name in (*_NUMBERS, "curvature")}
+    columns = {name: getattr(piece, name) for name in _NUMBERS}
     arrays = {
-        name: column
-        for name, column in numbers.items()
-        if column is not None and column.size and any(column.strides)
+        name: column for name, column in columns.items() if column.size and any(column.strides)
     }
-    texts = {name: getattr(piece, name) for name in _TEXTS}
+    source = np.where(piece.source == "", MEASURED, piece.source)
+    texts = {"source": source.tolist(), "fingerprint": piece.fingerprint.tolist()}
+    texts["note"] = list(piece.note)
     packed = {
-        name: column[0] if len(set(column)) == 1 else list(column) for name, column in texts.items()
+        name: column[0] if len(set(column)) == 1 else column for name, column in texts.items()
     }
-    return Part({"n": len(piece), **packed}, arrays | {"row": piece.row.astype(np.int64)})
+    return Part(packed, arrays)
 
 
-def _piece(part: Part) -> ParsedTable:
-    count = int(part.fields["n"])
-    wrench, displacement = (part.arrays[name] for name in _NUMBERS[:2])
-    shapes = displacement.shape, (*displacement.shape, wrench.shape[1])
-    uncertainty, compliance = (
-        part.arrays[name] if name in part.arrays else unknown_column(*shape)
-        for name, shape in zip(_NUMBERS[2:], shapes, strict=True)
-    )
-    packed = (part.fields[name] for name in _TEXTS)
-    texts = ((one,) * count if isinstance(one, str) else tuple(one) for one in packed)
-    source, note, fingerprint = texts
-    numbers = wrench, displacement, uncertainty, compliance
-    rest = source, note, fingerprint, part.arrays["row"]
-    return ParsedTable(*numbers, *rest, curvature=part.arrays.get("curvature"))
+def _piece(part: Part, space: Space) -> ParsedTable:
+    n, outputs, inputs = len(part.arrays["seq"]), len(space.outputs), len(space.inputs)
+    texts = {
+        name: np.full(n, part.fields[name])
+        if isinstance(part.fields[name], str)
+        else np.array(part.fields[name])
+        for name in ("source", "fingerprint")
+    }
+    note = part.fields["note"]
+    blank = {
+        "uncertainty": unknown_column(n, outputs),
+        "compliance": unknown_column(n, outputs, inputs),
+        "curvature": np.empty((n, 0)),
+        "note": [note] * n if isinstance(note, str) else note,
+    }
+    return ParsedTable(**blank | texts | dict(part.arrays), space=space)

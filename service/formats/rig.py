@@ -12,7 +12,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from wrenchbook.service.formats.rows import (
     ParsedTable,
     Problem,
     largest_loads,
+    picked,
 )
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
@@ -176,10 +177,11 @@ def rigged(
         for at, name, message in _problems(piece, rig, moved, shift, names):
             good[at] = False
             label = report.label(name, options.columns) if name in names else name
-            report.mistakes.add(int(piece.row[at]), label, message)
-        source = tuple(f"{source or MEASURED}{_MARK}{rig.name}" for source in piece.source)
-        columns = {"uncertainty": uncertainty, "source": source}
-        yield replace(piece, wrench=loads - shift, displacement=moved, **columns).take(good)
+            report.mistakes.add(int(piece.seq[at]), label, message)
+        source = np.where(piece.source == "", MEASURED, piece.source)
+        columns = {"wrench": loads - shift, "displacement": moved, "uncertainty": uncertainty}
+        columns["source"] = np.char.add(source, f"{_MARK}{rig.name}")
+        yield ParsedTable(**picked(vars(piece) | columns, good))
 
 
 def with_known_point(
@@ -202,7 +204,7 @@ def with_known_point(
         yield piece
         asked, names = np.ones(len(piece), dtype=bool), {name for _, name, _ in report.columns}
         if not options.rig:
-            asked = ~(_of_interface(piece) | np.array([*map(bool, piece.source)], dtype=bool))
+            asked = ~(_of_interface(piece) | (piece.source != ""))
             size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf
         shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[asked]
         share, rows = np.abs(shift) / size, rows + len(shift)
@@ -213,7 +215,7 @@ def with_known_point(
         if share.max(initial=0.0) > worst:
             at, load = np.unravel_index(share.argmax(), share.shape)
             worst, value = float(share[at, load]), float(np.abs(shift[at, load]))
-            row = int(piece.row[asked][at])
+            row = int(piece.seq[asked][at])
     if (count > _FEW_ROWS * rows).any():
         more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
         words = {"count": int(count.max()), "rows": rows, "row": row, "value": value, "more": more}
@@ -229,10 +231,10 @@ def _shift(wrench: Array, displacement: Array) -> Array:
     for first in range(0, displacement.shape[1], PER_INTERFACE):
         force, moved = (values[:, first : first + 3] for values in (wrench, displacement))
         for axis in range(3):
-            one, other = (axis + 1) % 3, (axis + 2) % 3
-            ahead, back = force[:, other] != 0.0, force[:, one] != 0.0
-            shift[ahead, first + 3 + axis] += moved[ahead, one] * force[ahead, other]
-            shift[back, first + 3 + axis] -= moved[back, other] * force[back, one]
+            a, b = (axis + 1) % 3, (axis + 2) % 3
+            ahead = np.where(force[:, b] != 0.0, moved[:, a] * force[:, b], 0.0)
+            back = np.where(force[:, a] != 0.0, moved[:, b] * force[:, a], 0.0)
+            shift[:, first + 3 + axis] = ahead - back
     return shift
 
 
@@ -241,12 +243,9 @@ def _of_interface(piece: ParsedTable) -> Array:
     known = np.zeros(len(piece), dtype=bool)
     if any(piece.compliance.strides):
         known |= np.isfinite(piece.compliance).any(axis=(1, 2))
-    if piece.curvature is not None:
-        known |= np.isfinite(piece.curvature).any(axis=1)
-    if any(piece.source) or any(piece.fingerprint):
-        pairs = zip(piece.source, piece.fingerprint, strict=True)
-        known |= [source == FEA or bool(setup) or _MARK in source for source, setup in pairs]
-    return known
+    known |= np.isfinite(piece.curvature).any(axis=1)
+    known |= (piece.source == FEA) | (piece.fingerprint != "")
+    return known | (np.char.find(piece.source, _MARK) >= 0)
 
 
 def _problems(

@@ -12,12 +12,13 @@ is a measurement or a solve from elsewhere.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from wrenchbook.service.formats.columns import Columns
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.surrogate.limits import (
     ROTATION_LIMIT,
@@ -25,7 +26,7 @@ from wrenchbook.surrogate.limits import (
     is_too_far,
     rotation_angles,
 )
-from wrenchbook.surrogate.table.rows import LoadRange, unknown_column
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, unknown_column
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
 Array = np.ndarray
@@ -42,41 +43,29 @@ MEASURED = "measured"  # the source of rows that name none
 
 
 @dataclass(frozen=True)
-class ParsedTable:
-    """The rows of a table file without mistakes, in SI; texts are empty where the file has none."""
+class ParsedTable(Rows):
+    """Rows of a table file; `seq` are places in the file as of `FileMistake.row`."""
 
-    wrench: Array  # (n, inputs), N and N·m and the units of further inputs
-    displacement: Array  # (n, outputs), m and rad; NaN where not measured, but never all of a row
-    uncertainty: Array  # (n, outputs), m and rad; NaN where the file gives none
-    compliance: Array  # (n, outputs, inputs), d(displacement)/d(wrench); all of a row or NaN
-    source: tuple[str, ...]
-    note: tuple[str, ...]
-    fingerprint: tuple[str, ...]
-    row: Array  # (n,), places in the file as of `FileMistake.row`
+    note: Sequence[str] = ()
     time: Array | None = None  # (n,), s; of logs that are joined by it
-    curvature: Array | None = None  # as `Rows.curvature`; None if no row has it
 
-    def __len__(self) -> int:
-        return len(self.wrench)
+    def take(self, which: ArrayLike) -> ParsedTable:
+        """Return the rows that an index array or a mask of shape (n,) picks."""
+        return type(self)(**picked(vars(self), np.asarray(which)))
 
-    def take(self, which: Array) -> ParsedTable:
-        """Return the rows of a mask, shape (n,), dimensionless."""
-        if which.all():
-            return self
-        places = np.flatnonzero(which).tolist()
-        return replace(
-            self,
-            wrench=self.wrench[which],
-            displacement=self.displacement[which],
-            uncertainty=_taken(self.uncertainty, which),
-            compliance=_taken(self.compliance, which),
-            source=tuple(self.source[place] for place in places),
-            note=tuple(self.note[place] for place in places),
-            fingerprint=tuple(self.fingerprint[place] for place in places),
-            row=self.row[which],
-            time=None if self.time is None else self.time[which],
-            curvature=None if self.curvature is None else self.curvature[which],
-        )
+
+def picked(columns: Mapping[str, Any], which: Array) -> dict[str, Any]:
+    """Return the columns of a `ParsedTable` for the rows of a mask, (n,), or of indices."""
+    columns = dict(columns)
+    if which.dtype != bool or not which.all():
+        index = np.flatnonzero(which) if which.dtype == bool else which
+        for name, column in columns.items():
+            if isinstance(column, np.ndarray):
+                is_unknown = column.ndim > 1 and not any(column.strides)
+                shape = len(index), *column.shape[1:]
+                columns[name] = unknown_column(*shape) if is_unknown else column[index]
+        columns["note"] = [columns["note"][at] for at in index.tolist()]
+    return columns
 
 
 def number_word(count: int) -> str:
@@ -84,41 +73,39 @@ def number_word(count: int) -> str:
     return "six" if count == PER_INTERFACE else str(count)
 
 
-def known_column(column: Array) -> Array:
-    """Return a column, (n, ...), m and rad; without memory if all of it is unknown."""
-    return unknown_column(*column.shape) if np.isnan(column).all() else column
-
-
-def _taken(column: Array, which: Array) -> Array:
-    if any(column.strides):
-        return column[which]
-    return unknown_column(int(which.sum()), *column.shape[1:])
-
-
 def is_corrected(options: Options) -> bool:
     """Return whether readings are joined or corrected: rows of the interface have limits."""
     return bool(options.zero_rows or options.rig or options.role != "table")
 
 
-def good_rows(piece: ParsedTable, good: Array, options: Options, report: ReadReport) -> ParsedTable:
-    """Return the rows of a mask, shape (n,), that are within the limits, if they are final."""
-    if is_corrected(options):
-        report.mistakes.settle()
-        return piece.take(good)
-    return within_limits(piece, options, report, good)
-
-
-def within_limits(
-    piece: ParsedTable, options: Options, report: ReadReport, good: Array | None = None
+def good_rows(
+    columns: Mapping[str, Any], good: Array, options: Options, report: ReadReport
 ) -> ParsedTable:
-    """Return the rows of a mask, shape (n,), within all limits; the others become mistakes."""
-    good = np.ones(len(piece), dtype=bool) if good is None else good
-    for at, name, message in _excesses(piece, options):
-        good[at] = False
-        label = report.label(name, options.columns)
-        report.mistakes.add(int(piece.row[at]), label, message)
+    """Return the rows of a mask, (n,), of the columns of a `ParsedTable`, within the limits.
+
+    Readings that are to be corrected have no limits yet.
+    """
+    if not is_corrected(options):
+        good = good & _within_limits(columns, options, report)
+    report.mistakes.settle()
+    return ParsedTable(**picked(columns, good))
+
+
+def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
+    """Return the rows within all limits; the others become mistakes."""
+    good = _within_limits(vars(piece), options, report)
     report.mistakes.settle()
     return piece.take(good)
+
+
+def _within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
+    good = np.ones(len(columns["seq"]), dtype=bool)
+    numbers = (columns[name] for name in ("wrench", "displacement", "uncertainty"))
+    for at, name, message in _excesses(*numbers, options):
+        good[at] = False
+        label = report.label(name, options.columns)
+        report.mistakes.add(int(columns["seq"][at]), label, message)
+    return good
 
 
 def largest_loads(load_range: LoadRange) -> Array:
@@ -127,16 +114,18 @@ def largest_loads(load_range: LoadRange) -> Array:
     A load without a range of its own (0 to 0) has the largest of its kind: the cross-loads of a rig
     are a part of its main load. If all of a kind have none there is no limit.
     """
-    kinds = np.array([one.kind for one in load_range.space.inputs])
+    kinds = np.array([load.kind for load in load_range.space.inputs])
     size = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
     for kind in ("force", "moment"):
         size[(kinds == kind) & (size == 0.0)] = size[kinds == kind].max()
     return np.where(size > 0.0, LOAD_LIMIT * size, np.inf)
 
 
-def _excesses(piece: ParsedTable, options: Options) -> Iterator[Problem]:
+def _excesses(
+    wrench: Array, displacement: Array, uncertainty: Array, options: Options
+) -> Iterator[Problem]:
     """Yield the numbers beyond a limit."""
-    columns, displacement = options.columns, piece.displacement
+    columns = options.columns
     is_rotation = columns.space.is_rotation
     for first in range(0, len(columns.displacement), PER_INTERFACE):
         moved = displacement[:, first : first + PER_INTERFACE]
@@ -155,16 +144,9 @@ def _excesses(piece: ParsedTable, options: Options) -> Iterator[Problem]:
             "moves so far (check the unit: m or mm?)"
         )
         yield at, columns.displacement[axis], message
-    if any(piece.uncertainty.strides):
-        yield from _uncertainties(piece.uncertainty, columns)
-    if options.load_range is not None:
-        yield from _loads(piece.wrench, options.load_range)
-
-
-def _uncertainties(uncertainty: Array, columns: Columns) -> Iterator[Problem]:
-    is_rotation = columns.space.is_rotation
     limit = np.where(is_rotation, ROTATION_LIMIT * (1.0 + 1e-12), TRANSLATION_LIMIT)
-    beyond = np.isfinite(uncertainty) & (uncertainty > limit)  # infinite ones are other mistakes
+    known = any(uncertainty.strides)  # infinite ones are other mistakes
+    beyond = np.isfinite(uncertainty) & (uncertainty > limit) if known else np.zeros((0, 0))
     for at, output in np.argwhere(beyond).tolist():
         unit, end = ("rad", ROTATION_LIMIT) if is_rotation[output] else ("m", TRANSLATION_LIMIT)
         message = (
@@ -172,19 +154,19 @@ def _uncertainties(uncertainty: Array, columns: Columns) -> Iterator[Problem]:
             f"is beyond {end:.4g} {unit} (check the unit, or leave it out if it is not known)"
         )
         yield at, columns.uncertainty[output], message
-
-
-def _loads(wrench: Array, load_range: LoadRange) -> Iterator[Problem]:
+    load_range = options.load_range
+    if load_range is None:
+        return
     limit = largest_loads(load_range)
     for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
-        one = load_range.space.inputs[load]
-        unit, what = one.unit.replace("·", "*"), "input" if one.kind == "scalar" else "load"
+        column = load_range.space.inputs[load]
+        unit, what = column.unit.replace("·", "*"), "input" if column.kind == "scalar" else "load"
         message = (
             f"the {what} is {wrench[at, load]:.6g} {unit}; the component's range is "
             f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit}, and a table ends at "
             f"{limit[load]:g} (check the unit and the column)"
         )
-        yield at, one.name, message
+        yield at, column.name, message
 
 
 def with_own_setup(
@@ -193,13 +175,13 @@ def with_own_setup(
     """Yield the rows that a table of the setup `options.fingerprint` may hold."""
     own = options.fingerprint
     for piece in pieces:
-        if own is None or not (any(piece.fingerprint) or FEA in piece.source):
+        if own is None or not (piece.fingerprint.any() or (piece.source == FEA).any()):
             yield piece
             continue
         good = np.ones(len(piece), dtype=bool)
         for at, name, message in _foreign_rows(piece, own):
             good[at] = False
-            report.mistakes.add(int(piece.row[at]), name, message)
+            report.mistakes.add(int(piece.seq[at]), name, message)
         yield piece.take(good)
         if report.is_beyond_limits():
             return
@@ -207,7 +189,7 @@ def with_own_setup(
 
 def _foreign_rows(piece: ParsedTable, own: str) -> Iterator[Problem]:
     """Yield the rows that are solves of another setup, or incomplete ones."""
-    pairs = zip(piece.fingerprint, piece.source, strict=True)
+    pairs = zip(piece.fingerprint.tolist(), piece.source.tolist(), strict=True)
     for at, (fingerprint, source) in enumerate(pairs):
         if fingerprint != own and (fingerprint or source == FEA):
             other = (

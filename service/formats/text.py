@@ -268,27 +268,32 @@ class _Conversion:
             for block in (names.uncertainty, names.compliance, names.curvature)
         )
         time = self._times() if options.role != "table" else None
+        if options.role == "loads":
+            displacement = np.zeros(displacement.shape)  # those of the other log count
         self._check_status()
         if options.role != "loads":
             labels = [columns[name].label for name in names.displacement if name in columns]
-            for at in np.flatnonzero(np.isnan(displacement).all(axis=1) & self._good).tolist():
+            unmeasured = np.logical_and.reduce([np.isnan(column) for column in displacement.T])
+            for at in np.flatnonzero(unmeasured & self._good).tolist():
                 message = "no displacement is given; a row needs at least one"
                 self._refuse(at, labels[0] if labels else "displacement", message)
         self._check_whole(compliance, names.compliance, "tangents")
         self._check_whole(curvature, names.curvature, "third derivatives")
         source, note, fingerprint = (self._texts(name) for name in TEXTS)
-        piece = ParsedTable(
-            wrench,
-            displacement,
-            uncertainty,
-            compliance.reshape(len(self._row), len(names.displacement), len(names.wrench)),
-            source,
-            note,
-            fingerprint,
-            row=self._row,
-            time=time,
-            curvature=curvature if any(curvature.strides) else None,
-        )
+        shape = len(self._row), len(names.displacement), len(names.wrench)
+        piece = {
+            "seq": self._row,
+            "wrench": wrench,
+            "displacement": displacement,
+            "compliance": compliance.reshape(shape),
+            "curvature": curvature if any(curvature.strides) else np.empty((len(self._row), 0)),
+            "uncertainty": uncertainty,
+            "source": source,
+            "fingerprint": fingerprint,
+            "space": options.space,
+            "note": note.tolist(),
+            "time": time,
+        }
         return good_rows(piece, self._good, options, report)
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:
@@ -309,11 +314,14 @@ class _Conversion:
             empty = np.isnan(values) if column.name in self._names.wrench else False
             for at in np.flatnonzero(np.isinf(values) | empty).tolist():
                 self._refuse(at, column.label, number_problem(self._cell(column, at), False))
-        with np.errstate(over="ignore"):
-            converted = scaled(values, column.factor)
+        converted = values
+        if column.factor != 1.0 or column.zero:
+            with np.errstate(over="ignore"):
+                converted = scaled(values, column.factor)
             if column.zero:  # 0.1 K is -273.05 degC
                 converted = np.round(converted + column.zero, 10)
-        self._refuse_lost(column, values, converted)
+        if converted is not values or not isinstance(cells, np.ndarray):
+            self._refuse_lost(column, values, converted)
         if column.name in self._names.uncertainty:
             for at in np.flatnonzero(converted < 0.0).tolist():
                 message = f"{quoted(self._cell(column, at))}: an uncertainty is not negative"
@@ -396,22 +404,22 @@ class _Conversion:
                 name = names[int(np.argmax(missing[at]))]
                 self._refuse(at, name, f"is missing; a row has all {len(names)} {kind} or none")
 
-    def _texts(self, name: str) -> tuple[str, ...]:
-        """Return a column of texts; empty ones if the file has none."""
+    def _texts(self, name: str) -> Array:
+        """Return a column of texts, shape (n,); empty ones if the file has none."""
         column = self._header.columns.get(name)
         if column is None:
-            return ("",) * len(self._row)
+            return np.full(len(self._row), "")
         cells = self._columns[column.index]
         if isinstance(cells, np.ndarray):
             cells = [self._cell(column, at) for at in range(len(cells))]
         texts: dict[str, str] = {}
         for cell in dict.fromkeys(cells):
             texts[cell] = unguard_formula(cell.strip()) if self._format.guarded else cell.strip()
-        if text_problem("".join(texts)):
+        if any(map(text_problem, texts)):
             for at, cell in enumerate(cells):
                 if problem := text_problem(cell):
                     self._refuse(at, column.label, problem)
-        return tuple(map(texts.__getitem__, cells))
+        return np.array([*map(texts.__getitem__, cells)], dtype=object if name == "note" else str)
 
     def _refuse(self, at: int, label: str, message: str) -> None:
         self._good[at] = False

@@ -15,8 +15,8 @@ import stat
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from hashlib import blake2b
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, Literal
@@ -36,6 +36,40 @@ _SOLVE: Final = (*_QUESTION, "bundle", "estimate", "task", "priority", "deadline
 
 class BadOutcomeError(Exception):
     """The result.json cannot be read, or answers another question than this attempt's."""
+
+
+@dataclass
+class Outcome:
+    """How an attempt ended: ``done`` with numbers, ``failed`` with an error, or ``cancelled``.
+
+    All else that a solver reports stands in `further`, and in result.json beside these fields.
+    """
+
+    status: str
+    error: dict[str, str] | None = None  # kind, message and remedy
+    displacement: Sequence[float] | None = None  # m and rad, six an interface
+    compliance: Sequence[Sequence[float]] | None = None
+    curvature: Sequence[Any] | None = None
+    solver_error: Mapping[str, Any] | None = (
+        None  # the mesh's, where the attempt was to estimate it
+    )
+    notes: Sequence[str] | None = None
+    program: str | None = None  # version and code digest of the solver
+    further: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, fields: Mapping[str, Any]) -> Outcome:
+        """Return the outcome of result.json's fields; TypeError without a status."""
+        known = {name: fields[name] for name in _OUTCOME if name in fields}
+        return cls(**known, further={n: v for n, v in fields.items() if n not in known})
+
+    @classmethod
+    def failed(cls, kind: str, message: str, remedy: str) -> Outcome:
+        """Return the outcome of an attempt without an answer."""
+        return cls("failed", {"kind": kind, "message": message, "remedy": remedy})
+
+
+_OUTCOME: Final = tuple(item.name for item in fields(Outcome) if item.name != "further")
 
 
 @dataclass
@@ -158,17 +192,18 @@ def last_words(folder: Path) -> str:
     return lines[-1] if lines else ""
 
 
-def write_outcome(attempt: Attempt, outcome: Mapping[str, Any], *, durable: bool = True) -> None:
+def write_outcome(attempt: Attempt, outcome: Outcome, *, durable: bool = True) -> None:
     """Write result.json to disk for good; its appearance means that the solver has ended.
 
     It repeats the question, so that it is not taken for the answer to another wrench.
     """
-    content = {**outcome, "asked": attempt.question}
+    known = {name: value for name in _OUTCOME if (value := getattr(outcome, name)) is not None}
+    content = outcome.further | known | {"asked": attempt.question}
     signed = {**content, "digest": _digest(content)}
     write_whole(attempt.folder / OUTCOME, signed, durable=durable)
 
 
-def read_outcome(attempt: Attempt) -> dict[str, Any] | None:
+def read_outcome(attempt: Attempt) -> Outcome | None:
     """Return how an attempt ended; None if it has not.
 
     Raises `BadOutcomeError` if the file is not byte for byte what `write_outcome` wrote, or answers
@@ -176,11 +211,12 @@ def read_outcome(attempt: Attempt) -> dict[str, Any] | None:
     """
     path = attempt.folder / OUTCOME
     try:
-        outcome = json.loads(path.read_bytes())
-        digest = outcome.pop("digest")
-        if digest != _digest(outcome):
+        content = json.loads(path.read_bytes())
+        digest = content.pop("digest")
+        if digest != _digest(content):
             raise ValueError("its checksum is wrong: the file is damaged")
-        answered = outcome.pop("asked")
+        answered = content.pop("asked")
+        outcome = Outcome.of(content)
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
@@ -193,9 +229,10 @@ def read_outcome(attempt: Attempt) -> dict[str, Any] | None:
 def notes_of(attempt: Attempt) -> list[str]:
     """Return the solver's notes on its answer; often none."""
     try:
-        notes = (read_outcome(attempt) or {}).get("notes")
+        outcome = read_outcome(attempt)
     except BadOutcomeError:
         return []
+    notes = outcome and outcome.notes
     return [str(note) for note in notes] if isinstance(notes, list) else []
 
 
@@ -225,28 +262,42 @@ def _digest(content: Mapping[str, Any]) -> str:
 
 
 MAX_BYTES: Final = 1 << 30  # of all files together; a deck's solver may leave any number
-_MOST_TEXT: Final = 8 << 20
+_MAX_TEXT: Final = 8 << 20
 _PIECE: Final = 1 << 18
 _TEXTS: Final = (".txt", ".json", ".log")
 
 
 def zipped(folder: Path) -> IO[bytes]:
-    """Return a file that holds the zip of a folder.
+    """Return a file with the zip of a folder; its texts lose the paths of this machine.
 
-    Links and whatever else is no plain file are left out: a deck's command may have made them, to
-    anything on the machine. Texts lose the paths of the machine.
+    Links and other special files are left out: a deck's command may have made them, to anything on
+    the machine.
     """
-    file: Any = tempfile.SpooledTemporaryFile(_MOST_TEXT)  # noqa: SIM115 (closed by the reader)
+    file: Any = tempfile.SpooledTemporaryFile(_MAX_TEXT)  # noqa: SIM115 (closed by the reader)
     room, missing = MAX_BYTES, []
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.rglob("*")):  # it does not follow links
             if path.is_dir() and not path.is_symlink():
                 continue
             name = path.relative_to(folder).as_posix()
-            size = _put(archive, path, name, room)
-            room -= size or 0
-            if size is None:
+            try:
+                # Opened first and looked at then: between the two it could become a link.
+                descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            except OSError:
                 missing.append(name)
+                continue
+            with open(descriptor, "rb") as content:  # noqa: PTH123 (a descriptor)
+                status = os.fstat(descriptor)
+                if not stat.S_ISREG(status.st_mode) or status.st_size > room:
+                    missing.append(name)
+                elif path.suffix in _TEXTS and status.st_size <= _MAX_TEXT:
+                    archive.writestr(name, redact(content.read().decode(errors="replace")))
+                    room -= status.st_size
+                else:
+                    with archive.open(name, "w", force_zip64=True) as target:
+                        while room > 0 and (piece := content.read(_PIECE)):
+                            target.write(piece)
+                            room -= len(piece)
         if missing:
             header = "links, files that are gone, or too large to be sent:"
             archive.writestr("LEFT_OUT.txt", "\n".join([header, *sorted(missing)]))
@@ -259,28 +310,6 @@ def pieces_of(file: IO[bytes]) -> Iterator[bytes]:
     with file:
         while piece := file.read(_PIECE):
             yield piece
-
-
-def _put(archive: zipfile.ZipFile, path: Path, name: str, room: int) -> int | None:
-    """Put a file into the zip and return its size; None if it is left out."""
-    try:
-        # Opened first and looked at then: between the two it could become a link.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:
-        return None
-    with open(descriptor, "rb") as file:  # noqa: PTH123 (a descriptor)
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode) or status.st_size > room:
-            return None
-        if path.suffix in _TEXTS and status.st_size <= _MOST_TEXT:
-            archive.writestr(name, redact(file.read().decode(errors="replace")))
-            return status.st_size
-        with archive.open(name, "w", force_zip64=True) as target:
-            size = 0
-            while (piece := file.read(_PIECE)) and size <= room:
-                target.write(piece)
-                size += len(piece)
-        return size
 
 
 State = Literal["submitted", "running", "finished", "lost"]

@@ -365,7 +365,7 @@ class DaskEngine(attempts.Listeners):
                 future: Future = Future(f"wrenchbook-{name}", client)  # whoever submitted it
                 await client.cancel([future], force=True)
         if task:
-            self._set(task, await self._end_with(task, {"status": "cancelled"}))
+            self._set(task, await self._end_with(task, attempts.Outcome("cancelled")))
 
     def _on_progress(self, event: tuple[float, Any]) -> None:
         """Take a worker's progress event: a solver is at the attempt."""
@@ -409,10 +409,10 @@ class DaskEngine(attempts.Listeners):
             self._set(task, ended or "submitted")
 
     async def _fail(self, task: _Task, kind: str, error: Exception, remedy: str) -> attempts.State:
-        reason = {"kind": kind, "message": str(error) or repr(error), "remedy": remedy}
-        return await self._end_with(task, {"status": "failed", "error": reason})
+        outcome = attempts.Outcome.failed(kind, str(error) or repr(error), remedy)
+        return await self._end_with(task, outcome)
 
-    async def _end_with(self, task: _Task, outcome: dict[str, Any]) -> attempts.State:
+    async def _end_with(self, task: _Task, outcome: attempts.Outcome) -> attempts.State:
         """Write an outcome in the solver's stead; an attempt whose folder is gone is lost."""
         try:
             if not (task.attempt.folder / OUTCOME).exists():
@@ -636,12 +636,12 @@ def artifacts(attempt: Attempt) -> tuple[bytes | None, bytes]:
     """
     outcome, log = (attempt.folder / name for name in (OUTCOME, LOG))
     if outcome.exists() and (size := outcome.stat().st_size) > OUTCOME_BYTES:
-        error = {
-            "kind": "answer_too_large",
-            "message": f"the solver's answer is {size} bytes; at most {OUTCOME_BYTES} are taken",
-            "remedy": "have the solver give the displacement and write other results to files",
-        }
-        attempts.write_outcome(attempt, {"status": "failed", "error": error})
+        failed = attempts.Outcome.failed(
+            "answer_too_large",
+            f"the solver's answer is {size} bytes; at most {OUTCOME_BYTES} are taken",
+            "have the solver give the displacement and write other results to files",
+        )
+        attempts.write_outcome(attempt, failed)
     files, stayed = _zip(attempt.folder, FILES_BYTES, (SPEC, LOCK, PROGRESS, LOG, OUTCOME))
     text, notes = b"", ""
     with contextlib.suppress(FileNotFoundError), log.open("rb") as file:

@@ -10,7 +10,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.files import lock as flock
@@ -193,9 +192,9 @@ class Dispatcher:
         finally:
             for end in self._ends:
                 end()
-            # What could not be settled is left to the next dispatcher.
-            for record in (self._attempts, self._pressing, self._tasks, self._begun):
-                record.clear()
+            # What could not be recorded is left to the next dispatcher.
+            for registry in (self._attempts, self._pressing, self._tasks, self._begun):
+                registry.clear()
             if self._lease is not None:
                 with contextlib.suppress(Exception):  # it ends all the same
                     self._ledger.end_lease(self._lease.name)
@@ -399,7 +398,7 @@ class Dispatcher:
                     self._unstarted = f"solvers end before they begin: {cause}. See {log}"
                     _log.error("job %d: %s", attempt.job, self._unstarted)
             with contextlib.suppress(StaleAttemptError):
-                settle(self._ledger, attempt, died, self._fields, self._errors)
+                record(self._ledger, attempt, died, self._fields, self._errors)
         self._drop(attempt)
 
     def _claim(self, lease: Lease, limit: int) -> None:
@@ -440,10 +439,10 @@ class Dispatcher:
                 self._wake.wait(LOOK_SECONDS)
             if not attempt.leaving and self._engine.poll(attempt) not in ALIVE:
                 with contextlib.suppress(StaleAttemptError):
-                    settle(self._ledger, attempt, None, self._fields, self._errors)
+                    record(self._ledger, attempt, None, self._fields, self._errors)
 
 
-def settle(
+def record(
     ledger: Ledger,
     attempt: Attempt,
     died: Callable[[int, int], object] | None = None,
@@ -460,49 +459,45 @@ def settle(
     except BadOutcomeError as error:
         _log.warning("taken for a lost attempt: %s", error)
         outcome = None
-    status = None if outcome is None else outcome.get("status")
     setup, seconds = (attempt.component, attempt.fingerprint), solver_seconds(attempt.folder)
     if errors is not None:  # before the row too: the table's version with the row then has it
-        errors.settle(*setup, (outcome or {}).get("solver_error"))
+        errors.record(*setup, outcome and outcome.solver_error)
     if outcome is None:
         (died or ledger.release)(*attempt.key)
-    elif status == "done":
+    elif outcome.status == "done":
         if fields is not None:  # without its row it does no harm, and is found by its wrench
             fields.take(attempt.folder, *setup, attempt.wrench)
+        origin = f"job {attempt.job}"
+        if isinstance(outcome.program, str):
+            origin += f", wrenchbook {outcome.program}"
         try:
             ledger.commit(
                 *attempt.key,
-                outcome["displacement"],
-                compliance=outcome.get("compliance"),
-                curvature=outcome.get("curvature"),
-                origin=_origin(attempt, outcome),
+                outcome.displacement or (),
+                compliance=outcome.compliance,
+                curvature=outcome.curvature,
+                origin=origin,
                 seconds=seconds,
             )
-        except (ValueError, TypeError, KeyError) as error:
-            ledger.fail(*attempt.key, _bad_answer(error))
+        except (ValueError, TypeError) as error:
+            ledger.fail(*attempt.key, _bad_answer(repr(error)))
             return
         with contextlib.suppress(OSError):
             tidy(attempt.folder)
-    elif status == "failed":
-        error = outcome.get("error")
+    elif outcome.status == "failed":
+        error = outcome.error
         if isinstance(error, dict) and {"kind", "message", "remedy"} <= error.keys():
             error = {name: str(error[name]) for name in ("kind", "message", "remedy")}
         else:
-            error = _bad_answer(ValueError(f"failed without a reason: {error!r}"))
+            error = _bad_answer(f"failed without a reason: {error!r}")
         ledger.fail(*attempt.key, error, seconds)
     else:
         ledger.release(*attempt.key)
 
 
-def _origin(attempt: Attempt, outcome: dict[str, Any]) -> str:
-    """Return the job of a row, with version and code digest of the program that solved it."""
-    program, job = outcome.get("program"), f"job {attempt.job}"
-    return f"{job}, wrenchbook {program}" if isinstance(program, str) else job
-
-
-def _bad_answer(error: Exception) -> dict[str, str]:
+def _bad_answer(why: str) -> dict[str, str]:
     return {
         "kind": "bad_answer",
-        "message": f"the solver's answer is not usable: {error!r}",
+        "message": f"the solver's answer is not usable: {why}",
         "remedy": "see result.json and log.txt in the attempt's folder",
     }

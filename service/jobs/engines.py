@@ -15,7 +15,7 @@ many attempts it takes at the same time, ``trouble`` what keeps it from running 
   death, as far as it is known, is the last line of the attempt's log.
 - ``cancel`` has the solver end soon; `poll` shows when it counts as ended. It may be repeated, and
   the attempt may be one that was neither submitted nor attached here.
-- ``forget`` drops what is kept of an attempt that is settled, or that another dispatcher has;
+- ``forget`` drops what is kept of an attempt that is recorded, or that another dispatcher has;
   ``close`` releases the engine's resources, and running attempts go on.
 """
 

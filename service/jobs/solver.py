@@ -39,6 +39,7 @@ from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.attempt import (
     PROGRESS,
     Attempt,
+    Outcome,
     Progress,
     read_attempt,
     write_outcome,
@@ -260,21 +261,21 @@ def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
     try:
         with _hearing_sigterm():
             solver = solve or _named_solver() or ComponentSolver().solve
-            numbers = _checked(solver(attempt, _Reporter(attempt.folder)))
-        _write_patiently(attempt, {"status": "done", **numbers, "program": solver_version()})
+            outcome = _checked(solver(attempt, _Reporter(attempt.folder)))
+        _write_patiently(attempt, outcome)
         return DONE
     except Cancelled:
         # Not durable: a slow disk must not outlast the engine's grace, and no number is lost.
-        write_outcome(attempt, {"status": "cancelled"}, durable=False)
+        write_outcome(attempt, Outcome("cancelled"), durable=False)
         return CANCELLED
     except Exception as error:
         with contextlib.suppress(OSError):
             traceback.print_exc()
-        _write_patiently(attempt, {"status": "failed", "error": _named(error)})
+        _write_patiently(attempt, _failure(error))
         return FAILED
 
 
-def _write_patiently(attempt: Attempt, outcome: Mapping[str, Any]) -> None:
+def _write_patiently(attempt: Attempt, outcome: Outcome) -> None:
     """Write the outcome once there is room for it: on a full disk it is all there is of hours."""
     for _ in range(round(FULL_DISK_SECONDS / _AGAIN_SECONDS)):
         try:
@@ -321,20 +322,21 @@ def _named_solver() -> Solve | None:
         ) from error
 
 
-def _checked(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    outcome = {name: _plain(value) for name, value in numbers.items()}
-    displacement = outcome.get("displacement")
+def _checked(numbers: Mapping[str, Any]) -> Outcome:
+    """Return the outcome of what a solver reports; raises SolveRefusedError without an answer."""
+    plain = {name: _plain(value) for name, value in numbers.items()}
+    outcome = Outcome.of(plain | {"status": "done", "program": solver_version()})
+    displacement = outcome.displacement
     if not isinstance(displacement, list) or len(displacement) < 6 or None in displacement:
         raise SolveRefusedError(
             "bad_answer",
             f"the solver gave no 6 finite numbers or more but {numbers.get('displacement')!r}",
             "look at the component's mesh and supports; see log.txt",
         )
-    compliance = outcome.get("compliance")
-    if compliance is not None and any(None in line for line in compliance):
-        outcome["compliance"] = None
-    if None in (outcome.get("curvature") or ()):
-        outcome["curvature"] = None
+    if any(None in line for line in outcome.compliance or ()):
+        outcome.compliance = None
+    if None in (outcome.curvature or ()):
+        outcome.curvature = None
     return outcome
 
 
@@ -351,7 +353,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _named(error: Exception) -> dict[str, str]:
+def _failure(error: Exception) -> Outcome:
     kind = getattr(error, "kind", None)
     remedy = getattr(error, "remedy", None)
     if kind is None and hasattr(error, "problems"):
@@ -360,11 +362,11 @@ def _named(error: Exception) -> dict[str, str]:
         kind, remedy = "out_of_memory", "use fewer solvers at a time or a coarser mesh"
     # A solver's own failure as text begins with its kind and ends in its remedy: each stands once.
     message = str(getattr(error, "message", "") or error) or type(error).__name__
-    return {
-        "kind": str(kind or "internal_error"),
-        "message": message if kind else f"{type(error).__name__}: {message}",
-        "remedy": str(remedy or "see log.txt in the attempt's folder"),
-    }
+    return Outcome.failed(
+        str(kind or "internal_error"),
+        message if kind else f"{type(error).__name__}: {message}",
+        str(remedy or "see log.txt in the attempt's folder"),
+    )
 
 
 def _block_sigterm() -> None:

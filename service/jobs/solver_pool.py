@@ -25,6 +25,7 @@ from wrenchbook.service.jobs.attempt import (
     Attempt,
     EngineError,
     Listeners,
+    Outcome,
     State,
     solver_began,
     solver_seconds,
@@ -161,14 +162,14 @@ class LocalEngine(Listeners):
         if (folder / OUTCOME).exists():
             return "finished"
         if folder in self._overdue:
-            error = {
-                "kind": "deadline",
-                "message": f"the solve took longer than its deadline of {attempt.deadline:.3g} s "
+            late = Outcome.failed(
+                "deadline",
+                f"the solve took longer than its deadline of {attempt.deadline:.3g} s "
                 "and was ended",
-                "remedy": "see log.txt for how far it came; use a coarser mesh or a smaller load, "
+                "see log.txt for how far it came; use a coarser mesh or a smaller load, "
                 "or retry the job when the machine has less to do",
-            }
-            write_outcome(attempt, {"status": "failed", "error": error})
+            )
+            write_outcome(attempt, late)
             return "finished"
         return "lost"
 

@@ -146,8 +146,8 @@ def open_file(path: Path) -> Connection:
             raise LedgerFileError(
                 f"there is {log.name} without {path}: the ledger's file was moved or deleted and "
                 "its log was not. Nothing is written beside it; put the file back. If it is gone "
-                "for good, wrenchbook doctor --mend moves the log aside and makes a new file from "
-                "the tables"
+                "for good, wrenchbook doctor --repair moves the log aside and makes a new file "
+                "from the tables"
             )
         with suppress(FileExistsError):
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
@@ -218,7 +218,7 @@ def damaged_file(path: Path, why: str) -> LedgerDamagedError:
     return LedgerDamagedError(
         f"cannot read {path} as a ledger: it is damaged ({why}). Nothing is written into it; "
         "tables answer from their files. Move it away with the server stopped, and put back a copy "
-        "or make a new one of what can be read: wrenchbook doctor --mend"
+        "or make a new one of what can be read: wrenchbook doctor --repair"
     )
 
 

@@ -515,9 +515,9 @@ def count_rows(db: Connection, component: str) -> int:
     return db.execute(select, (component,)).fetchone()[0]
 
 
-def known_rows(db: Connection, keys: Sequence[bytes]) -> int:
-    """Return how many of these rows' keys are in the ledger, or occur earlier in `keys`."""
-    return len(keys) - len(new_places(keys, stored(db, keys).keys()))
+def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
+    """Return those of these rows' keys that are in the ledger."""
+    return set(stored(db, list(keys)))
 
 
 def of_other_setups(db: Connection, component: str, fingerprint: str) -> dict[bytes, int]:

@@ -92,7 +92,7 @@ def check_mesh(folder: Path) -> dict[str, Any]:
         if error.kind == "memory" or "bad_alloc" in str(error):
             limit = CHECK.memory >> 20
             why = f"The mesh takes more than {limit} MiB of memory to check. Give a coarser one."
-        elif error.kind in ("time", "crash", "size"):
+        elif error.kind in ("time", "elapsed", "crash", "size"):
             why = f"{error} A coarser mesh does."
         else:
             why = _NO_REPORT.format(why=redact(f"{error.kind}: {error}")[:300])

@@ -1,1 +1,1 @@
-"""Operation of a data directory: backup, restore, doctor, retention, metrics and logs."""
+"""Operation of a data directory: backup, restore, doctor, metrics and logs."""

@@ -12,7 +12,7 @@ import re
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from hashlib import blake2b
@@ -78,8 +78,23 @@ def back_up(folder: Path, target: Path) -> Manifest:
         raise BackupError(f"{folder} is no data directory: it has no {LEDGER}")
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with tempfile.TemporaryDirectory(prefix=".wrenchbook-", dir=target.parent) as scratch:
-            _write(draft, _files(folder, Path(scratch) / LEDGER, {draft, target}))
+        with (
+            tempfile.TemporaryDirectory(prefix=".wrenchbook-", dir=target.parent) as scratch,
+            os.fdopen(os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600), "w+b") as content,
+            # Without compression: tables are digits that hardly shrink.
+            zipfile.ZipFile(content, "w", zipfile.ZIP_STORED, allowZip64=True) as archive,
+        ):
+            manifest, written = Manifest(time.time(), VERSION), {}
+            for name, path in _files(folder, Path(scratch) / LEDGER, {draft, target}):
+                # From one open file: a table that is replaced meanwhile is the complete previous
+                # one. A draft that is gone by now is left out.
+                with (
+                    suppress(FileNotFoundError),
+                    path.open("rb") as file,
+                    archive.open(name, "w", force_zip64=True) as entry,
+                ):
+                    written[name] = _copied(file, entry)
+            archive.writestr(MANIFEST, json.dumps(asdict(replace(manifest, files=written))))
         manifest = verify(draft)
         sync(draft)
         draft.replace(target)
@@ -105,40 +120,40 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     that no backup holds.
     """
     try:
-        about = source.stat()
+        status = source.stat()
         archive = zipfile.ZipFile(source)
     except FileNotFoundError:
         raise BackupError(f"there is no file {source}") from None
     except (*_UNREADABLE, OSError) as error:
         raise BackupError(
-            f"{source} is not a whole backup ({error}): its writing or copying was cut off. "
+            f"{source} is not a complete backup ({error}): its writing or copying was cut off. "
             "Take another one; nothing was changed"
         ) from error
     # A backup is its owner's alone to read: one that comes from somebody else was passed on.
-    if about.st_uid not in (0, os.geteuid()):
+    if status.st_uid not in (0, os.geteuid()):
         raise BackupError(
-            f"{source} belongs to user {about.st_uid}, who may have changed it. If you trust it, "
+            f"{source} belongs to user {status.st_uid}, who may have changed it. If you trust it, "
             "copy it and restore the copy; nothing was changed"
         )
     with archive:
         # So a small file cannot fill memory or disk: entries are neither compressed nor overlap.
         entries = archive.infolist()
         unpacked = sum(entry.file_size for entry in entries)
-        if unpacked > about.st_size or any(entry.compress_type for entry in entries):
+        if unpacked > status.st_size or any(entry.compress_type for entry in entries):
             raise BackupError(
                 f"{source} has compressed or overlapping entries ({unpacked:,} bytes in a file of "
-                f"{about.st_size:,}), which no backup has: it was changed. Nothing was restored; "
+                f"{status.st_size:,}), which no backup has: it was changed. Nothing was restored; "
                 "take another one"
             )
         manifest = _manifest(archive, source)
         for name, expected in manifest.files.items():
             try:
                 with archive.open(name) as file, place(name) as target:
-                    found = _copied(file, target)
+                    copied = _copied(file, target)
             except _UNREADABLE as error:
                 what = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
                 raise BackupError(what) from error
-            if found != expected:
+            if copied != expected:
                 raise BackupError(f"{name} in {source} is not what was written; {_DAMAGED}")
     return manifest
 
@@ -159,7 +174,7 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
     except _UNREADABLE as error:
         raise BackupError(f"{source} does not say what is in it ({error!r})") from error
-    held = {name: about for name, about in files.items() if _HELD.fullmatch(name)}
+    held = {name: digest for name, digest in files.items() if _HELD.fullmatch(name)}
     skipped = tuple(files.keys() - held.keys())
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]
     if outside or (skipped and schema > 1):
@@ -172,34 +187,14 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
     return Manifest(created, ledger_schema, held, skipped=tuple(sorted(skipped)))
 
 
-def _write(target: Path, files: Iterable[tuple[str, Path]]) -> None:
-    """Write files in their order into a new backup; a draft that is gone by then is left out."""
-    # Without compression: tables are digits that hardly shrink.
-    descriptor = os.open(target, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
-    with (
-        open(descriptor, "w+b") as whole,  # noqa: PTH123 (a descriptor)
-        zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED, allowZip64=True) as archive,
-    ):
-        manifest, written = Manifest(time.time(), VERSION), {}
-        for name, path in files:
-            # From one open file: a table that is replaced meanwhile is the whole previous one.
-            with (
-                suppress(FileNotFoundError),
-                path.open("rb") as file,
-                archive.open(name, "w", force_zip64=True) as entry,
-            ):
-                written[name] = _copied(file, entry)
-        archive.writestr(MANIFEST, json.dumps(asdict(replace(manifest, files=written))))
-
-
 def _copied(file: IO[bytes], target: IO[bytes]) -> tuple[int, str]:
     """Copy a file; return its length and digest."""
-    length, whole = 0, blake2b(digest_size=32)
+    length, digest = 0, blake2b(digest_size=32)
     while piece := file.read(PIECE):
         target.write(piece)
-        whole.update(piece)
+        digest.update(piece)
         length += len(piece)
-    return length, whole.hexdigest()
+    return length, digest.hexdigest()
 
 
 def _files(folder: Path, copy: Path, excluded: set[Path]) -> Iterator[tuple[str, Path]]:

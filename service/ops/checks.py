@@ -16,7 +16,8 @@ from wrenchbook.service.keys import Keyring, KeysError
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.backup import LEDGER
 
-REPAIR = "mend it with: wrenchbook doctor --mend"
+COMMAND = "wrenchbook doctor --repair"
+REPAIR = f"repair it with: {COMMAND}"
 LITTLE_BYTES = 512 * 1024 * 1024  # a log of the ledger, a large table twice, some hundred attempts
 FULL_BYTES = 1024 * 1024  # a commit's pages and an attempt's folder no longer fit
 _ASIDE = (
@@ -30,7 +31,7 @@ _MAX_NAMED = 5  # paths of one kind in a finding; the number of further ones fol
 class DataFinding:
     """One finding of a check."""
 
-    kind: Literal["fault", "mended", "note"]  # needs repair, was repaired, needs nothing
+    kind: Literal["fault", "repaired", "note"]  # needs repair, was repaired, needs nothing
     what: str
     remedy: str = ""
 
@@ -67,10 +68,10 @@ def check_disk(folder: Path) -> Iterator[DataFinding]:
         yield DataFinding("fault", f"{path} cannot be read and written", remedy)
 
 
-def check_side_files(folder: Path, *, mend: bool) -> Iterator[DataFinding]:
+def check_side_files(folder: Path, *, repair: bool) -> Iterator[DataFinding]:
     """Find unusable keys and settings, which only the owner can repair, and surfaces.
 
-    With `mend`, surfaces, which the server writes again by itself, are moved aside.
+    With `repair`, surfaces, which the server writes again by itself, are moved aside.
     """
     try:
         Keyring(folder)
@@ -80,7 +81,7 @@ def check_side_files(folder: Path, *, mend: bool) -> Iterator[DataFinding]:
     try:
         tomllib.loads(path.read_text(encoding="utf-8") if path.exists() else "")
     except (OSError, ValueError) as error:
-        yield DataFinding("fault", f"{path.name} cannot be read as TOML: {error}", "mend it")
+        yield DataFinding("fault", f"{path.name} cannot be read as TOML: {error}", "correct it")
     surface = "its row answers as before; its surface comes from the others until it is solved anew"
     geometry = "surfaces come back with further solves"
     for path in sorted(folder.glob("fields/*/*/*")):
@@ -93,9 +94,9 @@ def check_side_files(folder: Path, *, mend: bool) -> Iterator[DataFinding]:
             continue  # a running server has removed it
         except (DamagedFieldsError, OSError, ValueError, TypeError, AttributeError) as error:
             what = f"{path.relative_to(folder)} cannot be used: {error}"
-            if mend:
+            if repair:
                 aside = move_aside(path).name
-                yield DataFinding("mended", what, f"moved to {aside}; {remedy}")
+                yield DataFinding("repaired", what, f"moved to {aside}; {remedy}")
             else:
                 yield DataFinding("fault", what, f"{remedy}, once it is moved away; {REPAIR}")
 

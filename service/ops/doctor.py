@@ -21,6 +21,7 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.backup import LEDGER
 from wrenchbook.service.ops.checks import (
+    COMMAND,
     REPAIR,
     DataFinding,
     check_disk,
@@ -35,11 +36,11 @@ from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows
 
-Whole = dict[str, tuple[Rows, TableMeta]]
+Tables = dict[str, tuple[Rows, TableMeta]]
 
 
-def examine(folder: Path, *, mend: bool = False) -> list[DataFinding]:
-    """Check a data directory; with `mend`, repair what another copy has.
+def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
+    """Check a data directory; with `repair`, repair what another copy has.
 
     A server may use the directory meanwhile, except for the repair of a damaged ledger file.
     """
@@ -48,20 +49,28 @@ def examine(folder: Path, *, mend: bool = False) -> list[DataFinding]:
         return [
             DataFinding("fault", f"there is no data directory {folder}", "say which with --data")
         ]
-    findings = [*check_disk(folder), *check_side_files(folder, mend=mend)]
-    ledger, of_ledger = _opened(folder, mend=mend)
+    findings = [*check_disk(folder), *check_side_files(folder, repair=repair)]
+    ledger, of_ledger = _opened(folder, repair=repair)
     findings += of_ledger
     if ledger is None:
         return findings
     try:
         library = Library(folder / "components")
         findings += [
-            DataFinding("fault", f"component {name} cannot be used: {why}", "mend its files")
+            DataFinding("fault", f"component {name} cannot be used: {why}", "correct its files")
             for name, why in library.broken().items()
         ]
-        findings += _check_tables(ledger, library, folder / "tables", mend=mend)
+        tables, of_files = _read_all(folder / "tables", repair=repair, count=ledger.count_rows)
+        findings += [*of_files, *_damaged_rows(ledger, tables, repair=repair)]
+        store = TableStore(folder / "tables", ledger)
+        for name in library.names():
+            findings += _check_component(ledger, library[name], store, tables, repair=repair)
+        remedy = "put its bundle into components/ again, or move the file away"
+        for name in sorted(tables.keys() - set(library.names())):
+            what = f"tables/{name}.h5 is the table of a component that is not in the library"
+            findings.append(DataFinding("note", what, remedy))
         findings += find_leftovers(folder, ledger)
-        findings += _losses(ledger, mend=mend)
+        findings += _losses(ledger, repair=repair)
     except LedgerError as error:
         findings.append(DataFinding("fault", str(error)))
     finally:
@@ -69,32 +78,32 @@ def examine(folder: Path, *, mend: bool = False) -> list[DataFinding]:
     return findings
 
 
-def _opened(folder: Path, *, mend: bool) -> tuple[Ledger | None, list[DataFinding]]:
+def _opened(folder: Path, *, repair: bool) -> tuple[Ledger | None, list[DataFinding]]:
     """Return the ledger, repaired if necessary; None if it cannot be used."""
     path = folder / LEDGER
     log = path.with_name(f"{LEDGER}-wal")
     findings = []
     if _has_bytes(log) and not _has_bytes(path):
         what = f"there is {log.name} without {LEDGER}: what was newest is in it and not readable"
-        if not mend:
+        if not repair:
             return None, [DataFinding("fault", what, f"put {LEDGER} back; if it is gone, {REPAIR}")]
-        findings.append(DataFinding("mended", what, f"moved to {move_aside(log, 'orphan').name}"))
+        findings.append(DataFinding("repaired", what, f"moved to {move_aside(log, 'orphan').name}"))
     if not _has_bytes(path):
         what = f"{LEDGER} is empty" if path.exists() else f"there is no {LEDGER}"
-        if not mend:
+        if not repair:
             remedy = f"put it back or restore a backup; tables/ has rows, but no jobs; {REPAIR}"
             return None, [*findings, DataFinding("fault", what, remedy)]
-        findings.append(DataFinding("mended", what, "a new one was made; see the tables below"))
+        findings.append(DataFinding("repaired", what, "a new one was made; see the tables below"))
     try:
         return Ledger(path), findings
     except LedgerDamagedError as error:
-        if mend and not in_use(folder):
+        if repair and not in_use(folder):
             findings += _rebuilt(folder, str(error))
-            ledger, more = _opened(folder, mend=False)
+            ledger, more = _opened(folder, repair=False)
             return ledger, findings + more
         remedy = f"stop the server and restore a backup, or {REPAIR}"
-        if mend:
-            remedy = "stop the server that uses it, then mend"
+        if repair:
+            remedy = "stop the server that uses it, then repair"
         return None, [*findings, DataFinding("fault", str(error), remedy)]
     except LedgerError as error:
         return None, [*findings, DataFinding("fault", str(error))]
@@ -107,15 +116,14 @@ def _has_bytes(path: Path) -> bool:
 def _rebuilt(folder: Path, what: str) -> list[DataFinding]:
     """Replace a damaged ledger by the readable part of it and of the table files."""
     path, tables = folder / LEDGER, folder / "tables"
-    with tempfile.TemporaryDirectory(prefix=".mending-", dir=folder) as scratch:
+    with tempfile.TemporaryDirectory(prefix=".repairing-", dir=folder) as scratch:
         copy, new = Path(scratch) / "damaged.sqlite", Path(scratch) / LEDGER
         shutil.copyfile(path, copy)
         if _has_bytes(log := path.with_name(f"{LEDGER}-wal")):
             shutil.copyfile(log, copy.with_name(f"{copy.name}-wal"))
-        whole, _ = _read_all(tables, mend=False)
         spare = (
             (name, rows, (tables / f"{name}.h5").stat().st_mtime)
-            for name, (rows, _) in whole.items()
+            for name, (rows, _) in _read_all(tables, repair=False)[0].items()
         )
         salvaged = salvage(copy, new, spare, Acknowledged(path).read())
         for end in ("-wal", "-shm", ""):
@@ -131,56 +139,39 @@ def _rebuilt(folder: Path, what: str) -> list[DataFinding]:
         text += f"; {salvaged.reopened} jobs wait again, their rows being lost"
     text += ". The damaged one was moved aside; a backup may have more"
     return [
-        DataFinding("mended", what, text),
+        DataFinding("repaired", what, text),
         *_gone(f"up to {salvaged.lost_rows} rows", salvaged.lost_rows),
     ]
 
 
-def _losses(ledger: Ledger, *, mend: bool) -> list[DataFinding]:
-    """Return acknowledged jobs and rows that are gone; with `mend` for the last time."""
+def _losses(ledger: Ledger, *, repair: bool) -> list[DataFinding]:
+    """Return acknowledged jobs and rows that are gone; with `repair` for the last time."""
     losses = ledger.losses()
-    if not mend or not losses:
-        return [DataFinding("fault", loss, "settle it with: --mend") for loss in losses]
+    if not repair or not losses:
+        return [DataFinding("fault", loss, f"note it with: {COMMAND}") for loss in losses]
     acknowledged = Acknowledged(ledger.path)
     with ledger.reading() as db:
         gone = acknowledged.lost(db)
     acknowledged.close(lambda file: move_aside(file, "settled"))
-    findings = [DataFinding("mended", loss, "noted; it is told no more") for loss in losses]
+    findings = [DataFinding("repaired", loss, "noted; it is reported no more") for loss in losses]
     return findings + _gone(f"up to {gone.rows} rows and {gone.jobs} jobs", sum(gone))
 
 
 def _gone(what: str, count: int) -> list[DataFinding]:
     if not count:
         return []
-    remedy = "restore a backup, or load or solve them again; the next look does not repeat this"
+    remedy = "restore a backup, or load or solve them again; the next check does not repeat this"
     return [DataFinding("fault", f"{what} that were acknowledged are gone", remedy)]
 
 
-def _check_tables(
-    ledger: Ledger, library: Library, folder: Path, *, mend: bool
-) -> list[DataFinding]:
-    """Compare the rows of the ledger and of the table files; repair either from the other."""
-    whole, findings = _read_all(folder, mend=mend, count=ledger.count_rows)
-    findings += _damaged_rows(ledger, whole, mend=mend)
-    files = TableStore(folder, ledger)
-    for name in library.names():
-        findings += _compare(ledger, library[name], files, whole.get(name), mend=mend)
-        findings += _of_another_setup(ledger, library[name])
-    remedy = "put its bundle into components/ again, or move the file away"
-    for name in sorted(whole.keys() - set(library.names())):
-        what = f"tables/{name}.h5 is the table of a component that is not in the library"
-        findings.append(DataFinding("note", what, remedy))
-    return findings
-
-
 def _read_all(
-    folder: Path, *, mend: bool, count: Callable[[str], int] = lambda _: 0
-) -> tuple[Whole, list[DataFinding]]:
+    folder: Path, *, repair: bool, count: Callable[[str], int] = lambda _: 0
+) -> tuple[Tables, list[DataFinding]]:
     """Return the tables of all readable files, and findings on the others.
 
     `count` returns how many rows of a component the ledger has.
     """
-    whole: Whole = {}
+    tables: Tables = {}
     findings = []
     for path in sorted(folder.glob("*.h5")):
         name = f"tables/{path.name}"
@@ -192,84 +183,75 @@ def _read_all(
             rows, meta = read_table(path)
             if meta.component != path.stem:
                 raise TableFileError(f"{path.name} is the table of {meta.component!r}")
-            whole[path.stem] = rows, meta
+            tables[path.stem] = rows, meta
         except (TableFileError, OSError) as error:
             stored = count(path.stem)
-            remedy = f"moved to {move_aside(path).name}" if mend else ""
+            remedy = f"moved to {move_aside(path).name}" if repair else ""
             if not stored:
                 lost = (
                     "the ledger has no row of it: restore a backup, or load or solve its rows again"
                 )
-                remedy = f"{remedy}; {lost}" if mend else lost
-            elif not mend:
+                remedy = f"{remedy}; {lost}" if repair else lost
+            elif not repair:
                 remedy = f"the ledger has {stored} rows of it; {REPAIR}"
-            kind = "mended" if mend and stored else "fault"
+            kind = "repaired" if repair and stored else "fault"
             findings.append(DataFinding(kind, f"{name} cannot be used: {error}", remedy))
-    return whole, findings
+    return tables, findings
 
 
-def _damaged_rows(ledger: Ledger, whole: Whole, *, mend: bool) -> Iterator[DataFinding]:
+def _damaged_rows(ledger: Ledger, tables: Tables, *, repair: bool) -> Iterator[DataFinding]:
     for seq, named in ledger.damaged_rows().items():
         what = f"row {seq} of {named} is damaged in the ledger"
-        name = next((name for name, (rows, _) in whole.items() if seq in rows.seq), None)
+        name = next((name for name, (rows, _) in tables.items() if seq in rows.seq), None)
         if name is None:
             remedy = (
                 "no whole table file has it: ask for its wrench again to have it solved or load it "
                 "again, or restore a backup"
             )
             yield DataFinding("fault", what, remedy)
-        elif not mend:
+        elif not repair:
             yield DataFinding("fault", what, f"tables/{name}.h5 has it; {REPAIR}")
         else:
-            rows = whole[name][0]
+            rows = tables[name][0]
             if ledger.rewrite(name, seq, rows.take(np.flatnonzero(rows.seq == seq)[:1])):
-                yield DataFinding("mended", what, f"written anew from tables/{name}.h5")
+                yield DataFinding("repaired", what, f"written anew from tables/{name}.h5")
             else:
                 remedy = "the same row is there under another number, which is used"
                 yield DataFinding("note", what, remedy)
 
 
-def _compare(
-    ledger: Ledger,
-    component: Component,
-    files: TableStore,
-    on_file: tuple[Rows, TableMeta] | None,
-    *,
-    mend: bool,
-) -> list[DataFinding]:
-    """Compare a component's file with the ledger; write it again if it is missing or older."""
+def _check_component(
+    ledger: Ledger, component: Component, store: TableStore, tables: Tables, *, repair: bool
+) -> Iterator[DataFinding]:
+    """Compare a component's table file with the ledger, and find rows of another setup of it."""
     name, count = component.name, ledger.count_rows(component.name)
-    if on_file is None:
-        if not count:
-            return []
-        what = f"tables/{name}.h5 is not there; the ledger has {count} rows of it"
-    else:
-        meta = on_file[1]
-        if meta.ledger and meta.ledger == ledger.digest(name, meta.last_seq):
-            return []
-        what = f"tables/{name}.h5 and the ledger do not have the same rows up to {meta.last_seq}"
-    if not mend:
-        return [DataFinding("fault" if on_file else "note", what, f"a server's start or {REPAIR}")]
-    files.load(component)  # puts rows that the file alone has back into the ledger
-    rows, last_seq = followed(ledger, component, Rows.empty(component.space), 0)
-    files.save(component, rows, last_seq)
-    back = ledger.count_rows(name) - count
-    remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)} rows"
-    return [DataFinding("mended", what, remedy)]
-
-
-def _of_another_setup(ledger: Ledger, component: Component) -> list[DataFinding]:
-    """Find rows that no table has, since the component's files have changed."""
-    others = ledger.of_other_setups(component.name, component.fingerprint)
+    what, known = "", tables.get(name)
+    if known is None:
+        if count and store.written(name) is None:  # else `_read_all` has said what is wrong with it
+            what = f"tables/{name}.h5 is not there; the ledger has {count} rows of it"
+    elif not known[1].ledger or known[1].ledger != ledger.digest(name, known[1].last_seq):
+        last = known[1].last_seq
+        what = f"tables/{name}.h5 and the ledger do not have the same rows up to {last}"
+    if what and repair:
+        store.load(component)  # puts rows that the file alone has back into the ledger
+        rows, last_seq = followed(ledger, component, Rows.empty(component.space), 0)
+        store.save(component, rows, last_seq)
+        back = ledger.count_rows(name) - count
+        remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)}"
+        yield DataFinding("repaired", what, f"{remedy} rows")
+    elif what:
+        yield DataFinding(
+            "fault" if known else "note", what, f"a server's start writes it; or {REPAIR}"
+        )
+    others = ledger.of_other_setups(name, component.fingerprint)
     if not others:
-        return []
+        return
     rows, _ = followed(ledger, component, Rows.empty(component.space), 0)
-    known = component.linear and bool(np.isfinite(rows.compliance).all(axis=(1, 2)).any())
+    complete = component.linear and bool(np.isfinite(rows.compliance).all(axis=(1, 2)).any())
     wrenches = unsolved(component, others, rows.wrench)
-    if known or not len(wrenches):  # one solve of a linear component determines its compliance
-        return []
-    what = f"{sum(others.values())} rows of {component.name} belong to another setup of it"
-    again = f"wrenchbook resolve {component.name} solves their {len(wrenches)} wrenches again"
-    back = "they come back if its files are as they were"
-    remedy = f"{again}; {back}" if component.has_fea else back
-    return [DataFinding("note", what, remedy)]
+    # One solve of a linear component determines its compliance.
+    if not complete and len(wrenches):
+        what = f"{sum(others.values())} rows of {name} belong to another setup of it"
+        again = f"wrenchbook resolve {name} solves their {len(wrenches)} wrenches again; "
+        back = "they come back if its files are as they were"
+        yield DataFinding("note", what, again * component.has_fea + back)

@@ -6,7 +6,7 @@ import contextlib
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from typing import Any, Protocol
@@ -37,20 +37,14 @@ FRESH_S = 1.0  # age of cached ledger statistics: several scrapers cost one quer
 
 
 class MetricsSource(Protocol):
-    """What the metrics read of an opened data directory (`service.workspace`)."""
+    """What the metrics read of an opened data directory: `service.workspace.Workspace`."""
 
     settings: Any
     ledger: Ledger
     library: Library
     tables: Any
-
-    def faults(self) -> list[str]:
-        """Return what keeps it from accepting and running jobs."""
-        ...
-
-    def broken(self) -> dict[str, str]:
-        """Return what is wrong with single components, by name."""
-        ...
+    faults: Callable[[], list[str]]
+    broken: Callable[[], dict[str, str]]
 
 
 class Metrics(Collector):
@@ -80,117 +74,80 @@ class Metrics(Collector):
     def collect(self) -> Iterator[Metric]:
         """Yield all metrics."""
         counts, listening, pids = self._shared.together()
-        yield from _of_queries(counts)
-        yield from _of_requests(counts)
-        yield GaugeMetricFamily("wrenchbook_event_listeners", "of GET /v1/events", value=listening)
+        text = "time a table took for one call"
+        yield _counters("queries", "wrenches answered", ("coverage", "method"), counts.queries())
+        yield HistogramMetricFamily(
+            "wrenchbook_query_seconds", text, counts.histogram(), counts.seconds
+        )
+        requests, of_route = {}, dict[str, list[float]]()
+        for (route, method, status), numbers in counts.of("request"):
+            requests[route, method, status] = sum(numbers[:-1])
+            total = of_route.get(route, [0.0] * len(numbers))
+            of_route[route] = [sum(pair) for pair in zip(total, numbers, strict=True)]
+        labels = ("route", "method", "status")
+        yield _counters("http_requests", "by route template", labels, requests)
+        text = "from a request's head to the end of its reply"
+        times = HistogramMetricFamily("wrenchbook_http_request_seconds", text, labels=("route",))
+        for route, numbers in of_route.items():
+            times.add_metric((route,), cumulative(REQUEST_EDGES, numbers[:-1]), numbers[-1])
+        yield times
+        yield _gauge("event_listeners", "of GET /v1/events", listening)
         builder = CoordinatorState(self._workspace.settings.data / SHARED).read().pid
-        yield from _of_processes({**pids, "builder": builder} if builder else pids)
+        processes: dict[str, Metric] = {}
+        for name, pid in (pids | ({"builder": builder} if builder else {})).items():
+            for metric in ProcessCollector(pid=lambda pid=pid: pid, registry=None).collect():
+                family = Metric(metric.name, metric.documentation, metric.type)
+                family = processes.setdefault(metric.name, family)
+                for sample in metric.samples:
+                    family.add_sample(sample.name, {"process": name}, sample.value)
+        yield from processes.values()
         yield from self._of_ledger()
-        yield from self._of_tables()
-        yield from self._of_server()
+        yield from self._of_workspace()
 
     def _of_ledger(self) -> Iterator[Metric]:
-        found = self._statistics()
-        text, rows_for = "1 if the ledger can be used now", int(found is not None)
-        yield GaugeMetricFamily("wrenchbook_ledger_usable", text, value=rows_for)
-        if found is None:
-            return
-        yield _gauges("wrenchbook_jobs", "jobs as they stand", "status", found.jobs)
-        yield _gauges("wrenchbook_failed_jobs", "failed jobs", "kind", found.failures)
-        buckets = cumulative(SOLVE_EDGES, found.solve_buckets)
-        text = "time a done solve took"
-        seconds = found.solve_seconds
-        yield HistogramMetricFamily("wrenchbook_solve_seconds", text, buckets, seconds)
-        age = max(0.0, time.time() - found.oldest_waiting) if found.oldest_waiting else 0.0
-        text = "age of the oldest job"
-        yield GaugeMetricFamily("wrenchbook_oldest_waiting_seconds", text, value=age)
-        sizes = self._workspace.ledger.sizes()
-        yield _gauges("wrenchbook_ledger_bytes", "on the disk", "file", sizes)
-
-    def _statistics(self) -> Statistics | None:
-        """Return the ledger's statistics, at most `FRESH_S` old; None if it cannot be read."""
-        ledger = self._workspace.ledger
+        ledger, usable = self._workspace.ledger, False
         with self._lock, contextlib.suppress(LedgerUnavailableError):
-            if time.monotonic() - self._read_at < FRESH_S:
-                return self._read
-            self._read_at = time.monotonic()
-            version = ledger.version()
-            if self._read is None or version != self._version:
-                self._read = None
-                self._read, self._version = ledger.statistics(), version
-            return self._read
-        return None
+            if time.monotonic() - self._read_at >= FRESH_S:
+                self._read_at = time.monotonic()
+                version = ledger.version()
+                if self._read is None or version != self._version:
+                    self._read = None  # what it was is not shown while the ledger cannot be read
+                    self._read, self._version = ledger.statistics(), version
+            usable = self._read is not None
+        read = self._read
+        yield _gauge("ledger_usable", "1 if the ledger can be used now", int(usable))
+        if not usable or read is None:
+            return
+        yield _gauges("jobs", "jobs as they stand", "status", read.jobs)
+        yield _gauges("failed_jobs", "failed jobs", "kind", read.failures)
+        buckets = cumulative(SOLVE_EDGES, read.solve_buckets)
+        text = "time a done solve took"
+        yield HistogramMetricFamily("wrenchbook_solve_seconds", text, buckets, read.solve_seconds)
+        age = max(0.0, time.time() - read.oldest_waiting) if read.oldest_waiting else 0.0
+        yield _gauge("oldest_waiting_seconds", "age of the oldest job", age)
+        yield _gauges("ledger_bytes", "on the disk", "file", ledger.sizes())
 
-    def _of_tables(self) -> Iterator[Metric]:
-        names, tables = self._workspace.library.names(), self._workspace.tables
-        some, now = names[:MAX_COMPONENTS], time.time()
-        present = tables.present()
+    def _of_workspace(self) -> Iterator[Metric]:
+        workspace, now = self._workspace, time.time()
+        names, present = workspace.library.names(), workspace.tables.present()
+        some = names[:MAX_COMPONENTS]
         known = {name: present[name] for name in some if present.get(name) is not None}
-        written = {name: tables.written(name) for name in some}
-        ages = {name: max(0.0, now - at) for name, at in written.items() if at is not None}
         versions = {name: table.version for name, table in known.items()}
+        yield _gauges("table_version", "that answers", "component", versions)
         rows = {name: table.row_count for name, table in known.items()}
-        yield _gauges("wrenchbook_table_version", "that answers", "component", versions)
-        yield _gauges("wrenchbook_table_rows", "that answer", "component", rows)
+        yield _gauges("table_rows", "that answer", "component", rows)
+        written = {name: workspace.tables.written(name) for name in some}
+        ages = {name: max(0.0, now - at) for name, at in written.items() if at is not None}
         text = "since a table's file was written"
-        yield _gauges("wrenchbook_table_file_age_seconds", text, "component", ages)
-        yield GaugeMetricFamily("wrenchbook_components", "in the library", value=len(names))
-        text, broken = "see GET /health/ready", len(self._workspace.broken())
-        yield GaugeMetricFamily("wrenchbook_broken_components", text, value=broken)
-
-    def _of_server(self) -> Iterator[Metric]:
+        yield _gauges("table_file_age_seconds", text, "component", ages)
+        yield _gauge("components", "in the library", len(names))
+        yield _gauge("broken_components", "see GET /health/ready", len(workspace.broken()))
         yield InfoMetricFamily("wrenchbook_build", "what answers", _build())
-        settings, ready = self._workspace.settings, int(not self._workspace.faults())
-        text = "1 if jobs are accepted and solved"
-        yield GaugeMetricFamily("wrenchbook_ready", text, value=ready)
-        text = "solves at once of this server"
-        yield GaugeMetricFamily("wrenchbook_solvers", text, value=settings.solvers)
+        yield _gauge("ready", "1 if jobs are accepted and solved", int(not workspace.faults()))
+        yield _gauge("solvers", "solves at once of this server", workspace.settings.solvers)
         with contextlib.suppress(OSError):
-            free = shutil.disk_usage(settings.data).free
-            text = "where the data directory is"
-            yield GaugeMetricFamily("wrenchbook_disk_free_bytes", text, value=free)
-
-
-def _of_queries(counts: Counts) -> Iterator[Metric]:
-    queries = CounterMetricFamily(
-        "wrenchbook_queries", "wrenches answered", labels=("coverage", "method")
-    )
-    for labels, number in counts.queries().items():
-        queries.add_metric(labels, number)
-    yield queries
-    text = "time a table took for one call"
-    yield HistogramMetricFamily(
-        "wrenchbook_query_seconds", text, counts.histogram(), counts.seconds
-    )
-
-
-def _of_requests(counts: Counts) -> Iterator[Metric]:
-    labels = ("route", "method", "status")
-    requests = CounterMetricFamily("wrenchbook_http_requests", "by route template", labels=labels)
-    of_route: dict[str, list[float]] = {}
-    for (route, method, status), numbers in counts.of("request"):
-        requests.add_metric((route, method, status), sum(numbers[:-1]))
-        total = of_route.get(route, [0.0] * len(numbers))
-        of_route[route] = [one + more for one, more in zip(total, numbers, strict=True)]
-    yield requests
-    text = "from a request's head to the end of its reply"
-    times = HistogramMetricFamily("wrenchbook_http_request_seconds", text, labels=("route",))
-    for route, numbers in of_route.items():
-        times.add_metric((route,), cumulative(REQUEST_EDGES, numbers[:-1]), numbers[-1])
-    yield times
-
-
-def _of_processes(pids: Mapping[str, int]) -> Iterator[Metric]:
-    """Yield `process_*` of several processes by the label `process`."""
-    found: dict[str, Metric] = {}
-    for name, pid in pids.items():
-        for metric in ProcessCollector(pid=lambda pid=pid: pid, registry=None).collect():
-            family = found.setdefault(
-                metric.name, Metric(metric.name, metric.documentation, metric.type)
-            )
-            for sample in metric.samples:
-                family.add_sample(sample.name, {"process": name}, sample.value)
-    yield from found.values()
+            free = shutil.disk_usage(workspace.settings.data).free
+            yield _gauge("disk_free_bytes", "where the data directory is", free)
 
 
 @cache
@@ -200,8 +157,21 @@ def _build() -> dict[str, str]:
     return {"version": version("wrenchbook"), "code": code, "kernel": sources_hash()[:16]}
 
 
+def _gauge(name: str, text: str, value: float) -> Metric:
+    return GaugeMetricFamily(f"wrenchbook_{name}", text, value=value)
+
+
 def _gauges(name: str, text: str, label: str, values: Mapping[str, float]) -> Metric:
-    found = GaugeMetricFamily(name, text, labels=(label,))
-    for word, value in values.items():
-        found.add_metric((word,), value)
-    return found
+    family = GaugeMetricFamily(f"wrenchbook_{name}", text, labels=(label,))
+    for value_label, value in values.items():
+        family.add_metric((value_label,), value)
+    return family
+
+
+def _counters(
+    name: str, text: str, labels: Sequence[str], values: Mapping[tuple[str, ...], float]
+) -> Metric:
+    family = CounterMetricFamily(f"wrenchbook_{name}", text, labels=labels)
+    for of_labels, value in values.items():
+        family.add_metric(of_labels, value)
+    return family

@@ -16,10 +16,15 @@ from pathlib import Path
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.jobs.attempt import PROGRESS, Progress, write_whole
+from wrenchbook.service.report.layout import (
+    advice_of,
+    as_markdown,
+    as_page,
+    sections_of,
+    summary_of,
+)
 from wrenchbook.service.report.measure import measure
-from wrenchbook.service.report.page import as_page
 from wrenchbook.service.report.queue import CANCEL
-from wrenchbook.service.report.text import advice_of, as_markdown, summary_of
 from wrenchbook.surrogate.table.hdf5 import read_table
 
 ORDER, FAILURE = "order.json", "failure.json"
@@ -37,9 +42,10 @@ def main(folder: Path) -> int:
             meta.load_range,
             order["wrenches"],
             order["seed"],
-            lambda fraction, message: _tell(folder, Progress(fraction, message)),
+            lambda fraction, message: _note(folder, Progress(fraction, message)),
         )
         report |= {"summary": summary_of(report), "advice": advice_of(report)}
+        report["sections"] = [asdict(section) for section in sections_of(report)]
         report["made"] = datetime.now(UTC).isoformat(timespec="seconds")
         report["table_version"] = meta.last_seq
         for name, text in (("report.md", as_markdown(report)), ("report.html", as_page(report))):
@@ -52,7 +58,7 @@ def main(folder: Path) -> int:
     return 0
 
 
-def _tell(folder: Path, progress: Progress) -> None:
+def _note(folder: Path, progress: Progress) -> None:
     """Write the progress; end the process if the report was cancelled."""
     if (folder / CANCEL).exists():
         sys.exit(1)

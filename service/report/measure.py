@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 import tracemalloc
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
-from wrenchbook.surrogate.table.space import Space
 
 Array = np.ndarray
 Report = Callable[[float, str], None]
@@ -38,134 +36,109 @@ def measure(
 ) -> dict[str, Any]:
     """Return all figures of a report, as JSON-able values; processor times in s and µs, else SI.
 
-    Parameters
-    ----------
-    count
-        Wrenches to compare.
+    `count` wrenches, drawn by `seed`, are compared; `report` is called with the share that is done
+    and with what is being done. Raises ValueError if the two finest meshes have solved none.
     """
-    linear = not bundle.analysis.nonlinear
-    freedoms = [name in one.locked for one in bundle.interfaces for name in FREEDOMS]
-    locked = np.flatnonzero(freedoms).tolist()
-    wrenches = acting(random_wrenches(load_range, count, seed), locked)
+    linear, space = not bundle.analysis.nonlinear, load_range.space
+    freedoms = [name in entry.locked for entry in bundle.interfaces for name in FREEDOMS]
+    points = qmc.Halton(d=len(load_range.low), rng=seed).random(count)
+    wrenches = load_range.low + points * (load_range.high - load_range.low)
+    wrenches = acting(wrenches, np.flatnonzero(freedoms).tolist())
     levels = _solve_levels(bundle, wrenches, report)
-    finest, own = levels[-1], next(level for level in levels if level["level"] == "own")
-    solved = _solved_in_both(finest, own)
-    reference = finest["displacement"][solved]
-    space = load_range.space
-    scale = _scale(reference, space)
+    moved = {level["level"]: level.pop("displacement") for level in levels}
+    finest = moved[levels[-1]["level"]]
+    solved = np.isfinite(finest + moved["own"]).all(axis=1)
+    if not solved.any():
+        kinds = {failure["kind"] for level in levels for failure in level["failures"]}
+        raise ValueError(
+            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); "
+            "solve one and look at its job's files, or lower the component's load range"
+        )
+    reference = finest[solved]
+    # An error is relative to the range of its output, or to a floor if that is near zero.
+    span = np.ptp(reference, axis=0)
+    scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
+    for level in levels:
+        name, error = level["level"], np.abs(moved[level["level"]][solved] - reference)
+        level |= {"name": f"FEA, {name} mesh", "seconds": level["seconds_p50"]}
+        level["error"] = errors(error, scale)
+        level["largest_error"] = _largest(level["error"])
+    own = next(level for level in levels if level["level"] == "own")
     report(0.85, "measuring tables")
-    compared = wrenches[solved]
-    references = {"finest": reference, "own": own["displacement"][solved]}
-    tables = []
+    summary, tables = build(rows, load_range, linear=linear).coverage_summary(), []
     for part in PARTS:
         some = rows.take(np.arange(max(1, round(part * len(rows)))))
-        tables += _tables(some, load_range, compared, references, scale, own["seconds_p50"], linear)
-    meshes = [_mesh_entry(level, solved, reference, scale) for level in levels]
+        size, surrogate = _built(some, load_range, linear)
+        size["fea_s"] = float(np.sum(some.source == "fea") * own["seconds_p50"])
+        for method in METHODS:
+            references = reference, moved["own"][solved]
+            entry = _method(surrogate, method, wrenches[solved], references, scale)
+            if entry is not None:
+                name = f"{method}, {len(some)} rows"
+                tables.append({"name": name, "method": method, **size, **entry})
     limit = bundle.tolerance
     return {
         "component": bundle.name,
         "title": bundle.title,
         "rows": len(rows),
         "wrenches": {"asked": count, "compared": int(solved.sum()), "seed": seed},
-        "range": np.ptp(reference, axis=0).tolist(),
+        "range": span.tolist(),
         "floor": scale.tolist(),
         "outputs": list(space.output_names),
         "tolerance": limit
         and np.where(space.is_rotation, limit.rotation, limit.translation).tolist(),
-        "default": _default(build(rows, load_range, linear=linear).coverage_summary()),
-        "fea": meshes,
+        "default": {
+            "method": summary["method"],
+            "reason": summary["method_reason"],
+            "errors_left_out": summary["errors_left_out"],
+            "full_wrench_rows": summary["full_wrench_rows"],
+        },
+        # None where the component's mesh is the finest: its error is not known.
+        "mesh_error": own["largest_error"] if own is not levels[-1] else None,
+        "fea": levels,
         "tables": tables,
-        "pareto": pareto(meshes, tables),
+        "pareto": pareto([*tables, *levels]),
     }
-
-
-def _default(summary: dict[str, Any]) -> dict[str, Any]:
-    """Return which method answers and why, from a coverage summary."""
-    names = {"method": "method", "method_reason": "reason"}
-    same = ("errors_left_out", "full_wrench_rows")
-    return {own: summary[name] for name, own in (*names.items(), *zip(same, same, strict=True))}
-
-
-def _solved_in_both(finest: dict[str, Any], own: dict[str, Any]) -> Array:
-    """Return which wrenches both levels have solved, shape (n,).
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
-    solved = np.isfinite(finest["displacement"] + own["displacement"]).all(axis=1)
-    if not solved.any():
-        kinds = {failure["kind"] for level in (finest, own) for failure in level["failures"]}
-        raise ValueError(
-            f"none of the {len(solved)} wrenches could be solved ({', '.join(sorted(kinds))}); "
-            "solve one and look at its job's files, or lower the component's load range"
-        )
-    return solved
-
-
-def random_wrenches(load_range: LoadRange, count: int, seed: int) -> Array:
-    """Return full wrenches spread over the load range, shape (count, n), SI."""
-    points = qmc.Halton(d=len(load_range.low), rng=seed).random(count)
-    return load_range.low + points * (load_range.high - load_range.low)
 
 
 def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[str, Any]]:
     """Solve all wrenches on each mesh, the finest last; one level if it cannot be refined."""
     chosen = [(name, refined(bundle, factor)) for name, factor in LEVELS]
-    bundles = [(name, one) for name, one in chosen if one is not None] or [("own", bundle)]
+    meshes = [(name, mesh) for name, mesh in chosen if mesh is not None] or [("own", bundle)]
     levels = []
-    for number, (name, one) in enumerate(bundles):
-
-        def heard(fraction: float, name: str = name, number: int = number) -> None:
-            report(0.85 * (number + fraction) / len(bundles), f"{name} mesh, {fraction:.0%}")
-
-        levels.append({"level": name, **_solve_all(one, wrenches, heard)})
+    for number, (name, mesh) in enumerate(meshes):
+        started = time.process_time()
+        solver = Solver(mesh)
+        setup = time.process_time() - started
+        displacement = np.full((len(wrenches), len(FREEDOMS) * len(mesh.interfaces)), np.nan)
+        seconds, failures = [], []
+        for place, wrench in enumerate(wrenches):
+            fraction = place / len(wrenches)
+            done = 0.85 * (number + fraction) / len(meshes)
+            report(done, f"{name} mesh, {fraction:.0%}")
+            started = time.process_time()
+            try:
+                displacement[place] = solver.solve(wrench).displacement
+            except SolveFailed as failure:
+                failures.append({"wrench": wrench.tolist(), "kind": failure.kind})
+                continue
+            seconds.append(time.process_time() - started)
+        levels.append(
+            {
+                "level": name,
+                "unknowns": solver.unknowns,
+                "setup_s": setup,
+                "seconds_p50": float(np.median(seconds)) if seconds else None,
+                "seconds_p95": float(np.quantile(seconds, 0.95)) if seconds else None,
+                "failures": failures,
+                "displacement": displacement,
+            }
+        )
     return levels
 
 
-def _solve_all(bundle: Bundle, wrenches: Array, heard: Callable[[float], None]) -> dict[str, Any]:
-    started = time.process_time()
-    solver = Solver(bundle)
-    setup = time.process_time() - started
-    displacement = np.full((len(wrenches), len(FREEDOMS) * len(bundle.interfaces)), np.nan)
-    seconds, failures = [], []
-    for place, wrench in enumerate(wrenches):
-        heard(place / len(wrenches))
-        started = time.process_time()
-        try:
-            displacement[place] = solver.solve(wrench).displacement
-        except SolveFailed as failure:
-            failures.append({"wrench": wrench.tolist(), "kind": failure.kind})
-            continue
-        seconds.append(time.process_time() - started)
-    return {
-        "unknowns": solver.unknowns,
-        "setup_s": setup,
-        "seconds_p50": float(np.median(seconds)) if seconds else float("nan"),
-        "seconds_p95": float(np.quantile(seconds, 0.95)) if seconds else float("nan"),
-        "failures": failures,
-        "displacement": displacement,
-    }
-
-
-def _mesh_entry(
-    level: dict[str, Any], solved: Array, reference: Array, scale: Array
-) -> dict[str, Any]:
-    error = np.abs(level.pop("displacement")[solved] - reference)
-    return {**level, "error": errors(error, scale)}
-
-
-def _tables(
-    rows: Rows,
-    load_range: LoadRange,
-    wrenches: Array,
-    references: dict[str, Array],
-    scale: Array,
-    solve_seconds: float,
-    linear: bool,
-) -> list[dict[str, Any]]:
-    """Measure one size of the table with every method."""
+def _built(rows: Rows, load_range: LoadRange, linear: bool) -> tuple[dict[str, Any], AnyTable]:
+    """Build one size of the table; return what that takes, and the table."""
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
     surrogate = build(rows, load_range, linear=linear)
@@ -173,48 +146,44 @@ def _tables(
     tracemalloc.stop()
     started = time.process_time()
     build(rows, load_range, linear=linear)
-    build_s = time.process_time() - started
-    size = {
-        "rows": len(rows),
-        "build_s": build_s,
-        "memory_bytes": memory,
-        "fea_s": float(np.sum(rows.source == "fea") * solve_seconds),
-    }
-    found = []
-    for method in METHODS:
-        with suppress(UnknownMethodError):  # several interfaces have no axes
-            answer = packed_of(surrogate).answer(wrenches[0].tolist(), None, method)
-            if answer.method != method:  # few rows have no kriging: the axes answer instead
-                continue
-            figures = _method(surrogate, method, wrenches, references, scale)
-            found.append({"method": method, **size, **figures})
-    return found
+    seconds = time.process_time() - started
+    return {"rows": len(rows), "build_s": seconds, "memory_bytes": memory}, surrogate
 
 
 def _method(
-    surrogate: AnyTable,
-    method: str,
-    wrenches: Array,
-    references: dict[str, Array],
-    scale: Array,
-) -> dict[str, Any]:
-    table = packed_of(surrogate)
+    surrogate: AnyTable, method: str, wrenches: Array, references: tuple[Array, Array], scale: Array
+) -> dict[str, Any] | None:
+    """Compare a method with solves on the finest mesh and on the table's own; None without it."""
+    table, (finest, own) = packed_of(surrogate), references
+    try:
+        answer = table.answer(wrenches[0].tolist(), None, method)
+    except UnknownMethodError:  # several interfaces have no axes
+        return None
+    if answer.method != method:  # few rows have no kriging: the axes answer instead
+        return None
     answers = table.batch(wrenches, method=method)
-    error = np.abs(answers.outputs - references["own"])
-    known = np.isfinite(answers.errors)
-    outputs = range(known.shape[1])
-    inside = [_share(error[known[:, k], k] <= answers.errors[known[:, k], k]) for k in outputs]
+    error = np.abs(answers.outputs - own)
+    inside, ratios = [], []
+    for bars, true in zip(answers.errors.T, error.T, strict=True):
+        known = np.isfinite(bars)
+        bars, true = bars[known], true[known]
+        median = float(np.median(true)) if len(true) else 0.0
+        inside.append(float(np.mean(true <= bars)) if len(true) else None)
+        # None where the error is nothing.
+        ratios.append(float(np.median(bars)) / median if median > 0.0 else None)
     middle, late = answer_times(table, method, wrenches)
+    of_finest, of_own = errors(np.abs(answers.outputs - finest), scale), errors(error, scale)
     return {
         "covered": float(np.mean(answers.coverage == 0)),
+        "seconds": middle * 1e-6,
         "query_us_p50": middle,
         "query_us_p99": late,
-        "error": errors(np.abs(answers.outputs - references["finest"]), scale),
-        "lookup_error": errors(error, scale),
+        "error": of_finest,
+        "largest_error": _largest(of_finest),
+        "lookup_error": of_own,
+        "largest_interpolation_error": _largest(of_own),
         "inside_error_bar": inside,
-        "bar_over_error": [
-            _ratio(answers.errors[known[:, k], k], error[known[:, k], k]) for k in outputs
-        ],
+        "bar_over_error": ratios,
     }
 
 
@@ -223,61 +192,35 @@ def errors(error: Array, scale: Array) -> dict[str, list[float | None]]:
 
     `error` has shape (n, m), m and rad; ``rms_relative`` is in parts of `scale`, shape (m,).
     """
-    kept = error[np.isfinite(error).all(axis=1)]
-    if not len(kept):
+    known = error[np.isfinite(error).all(axis=1)]
+    if not len(known):
         nothing: list[float | None] = [None] * len(scale)
         return dict.fromkeys(("rms", "p95", "max", "rms_relative"), nothing)
-    rms = np.sqrt(np.mean(kept**2, axis=0))
+    rms = np.sqrt(np.mean(known**2, axis=0))
     return {
         "rms": rms.tolist(),
-        "p95": np.quantile(kept, 0.95, axis=0).tolist(),
-        "max": kept.max(axis=0).tolist(),
+        "p95": np.quantile(known, 0.95, axis=0).tolist(),
+        "max": known.max(axis=0).tolist(),
         "rms_relative": (rms / scale).tolist(),
     }
 
 
-def _scale(reference: Array, space: Space) -> Array:
-    """Return what an error is relative to, shape (m,): the range, or a floor if near zero."""
-    span = np.ptp(reference, axis=0)
-    return np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
+def _largest(error: dict[str, list[float | None]]) -> float | None:
+    """Return the largest relative RMS error of all outputs; None if nothing was answered."""
+    known = [value for value in error["rms_relative"] if value is not None]
+    return max(known) if len(known) == len(error["rms_relative"]) else None
 
 
-def worst(entry: dict[str, Any]) -> float:
-    """Return the largest relative RMS error of an entry against the finest mesh.
-
-    Infinite if nothing was answered.
-    """
-    return _largest(entry["error"])
-
-
-def lookup(table: dict[str, Any]) -> float:
-    """Return `worst` of a table against solves on its own mesh: its interpolation error."""
-    return _largest(table["lookup_error"])
-
-
-def _largest(error: dict[str, list[float | None]]) -> float:
-    known = [one for one in error["rms_relative"] if one is not None]
-    return max(known) if len(known) == len(error["rms_relative"]) else float("inf")
-
-
-def mesh_error(report: dict[str, Any]) -> float | None:
-    """Return the largest relative RMS error of the component's own mesh; None if unknown."""
-    own = [entry for entry in report["fea"][:-1] if entry["level"] == "own"]
-    return worst(own[0]) if own else None
-
-
-def seconds_of(entry: dict[str, Any]) -> float:
-    """Return what one answer of an entry costs, s."""
-    return entry["query_us_p50"] * 1e-6 if "method" in entry else entry["seconds_p50"]
-
-
-def pareto(meshes: list[dict[str, Any]], tables: list[dict[str, Any]]) -> list[str]:
+def pareto(entries: list[dict[str, Any]]) -> list[str]:
     """Return the names of the entries that no other beats in both error and run time.
 
     The finest mesh is the reference, its error zero by definition.
     """
-    points = [(seconds_of(e), worst(e), name_of(e)) for e in (*tables, *meshes)]
-    points = sorted(point for point in points if np.isfinite(point[0]) and np.isfinite(point[1]))
+    points = sorted(
+        (entry["seconds"], entry["largest_error"], entry["name"])
+        for entry in entries
+        if None not in (entry["seconds"], entry["largest_error"])
+    )
     front: list[str] = []
     best = float("inf")
     for _, error, name in points:
@@ -285,23 +228,6 @@ def pareto(meshes: list[dict[str, Any]], tables: list[dict[str, Any]]) -> list[s
             best = error
             front.append(name)
     return front
-
-
-def name_of(entry: dict[str, Any]) -> str:
-    """Return what an entry is called in tables and plots."""
-    if "method" in entry:
-        return f"{entry['method']}, {entry['rows']} rows"
-    return f"FEA, {entry['level']} mesh"
-
-
-def _share(inside: Array) -> float | None:
-    return float(np.mean(inside)) if len(inside) else None
-
-
-def _ratio(bars: Array, error: Array) -> float | None:
-    """Return the median error bar over the median true error; None where the error is nothing."""
-    true = float(np.median(error)) if len(error) else 0.0
-    return float(np.median(bars)) / true if true > 0.0 else None
 
 
 TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5

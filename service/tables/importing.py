@@ -12,10 +12,9 @@ import numpy as np
 
 from wrenchbook.service.formats import Options, ParsedTable, ReadResult, read_untrusted
 from wrenchbook.service.formats.rig import Rig
-from wrenchbook.service.ledger import About, Ledger, row_keys
+from wrenchbook.service.ledger import About, Ledger, NotedRows, row_keys
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.mapped import ServedTable
-from wrenchbook.service.tables.rows import noted_rows
 from wrenchbook.surrogate.findings.find import MOST
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
@@ -53,25 +52,26 @@ def import_files(
         return _with_stored_numbers(ledger, component, read)
 
     def keys(piece: ParsedTable) -> list[bytes]:
-        return row_keys(component.name, noted_rows(component, piece))
+        return row_keys(component.name, NotedRows(piece, piece.note))
 
     if not refused and dry_run:
         named = [key for piece in pieces() for key in keys(piece)]
-        existing = ledger.known_rows(named)
-        inserted = len(named) - existing
+        distinct = set(named)  # a row that stands twice in the file is loaded once
+        known = ledger.known_rows(distinct)
+        inserted, existing = len(distinct - known), sum(key in known for key in named)
     elif not refused:
         findings = report["findings"]
         rows_of_findings = [row for finding in findings for row in finding["rows"]]
         key_of: dict[int, str] = {}
         for piece in pieces() if rows_of_findings else ():
-            some = piece.take(np.isin(piece.row, rows_of_findings))
-            key_of |= zip(some.row.tolist(), (key.hex() for key in keys(some)), strict=True)
+            some = piece.take(np.isin(piece.seq, rows_of_findings))
+            key_of |= zip(some.seq.tolist(), (key.hex() for key in keys(some)), strict=True)
         stored = [
             {**one, "rows": [], "keys": [key_of[row] for row in one["rows"]]} for one in findings
         ]
         about = replace(about, format=report["format"], rig=options.rig)
         about = replace(about, findings=json.dumps(stored))
-        blocks = (noted_rows(component, piece) for piece in pieces())
+        blocks = (NotedRows(piece, piece.note) for piece in pieces())
         inserted, existing, number = ledger.import_rows(component.name, blocks, about)
     rows = report.pop("rows")
     good = rows.pop("good")

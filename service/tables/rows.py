@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.contract import CONTRACT
-from wrenchbook.service.formats import ParsedTable
-from wrenchbook.service.formats.rows import MEASURED
 from wrenchbook.service.ledger import ImportRecord, Ledger, NotedRows, packed, unpacked
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import SolverError
@@ -66,22 +64,6 @@ def table_meta(component: Component, version: int, error: SolverError | None = N
         locked=component.idle,
         contract=CONTRACT_WORDS,
     )
-
-
-def noted_rows(component: Component, piece: ParsedTable) -> NotedRows:
-    """Return the rows of a file as the ledger takes them."""
-    known = {} if piece.curvature is None else {"curvature": piece.curvature}
-    rows = Rows.of(
-        piece.wrench,
-        piece.displacement,
-        component.space,
-        uncertainty=piece.uncertainty,
-        compliance=piece.compliance,
-        source=[source or MEASURED for source in piece.source],
-        fingerprint=list(piece.fingerprint),
-        **known,
-    )
-    return NotedRows(rows, piece.note)
 
 
 def followed(ledger: Ledger, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:

@@ -42,7 +42,7 @@ class SolverErrors:
             self._claimed.add(key)
             return True
 
-    def settle(self, component: str, fingerprint: str, estimate: Mapping[str, Any] | None) -> None:
+    def record(self, component: str, fingerprint: str, estimate: Mapping[str, Any] | None) -> None:
         """Keep the estimate of an ended solve, or let the next one estimate; never raises."""
         try:
             if estimate is not None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import logging
+import os
+import shutil
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 from uvicorn.config import STARTUP_FAILURE
@@ -15,18 +19,24 @@ from uvicorn.config import STARTUP_FAILURE
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.engines import open_engine
-from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger import FINAL, Ledger, LedgerError
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.ops.retention import Retention, kept_by
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.service.tables.store import TableStore
+from wrenchbook.service.workers.supervisor import IN_USE
 
 log = logging.getLogger(__name__)
 
 Parts = tuple[Ledger, Library, SolverErrors]
+
+DAY = 86_400.0
+CHECK_S = 30.0  # between checks of the ledger's log, which stays below 16 MB under a day's jobs
+PRUNE_S = 600.0  # between removals of old folders
+LONG_LOG = 4 * 1024 * 1024  # bytes; SQLite begins to move it into the ledger at this size
+PART = 2000  # folders per query of the ledger
 
 
 @contextmanager
@@ -59,16 +69,90 @@ def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
     engine = open_engine(settings.engine, settings.solvers, scheduler=settings.scheduler)
     fields = FieldStore(settings.data / "fields")
     dispatcher = Dispatcher(ledger, engine, lambda name: library[name].folder, jobs, fields, errors)
-    retention = Retention(ledger, jobs, kept_by(settings))
+    stop = threading.Event()
+    arguments = ledger, jobs, settings, stop
+    retention = threading.Thread(target=retain, args=arguments, name="retention", daemon=True)
     dispatcher.start()
     retention.start()
     try:
         yield dispatcher
     finally:
-        retention.stop()
+        stop.set()
+        retention.join()
         dispatcher.stop()
         engine.close()
         log.info("solvers have ended; the jobs they were at wait for the next start")
+
+
+def retain(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event) -> None:
+    """Bound the size of a data directory: remove old attempts' folders, shorten the ledger's log.
+
+    An unfinished removal goes on at the next start.
+    """
+    next_prune = time.monotonic()
+    while not stop.wait(CHECK_S):
+        try:
+            shorten_log(ledger)
+            if time.monotonic() >= next_prune:
+                prune(ledger, jobs, settings, stop)
+                next_prune = time.monotonic() + PRUNE_S
+        except LedgerError:
+            continue  # the ledger logs it
+        except Exception:
+            log.exception("retention failed; it is tried again")
+
+
+def shorten_log(ledger: Ledger, longest: int = LONG_LOG) -> bool:
+    """Empty the ledger's log if it is longer than `longest` bytes; return whether it was done."""
+    return ledger.sizes()["log"] > longest and ledger.checkpoint()
+
+
+def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event) -> int:
+    """Remove the folders of ended attempts beyond the age or number of the settings.
+
+    Rows and jobs always stay, and so do folders of open jobs and of jobs that the ledger does not
+    have. A job that ended in the future, by a clock that was set back since, counts as new. Returns
+    the number of jobs whose folders were removed.
+    """
+    limits = {
+        True: (settings.keep_days, settings.keep_count),
+        False: (settings.keep_failed_days, settings.keep_failed_count),  # they have the cause
+    }
+    numbers = sorted((int(name) for name in _names(jobs) if name.isdecimal()), reverse=True)
+    remaining, removed, now = {True: 0, False: 0}, 0, time.time()
+    for start in range(0, len(numbers), PART):
+        part = numbers[start : start + PART]
+        known = ledger.attempts(part)
+        for number in part:
+            if stop.is_set():
+                return removed
+            status, last, ended = known.get(number, ("unknown", 0, None))
+            if status not in FINAL or ended is None:
+                continue
+            done, folder = status == "done", jobs / str(number)
+            days, most = limits[done]
+            if remaining[done] < most and now - ended < days * DAY:
+                remaining[done] += 1
+                continue
+            for name in _names(folder):  # later attempts, of a reopened job, stay
+                attempt = name.partition(".")[0]  # "2.old-..." is of an earlier ledger
+                if attempt.isdecimal() and int(attempt) <= last:
+                    shutil.rmtree(folder / name, ignore_errors=True)
+            try:
+                folder.rmdir()
+                removed += 1
+            except OSError:
+                continue  # it has a later attempt
+    if removed:
+        log.info("the folders of %d ended jobs were removed", removed)
+    return removed
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return os.listdir(folder)  # noqa: PTH208 (a list of 10**5 names, no 10**5 paths)
+    except OSError:
+        return []
 
 
 @contextmanager
@@ -102,10 +186,7 @@ def run(settings: Settings, started: threading.Event) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     state = CoordinatorState(settings.data / FOLDER)
     if not state.take():
-        log.error(
-            "another server uses %s; stop it first, or serve another directory with --data",
-            settings.data,
-        )
+        log.error(IN_USE.format(settings.data))
         sys.exit(STARTUP_FAILURE)
     try:
         with opened(settings) as parts, building(settings, parts, state):

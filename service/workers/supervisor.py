@@ -11,6 +11,7 @@ import json
 import logging
 import multiprocessing
 import os
+import shutil
 import signal
 import socket
 import threading
@@ -24,8 +25,10 @@ from typing import Any, Final
 from uvicorn.config import STARTUP_FAILURE
 from uvicorn.importer import import_from_string
 
+from wrenchbook.service.files.lock import take
 from wrenchbook.service.ops.logs import set_up
 from wrenchbook.service.settings import Settings
+from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 
 log = logging.getLogger("wrenchbook.service.workers")
 
@@ -39,6 +42,7 @@ HEALTH_S: Final = 30.0
 RETIRE: Final = signal.SIGUSR1  # to a web worker that is replaced: see `Server.retire`
 STOP_S: Final = 30.0  # for a process to end after SIGTERM
 LOOK_S: Final = 0.1  # between two looks at signals and heartbeats; an end is seen at once
+IN_USE: Final = "another server uses {}; stop it first, or serve another directory with --data"
 _ENDS: Final = frozenset({signal.SIGINT, signal.SIGTERM})
 # From SIGTERM until connections are refused: web workers take those that wait within 0.1 s.
 REFUSE_AFTER_S: Final = 0.2
@@ -52,7 +56,7 @@ class AddressError(OSError):
 
 
 class WorkerFailedError(RuntimeError):
-    """A process of the server could not start; its log says why."""
+    """The server cannot start: one of its processes did not, or another server has its data."""
 
 
 class Child:
@@ -237,6 +241,13 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
     uses the data directory.
     """
     bound, address = bind_to(settings.host, settings.port)
+    shared = settings.data / SHARED
+    shared.mkdir(exist_ok=True)
+    if take(shared / "supervisor.lock") is None:  # held until this process ends
+        raise WorkerFailedError(IN_USE.format(settings.data))
+    for path in shared.iterdir():  # counts and rates of a server that was killed
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
     forks.set_forkserver_preload([path.split(":")[0] for _, path in (BUILDER, WEB_WORKER)])
     forkserver.ensure_running()
     set_up(settings.log_level, settings.log_format)

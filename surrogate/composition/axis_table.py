@@ -35,11 +35,10 @@ class AxisReading:
 
     Attributes
     ----------
-    outputs, bends, rest : ndarray, shape (k, 6), m and rad
-        Barycentric outputs; the bends, which are the error to be expected of them with its sign;
-        and the error bars of the outputs, NaN where they are unknown.
-    slopes, bend_slopes : ndarray, shape (k, 6, 3), m and rad
-        Derivatives of the outputs and of the bends by the scaled inputs.
+    outputs, rest : ndarray, shape (k, 6), m and rad
+        Barycentric outputs and their error bars, NaN where they are unknown.
+    slopes : ndarray, shape (k, 6, 3), m and rad
+        Derivatives of the outputs by the scaled inputs.
     unit_errors : ndarray, shape (k,), dimensionless
         1/2 sum_v l_v |x - x_v|^2, from which the error bars follow.
     noise_shares : ndarray, shape (k,), dimensionless
@@ -56,10 +55,8 @@ class AxisReading:
     """
 
     outputs: Floats
-    bends: Floats
     rest: Floats
     slopes: Floats
-    bend_slopes: Floats
     unit_errors: Floats
     noise_shares: Floats
     stated: Floats
@@ -237,7 +234,7 @@ class AxisTable:
         shares = self.triangulation.barycentric(found[~inside], at[~inside])
         corners = self.slopes[self.triangulation.simplices[found[~inside]]]
         slopes = self.along_span(np.einsum("kv,kvqi->kqi", shares, corners))
-        reading.slopes[~inside], reading.bend_slopes[~inside] = slopes, 0.0
+        reading.slopes[~inside] = slopes
         reading.outputs[~inside] += np.einsum("kqi,ki->kq", slopes, (x - at)[~inside])
         return replace(reading, inside=inside)
 
@@ -255,18 +252,12 @@ class AxisTable:
         shares = shape.barycentric(simplices, x)
         outputs = np.einsum("kv,kvq->kq", shares, self.values[vertices])
         apart = x[:, None] - shape.points[vertices]
-        rises = 0.5 * np.einsum("kvqi,kvi->kvq", self.slopes[vertices], apart)
-        bends = np.einsum("kv,kvq->kq", shares, rises)
-        bend_slopes = np.einsum("kvi,kvq->kqi", shape.share_slopes(simplices), rises)
-        bend_slopes += 0.5 * np.einsum("kv,kvqi->kqi", shares, self.slopes[vertices])
         unit = np.maximum(0.5 * np.einsum("kv,kvi,kvi->k", shares, apart, apart), 0.0)
         stated = np.einsum("kv,kvq->kq", shares, self.uncertainty[vertices])
         return AxisReading(
             outputs=outputs,
-            bends=bends,
             rest=self.law.bars(unit) + stated,
             slopes=shape.gradients_at(simplices, self.values),
-            bend_slopes=bend_slopes,
             unit_errors=unit,
             noise_shares=(shares**2).sum(axis=1),
             stated=stated,

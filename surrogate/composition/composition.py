@@ -10,7 +10,7 @@ It is the second-order part, for these groups, of a high-dimensional model repre
 and Alis 1999, "General foundations of high-dimensional model representations"). An axis without
 loads adds nothing and a moment that is zero takes nothing away. An axis that one moment acts on
 alone answers by that moment's own answer, so that its part and the one taken away are the same
-number: at a row of one axis the sum is that row. Bends and slopes are composed alike. Errors are
+number: at a row of one axis the sum is that row. Slopes are composed alike. Errors are
 independent to a good approximation and add up in quadrature, each times how often its part counts:
 
     error bar^2 = sum_i (n_i e_i)^2 + sum_m (n_m e_m)^2 + ((1 - sum_i n_i - sum_m n_m) e_z)^2
@@ -63,8 +63,6 @@ class Composed:
     ----------
     additive, griddata : ndarray, shape (n, 6), m and rad
         The answers of these two methods; rotations are the same.
-    bend : ndarray, shape (n, 6), m and rad
-        The error to be expected of `griddata`, with its sign.
     rest : ndarray, shape (n, 6), m and rad
         Error bars of `additive`; NaN where errors are unknown.
     states : ndarray of int, shape (n, 3), dimensionless
@@ -73,7 +71,6 @@ class Composed:
 
     additive: Floats
     griddata: Floats
-    bend: Floats
     rest: Floats
     states: NDArray[np.int_]
 
@@ -159,19 +156,17 @@ class Composition:
 
         Parameters
         ----------
-        method : {"griddata", "additive", "tangent"}
+        method : {"griddata", "additive"}
         """
         found = np.zeros((len(wrenches), 6, 6))
         composed = slice(None) if method == "additive" else slice(3, None)
         for axis in AXES:
-            part, inputs = self._read(axis, wrenches), list(axis.inputs)
-            slopes = part.slopes + part.bend_slopes if method == "tangent" else part.slopes
+            slopes, inputs = self._read(axis, wrenches).slopes, list(axis.inputs)
             if method != "additive":
                 found[:, axis.outputs[0], inputs] = slopes[:, axis.outputs[0]]
             found[:, composed, inputs] += slopes[:, composed]
         for moment in range(3):
-            part = self._alone(moment, wrenches[:, moment + 3])
-            slopes = part.slopes + part.bend_slopes if method == "tangent" else part.slopes
+            slopes = self._alone(moment, wrenches[:, moment + 3]).slopes
             found[:, composed, moment + 3] -= slopes[:, composed, 0]
         return found
 
@@ -182,13 +177,11 @@ class Composition:
             return self._guess(wrenches[:, inputs], inputs)
         x = wrenches[:, inputs] / table.scale
         reading = table.read(x)
-        bend_slopes = table.along_span(reading.bend_slopes)
-        ways = reading.slopes / table.scale, bend_slopes / table.scale
         state = np.where(reading.inside, table.state[reading.simplices], OFF_HULL)
         if not table.shows_together:
             several = (np.abs(x) > CLEAN).sum(axis=1) > 1
             state = np.where(several, np.maximum(state, WEAK), state)
-        part = _Part(reading.outputs, reading.bends, reading.rest, *ways, state)
+        part = _Part(reading.outputs, reading.rest, reading.slopes / table.scale, state)
         outside = np.flatnonzero(~reading.inside)
         if len(outside):
             self._step_off(part, outside, table, (x - reading.at)[outside])
@@ -234,8 +227,7 @@ class Composition:
         moved = self.at_rest.displacement + loads @ matrix.T
         rest = np.abs(loads) @ np.abs(matrix).T + self.fit.error
         rest[((loads != 0) & ~self.fit.known[inputs]).any(axis=1)] = np.nan
-        slopes, none = np.tile(matrix, (count, 1, 1)), np.zeros((count, 6, len(inputs)))
-        return _Part(moved, np.zeros((count, 6)), rest, slopes, none, np.full(count, NO_ROWS))
+        return _Part(moved, rest, np.tile(matrix, (count, 1, 1)), np.full(count, NO_ROWS))
 
     def _alone(self, moment: int, amounts: Floats) -> _Part:
         """Return the answers to amounts (k,), N·m, of one moment alone, from whichever axis tells.
@@ -249,11 +241,8 @@ class Composition:
                 continue
             reading = cut.read(amounts)
             better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
-            outputs, bends, rest, slopes, bent = (column[better] for column in reading[:5])
-            better_part = _Part(
-                outputs, bends, rest, slopes[..., None], bent[..., None], reading.state[better]
-            )
-            part.put(better, better_part)
+            outputs, rest, slopes, state = (column[better] for column in reading)
+            part.put(better, _Part(outputs, rest, slopes[..., None], state))
         return part
 
 
@@ -262,10 +251,8 @@ class _Part:
     """What an axis or a moment alone answers at k wrenches, its slopes by its own loads."""
 
     outputs: Floats
-    bends: Floats
     rest: Floats
     slopes: Floats
-    bend_slopes: Floats
     state: NDArray[np.int_]
 
     def take(self, rows: Indices) -> _Part:
@@ -276,7 +263,7 @@ class _Part:
             column[rows] = new
 
     def _columns(self) -> tuple[NDArray, ...]:
-        return self.outputs, self.bends, self.rest, self.slopes, self.bend_slopes, self.state
+        return self.outputs, self.rest, self.slopes, self.state
 
 
 class _Total:
@@ -286,7 +273,6 @@ class _Total:
         self.at_rest = at_rest
         self.sum, self.squares = np.zeros((count, 6)), np.zeros((count, 6))
         self.own = np.tile(at_rest.displacement[:3], (count, 1))
-        self.bend = np.zeros((count, 6))
         self.times = np.zeros((count, 1))
         self.state = np.zeros((count, 3), dtype=int)
 
@@ -294,13 +280,11 @@ class _Total:
         """Take the axis' own translation from its part."""
         own = axis.outputs[0]
         self.own[rows, own] = part.outputs[:, own]
-        self.bend[rows, own] = part.bends[:, own]
 
     def add(self, rows: Indices, part: _Part, times: Floats) -> None:
         """Add a part so many times, shape (k,)."""
         often = times[:, None]
         self.sum[rows] += often * part.outputs
-        self.bend[rows, 3:] += often * part.bends[:, 3:]
         self.squares[rows] += (often * part.rest) ** 2
         self.times[rows] += often
 
@@ -317,7 +301,6 @@ class _Total:
         return Composed(
             additive=additive,
             griddata=np.concatenate((self.own, additive[:, 3:]), axis=1),
-            bend=self.bend,
             rest=np.sqrt(squares),
             states=self.state,
         )

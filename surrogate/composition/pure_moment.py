@@ -25,14 +25,12 @@ HOLE = 9  # the state of a stretch that no simplex holds: worse than any simplex
 class CutReading(NamedTuple):
     """What a cut answers at k moments: (k, 6) each, m and rad, and how sound it is, (k,).
 
-    `slopes` and `bend_slopes` are derivatives by the moment, m/(N·m) and rad/(N·m).
+    `slopes` are derivatives by the moment, m/(N·m) and rad/(N·m).
     """
 
     outputs: Floats
-    bends: Floats
     rest: Floats
     slopes: Floats
-    bend_slopes: Floats
     state: NDArray[np.int_]
 
 
@@ -45,9 +43,8 @@ class PureMomentCut:
         Whose answers they are.
     stations : ndarray, shape (s + 1,), dimensionless
         Scaled moments at which the line passes from one simplex to the next, ascending.
-    pieces : ndarray, shape (s, 5, 6), m and rad
-        Of each stretch, by the scaled moment less its first station: constant and straight part
-        of the outputs; constant, straight and square part of their bends.
+    outputs : ndarray, shape (s, 2, 6), m and rad
+        Of each stretch, by the scaled moment less its first station: constant and straight part.
     unit_errors : ndarray, shape (s, 3), dimensionless
         Constant, straight and square part of the unit errors.
     stated : ndarray, shape (s, 2, 6), m and rad
@@ -69,9 +66,7 @@ class PureMomentCut:
             for share in (0.0, 0.5, 1.0)
         )
         over = 1.0 / width[:, None]
-        outputs = (end.outputs - start.outputs) * over
-        bends = _parabola(start.bends, centre.bends, end.bends, over)
-        self.pieces = np.stack((start.outputs, outputs, *bends), axis=1)
+        self.outputs = np.stack((start.outputs, (end.outputs - start.outputs) * over), axis=1)
         units = [one.unit_errors[:, None] for one in (start, centre, end)]
         self.unit_errors = np.concatenate(_parabola(units[0], units[1], units[2], over), axis=1)
         self.stated = np.stack((start.stated, (end.stated - start.stated) * over), axis=1)
@@ -89,19 +84,17 @@ class PureMomentCut:
         if not len(self.state):
             none = np.zeros((len(along), 6))
             blank = np.full(len(along), HOLE)
-            return CutReading(none, none, none, none, none, blank)
+            return CutReading(none, none, none, blank)
         found = np.searchsorted(self.stations, along, side="right") - 1
         found = np.clip(found, 0, len(self.state) - 1)
         y = (along - self.stations[found])[:, None]
-        pieces, stated, unit = self.pieces[found], self.stated[found], self.unit_errors[found]
+        outputs, stated, unit = self.outputs[found], self.stated[found], self.unit_errors[found]
         unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
         beyond = (along < self.stations[0] - ON_HULL) | (along > self.stations[-1] + ON_HULL)
         return CutReading(
-            pieces[:, 0] + y * pieces[:, 1],
-            pieces[:, 2] + y * (pieces[:, 3] + y * pieces[:, 4]),
+            outputs[:, 0] + y * outputs[:, 1],
             self.table.law.bars(unit) + stated[:, 0] + y * stated[:, 1],
-            pieces[:, 1] / scale,
-            (pieces[:, 3] + 2 * y * pieces[:, 4]) / scale,
+            outputs[:, 1] / scale,
             np.where(beyond, HOLE, self.state[found]),
         )
 

@@ -225,14 +225,6 @@ class Triangulation:
         most = np.einsum("kij,kj->ki", self.weights[simplices], x - self.anchors[simplices])
         return np.concatenate((most, 1 - most.sum(axis=1, keepdims=True)), axis=1)
 
-    def share_slopes(self, simplices: Indices) -> Floats:
-        """Return the slopes of the barycentric coordinates in some simplices.
-
-        Shape (k,) -> (k, d + 1, 3), dimensionless.
-        """
-        most = self.weights[simplices]
-        return np.concatenate((most, -most.sum(axis=1, keepdims=True)), axis=1)
-
     def gradients(self, values: Floats) -> Floats:
         """Return the gradient of vertex values (n, q) in each simplex, shape (m, q, 3)."""
         return self.gradients_at(np.arange(len(self.simplices)), values)

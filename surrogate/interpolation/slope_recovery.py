@@ -1,13 +1,4 @@
-"""Slopes at the points of a table, and the bends of an interpolation that they tell.
-
-With the slope g_i of the response at each vertex v_i of a simplex, the blend
-
-    u(x) = sum_i lambda_i (u_i + 1/2 g_i (x - v_i))
-
-is exact for quadratics: linear interpolation of a quadratic errs by half of what the vertices'
-first-order expansions, blended by their barycentric weights, add to it (the whole of it would err
-by as much to the other side). So its second part, the *bend*, is a third-order estimate of the
-error of linear interpolation.
+"""Slopes at the points of a table, by which answers go on from the hull outwards.
 
 Slopes come from solves as their tangent compliance. Where no row has one they are recovered from a
 quadratic fitted through the neighbours (as in Zienkiewicz and Zhu 1992, patch recovery).

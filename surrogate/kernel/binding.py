@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..answer import NAMES
-from ..packed.format import CHECKED, Packed, PackedTableError, checksum_in, map_file, read
+from ..packed.format import CHECKSUM, Packed, PackedTableError, map_file, read
 from ..packed.reasons import Reason, text_of
 from ..table.definite import sample_of, weakest
 from ..table.space import Space
@@ -125,7 +125,7 @@ class PackedTable:
     @property
     def checksum(self) -> int:
         """The CRC-32 of the file's content, from its header."""
-        return checksum_in(bytes(self._packed.content[:CHECKED]))
+        return int.from_bytes(self._packed.content[CHECKSUM], "little")
 
     def answer(
         self,
@@ -163,12 +163,13 @@ class PackedTable:
     def answers_by(self, method: str | None = None) -> str:
         """Return the method that answers a query of a method or None, rows apart.
 
-        Without a kriging that is `tangent` in its place.
+        Without a kriging the table's default method answers in its place.
         """
-        name = method or self.method or self.words["summary"]["method"]
+        default = self.words["summary"]["method"]
+        name = method or self.method or default
         groups = range(len(self.words["groups"]))
         has_kriging = name != "kriging" or any(f"g{k}/kriging/x" in self.arrays for k in groups)
-        return name if has_kriging else "tangent"
+        return name if has_kriging else default
 
     def batch(
         self,

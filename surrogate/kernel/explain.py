@@ -8,6 +8,7 @@ from typing import Any
 
 from .binding import PackedTable
 
+_USED = 5  # place among a group's ``flags``: see `packed.writer`
 _AXES = tuple((axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3) for axis in range(3))
 
 
@@ -31,7 +32,7 @@ def explain(
     limit = tolerance or (None if any(map(math.isnan, own)) else own)
     found = []
     for number, group in enumerate(table.words["groups"]):
-        if (method or group["method"]) == "linear" and table.arrays[f"g{number}/near/moved"].size:
+        if (method or group["method"]) == "linear" and table.arrays[f"g{number}/flags"][_USED]:
             parts = _linear(table, number, wrench, tolerance)
         else:
             parts = [_axis(table, number, axis, wrench, limit) for axis in range(3)]

@@ -40,10 +40,10 @@ wb_reason *wb_add_reason(wb_found *a, int code) {
     return reason;
 }
 
-/* The method that answers: without a kriging `tangent` does in its place. */
+/* The method that answers: without a kriging the default does in its place. */
 int wb_method_of(const wb_group *g, const wb_options *o) {
     int method = o && o->method != WB_DEFAULT ? o->method : g->method;
-    return method == WB_KRIGING && !g->has_kriging ? WB_TANGENT : method;
+    return method == WB_KRIGING && !g->has_kriging ? g->method : method;
 }
 
 /* The largest interpolation error of a covered answer: the request's tolerance, else the
@@ -79,7 +79,6 @@ static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const d
     a->coverage = off ? WB_OUTSIDE : c->state > 0 ? WB_THIN : WB_COVERED;
     for (int q = 0; q < 6; q++) {
         double value = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->own[q];
-        if (method == WB_TANGENT) value += c->bend[q];
         a->outputs[q] = value;
         a->error[q] = fabs(value - best[q]) + error[q];
         if (off) a->error[q] = larger(sqrt(c->squares[q]), a->error[q]);
@@ -138,28 +137,6 @@ static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const
     a->coverage = unknown >= 0 || wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
     if (unknown >= 0) wb_add_reason(a, WB_REASON_UNKNOWN_LOAD)->index = unknown;
     else reason_beyond(t, w, a);
-}
-
-static void by_nearest(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                       const wb_composed *c, wb_found *a) {
-    double best[WB_MOST], bars[WB_MOST], closest = INFINITY;
-    int n = t->inputs, m = t->outputs;
-    int64_t found = 0;
-    for (int64_t row = 0; row < g->near; row++) {
-        double apart = 0.0;
-        for (int k = 0; k < n; k++) {
-            double step = w[k] / t->scale[k] - g->near_wrench[n * row + k];
-            apart += step * step;
-        }
-        if (apart < closest) closest = apart, found = row;
-    }
-    refer(t, g, work, w, c, best, bars);
-    for (int q = 0; q < m; q++) {
-        a->outputs[q] = g->near_moved[m * found + q];
-        a->error[q] = fabs(a->outputs[q] - best[q]) + bars[q];
-    }
-    a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
-    reason_beyond(t, w, a);
 }
 
 /* Whether a wrench loads more than one axis (default space). */
@@ -244,21 +221,20 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
     a->method = wb_method_of(g, o), a->reasons = 0, a->solved = 0;
     if (!g->used) {
         int rows = g->rows.count ? WB_REASON_ONLY_BEYOND : WB_REASON_EMPTY;
-        wb_add_reason(a, g->near ? WB_REASON_FEW_ROWS : rows);
+        wb_add_reason(a, g->has_rows ? WB_REASON_FEW_ROWS : rows);
         for (int q = 0; q < t->outputs; q++) a->outputs[q] = a->error[q] = NAN;
         a->coverage = WB_OUTSIDE, a->method = WB_ESTIMATE;
         finish(t, g, o, work, w, with_reasons, a);
         return;
     }
-    int axes = a->method <= WB_TANGENT, exact = a->method == WB_LINEAR && g->exact_fit;
+    int axes = a->method <= WB_ADDITIVE, exact = a->method == WB_LINEAR && g->exact_fit;
     if (!composed && (axes || (!exact && !(g->reference & WB_REF_KRIGING)))) {
-        wb_compose(&g->composition, t->small, w, a->method == WB_TANGENT, &c);
+        wb_compose(&g->composition, t->small, w, &c);
         composed = &c;
     }
     if (axes) by_axes(t, g, work, w, a->method, composed, a);
     else if (a->method == WB_KRIGING) by_kriging(t, g, work, w, composed, a);
-    else if (a->method == WB_LINEAR) by_linear(t, g, work, w, composed, a);
-    else by_nearest(t, g, work, w, composed, a);
+    else by_linear(t, g, work, w, composed, a);
     finish(t, g, o, work, w, with_reasons, a);
 }
 
@@ -270,6 +246,5 @@ void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const 
     if (!g->used) return;
     if (method == WB_KRIGING) wb_kriging_derivative(t, &g->kriging, work, w, derivative);
     else if (method == WB_LINEAR) memcpy(derivative, g->fit.matrix, count * sizeof(double));
-    else if (method == WB_NEAREST) memset(derivative, 0, count * sizeof(double));
     else wb_compose_derivative(&g->composition, w, method, derivative);
 }

@@ -19,22 +19,8 @@ static int64_t point_of(const wb_composition *c, int simplex, int corner) {
     return point >= 0 && point < c->points ? point : 0;
 }
 
-/* The slopes of a simplex' barycentric coordinates by the three scaled loads. */
-static void share_slopes(const wb_composition *c, int axis, int simplex, double out[4][3]) {
-    const double *map = c->simplex[simplex].map, *basis = c->floats[axis].basis;
-    int dimension = c->ints[axis].dimension;
-    memset(out, 0, 12 * sizeof(double));
-    for (int corner = 0; corner < dimension; corner++)
-        for (int i = 0; i < 3; i++) {
-            double sum = 0.0;
-            for (int j = 0; j < dimension; j++) sum += map[3 * corner + j] * basis[3 * j + i];
-            out[corner][i] = sum;
-            out[3][i] -= sum;
-        }
-}
-
 /* Outputs and errors at a point of a simplex. Linear interpolation of |x|^2 / 2 errs by
- * S = 1/2 sum of shares |x - x_v|^2, of a response by sqrt(A + C S^2): surrogate/bars/error_law.py */
+ * S = 1/2 sum of shares |x - x_v|^2, of a response by sqrt(A + C S^2): error_law.py */
 static void read_values(const wb_composition *c, int axis, int simplex, const double at[3],
                         const double shares[4], wb_part *part) {
     const double *error = c->error + 12 * axis;
@@ -52,39 +38,18 @@ static void read_values(const wb_composition *c, int axis, int simplex, const do
     for (int q = 0; q < 6; q++) part->rest[q] += sqrt(error[q] + error[6 + q] * (unit * unit));
 }
 
-/* Half of what the corners' first-order expansions add, corner by corner. */
-static void read_bends(const wb_composition *c, int axis, int simplex, const double at[3],
-                       const double shares[4], double rises[4][6], wb_part *part) {
-    int dimension = c->ints[axis].dimension;
-    for (int corner = 0; corner <= dimension; corner++) {
-        int64_t point = point_of(c, simplex, corner);
-        const double *place = c->vertex[point].place, *slope = c->slopes + 18 * point;
-        double share = shares[share_at(corner, dimension)];
-        for (int q = 0; q < 6; q++) {
-            double rise = 0.0;
-            for (int i = 0; i < 3; i++) rise += slope[3 * q + i] * (at[i] - place[i]);
-            rises[corner][q] = 0.5 * rise;
-            part->bends[q] += share * rises[corner][q];
-        }
-    }
-}
-
-static void read_slopes(const wb_composition *c, int axis, int simplex, const double shares[4],
-                        double rises[4][6], wb_part *part) {
+/* Slopes by the scaled loads, within a simplex. */
+static void read_slopes(const wb_composition *c, int axis, int simplex, wb_part *part) {
+    const double *map = c->simplex[simplex].map, *basis = c->floats[axis].basis;
     int dimension = c->ints[axis].dimension;
     const double *last = c->vertex[point_of(c, simplex, dimension)].value;
-    double by[4][3];
-    share_slopes(c, axis, simplex, by);
-    for (int corner = 0; corner <= dimension; corner++) {
-        int64_t point = point_of(c, simplex, corner);
-        const double *value = c->vertex[point].value, *slope = c->slopes + 18 * point;
-        int at = share_at(corner, dimension);
+    for (int corner = 0; corner < dimension; corner++) {
+        const double *value = c->vertex[point_of(c, simplex, corner)].value;
+        double by[3] = {0.0, 0.0, 0.0}; /* the slopes of the corner's barycentric coordinate */
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < dimension; j++) by[i] += map[3 * corner + j] * basis[3 * j + i];
         for (int q = 0; q < 6; q++)
-            for (int i = 0; i < 3; i++) {
-                if (corner < dimension) part->slopes[q][i] += (value[q] - last[q]) * by[corner][i];
-                part->bend_slopes[q][i] += by[at][i] * rises[corner][q];
-                part->bend_slopes[q][i] += 0.5 * shares[at] * slope[3 * q + i];
-            }
+            for (int i = 0; i < 3; i++) part->slopes[q][i] += (value[q] - last[q]) * by[i];
     }
 }
 
@@ -125,7 +90,6 @@ static void blend_slopes(const wb_composition *c, int axis, int simplex, const d
                          wb_part *part) {
     int dimension = c->ints[axis].dimension;
     memset(part->slopes, 0, sizeof part->slopes);
-    memset(part->bend_slopes, 0, sizeof part->bend_slopes);
     for (int corner = 0; corner <= dimension; corner++) {
         const double *slope = c->slopes + 18 * point_of(c, simplex, corner);
         for (int q = 0; q < 6; q++)
@@ -218,11 +182,11 @@ static int is_untold_together(const wb_composition *c, int axis, const double x[
 
 /* `Composition._read`: all six outputs; slopes by the axis' loads, N and N·m. */
 void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
-                  int with_slopes, int with_bends, wb_part *part) {
-    double step[3], rises[4][6];
+                  int with_slopes, wb_part *part) {
+    double step[3];
     int found = place->simplex;
-    memset(part, 0, with_slopes || with_bends || !place->inside || found < 0
-                        ? sizeof *part : offsetof(wb_part, slopes));
+    memset(part, 0, with_slopes || !place->inside || found < 0 ? sizeof *part
+                                                               : offsetof(wb_part, slopes));
     if (found < 0) {
         guess(c, axis, wrench, part);
         return;
@@ -230,28 +194,22 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
     part->state = place->inside ? c->state[found] : WB_OFF_HULL, part->simplex = found;
     if (part->state < WB_WEAK && is_untold_together(c, axis, place->x)) part->state = WB_WEAK;
     read_values(c, axis, found, place->at, place->shares, part);
-    if (with_slopes || with_bends)
-        read_bends(c, axis, found, place->at, place->shares, rises, part);
     if (!place->inside) {
         for (int i = 0; i < 3; i++) step[i] = place->x[i] - place->at[i];
         blend_slopes(c, axis, found, place->shares, part);
         step_off(c, axis, step, part);
     } else if (with_slopes) {
-        read_slopes(c, axis, found, place->shares, rises, part);
+        read_slopes(c, axis, found, part);
     }
-    if (with_slopes) {
-        keep_along(c, axis, part->bend_slopes);
-        add_off_span(c, axis, part);
-    }
+    if (with_slopes) add_off_span(c, axis, part);
     const double *scale = c->floats[axis].scale;
     for (int q = 0; with_slopes && q < 6; q++)
-        for (int i = 0; i < 3; i++)
-            part->slopes[q][i] /= scale[i], part->bend_slopes[q][i] /= scale[i];
+        for (int i = 0; i < 3; i++) part->slopes[q][i] /= scale[i];
 }
 
 void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,
-                  int with_bends, wb_part *part) {
+                  wb_part *part) {
     wb_place place;
     wb_axis_locate(c, axis, wrench, &place);
-    wb_axis_read(c, axis, wrench, &place, with_slopes, with_bends, part);
+    wb_axis_read(c, axis, wrench, &place, with_slopes, part);
 }

@@ -13,7 +13,7 @@ static const double ON_HULL = 1e-9; /* of the range: that far beyond the last st
 
 /* The answer to one moment alone: all six outputs. */
 typedef struct {
-    double outputs[6], bends[6], rest[6], slopes[6], bend_slopes[6];
+    double outputs[6], rest[6], slopes[6];
     int state;
 } alone_part;
 
@@ -41,24 +41,19 @@ int wb_cut_state(const wb_cut *cut, double moment) {
 }
 
 /* `PureMomentCut.read`, in a stretch that is known. */
-static void read_cut(const wb_cut *cut, double along, int found, int with_slopes, int with_bends,
+static void read_cut(const wb_cut *cut, double along, int found, int with_slopes,
                      alone_part *out) {
-    const double *o = cut->outputs + 12 * (int64_t)found, *b = cut->bends + 18 * (int64_t)found;
+    const double *o = cut->outputs + 12 * (int64_t)found;
     const double *r = cut->stated + 12 * (int64_t)found, *s = cut->unit + 3 * (int64_t)found;
     double y = along - cut->stations[found];
     double unit = s[0] + y * (s[1] + y * s[2]);
     unit = unit > 0.0 ? unit : 0.0;
     for (int q = 0; q < 6; q++) out->outputs[q] = o[q] + y * o[6 + q];
-    for (int q = 0; q < 6; q++)
-        out->bends[q] = with_bends ? b[q] + y * (b[6 + q] + y * b[12 + q]) : 0.0;
     for (int q = 0; q < 6; q++) {
         out->rest[q] = r[q] + y * r[6 + q];
         out->rest[q] += sqrt(cut->error[q] + cut->error[6 + q] * (unit * unit));
     }
-    for (int q = 0; with_slopes && q < 6; q++) {
-        out->slopes[q] = o[6 + q] / cut->scale;
-        out->bend_slopes[q] = (b[6 + q] + 2 * y * b[12 + q]) / cut->scale;
-    }
+    for (int q = 0; with_slopes && q < 6; q++) out->slopes[q] = o[6 + q] / cut->scale;
 }
 
 /* The fitted compliance's part, for a moment that has no rows. */
@@ -69,13 +64,12 @@ static void guess(const wb_composition *c, int load, double amount, alone_part *
         out->outputs[q] = c->rest_point[q] + amount * slope;
         out->rest[q] = unknown ? NAN : fabs(amount) * fabs(slope) + c->fit->bar[q];
         out->slopes[q] = slope;
-        out->bends[q] = out->bend_slopes[q] = 0.0;
     }
 }
 
 /* `Composition._alone`: from the axis the moment comes first in, or from the other one. */
 static void read_alone(const wb_composition *c, int moment, double amount, int with_slopes,
-                       int with_bends, alone_part *out) {
+                       alone_part *out) {
     const wb_cut *best = NULL;
     double along = 0.0;
     int found = 0;
@@ -92,24 +86,19 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
         if (state < out->state) out->state = state, best = cut, along = own, found = stretch;
     }
     if (!best) guess(c, moment + 3, amount, out);
-    else read_cut(best, along, found, with_slopes, with_bends, out);
+    else read_cut(best, along, found, with_slopes, out);
 }
 
 static int worse(int a, int b) { return a > b ? a : b; }
 
-static void put_own(wb_composed *out, int axis, double moved, double bend) {
-    out->own[axis] = moved, out->bend[axis] = bend;
-}
-
-/* Add an answer so many times; bends of rotations alone. */
-static void add_part(const double outputs[6], const double bends[6], const double rest[6],
-                     double times, wb_composed *out) {
+/* Add an answer so many times. */
+static void add_part(const double outputs[6], const double rest[6], double times,
+                     wb_composed *out) {
     for (int q = 0; q < 6; q++) {
         double wide = times * rest[q];
         out->moved[q] += times * outputs[q];
         out->squares[q] += wide * wide;
     }
-    for (int q = 3; q < 6; q++) out->bend[q] += times * bends[q];
     out->times += times;
 }
 
@@ -137,30 +126,30 @@ int wb_needs_axis(const double small[6], const double wrench[6], int axis) {
 }
 
 void wb_add_axis(const wb_part *part, int axis, wb_composed *out) {
-    put_own(out, axis, part->outputs[axis], part->bends[axis]);
-    add_part(part->outputs, part->bends, part->rest, 1.0, out);
+    out->own[axis] = part->outputs[axis];
+    add_part(part->outputs, part->rest, 1.0, out);
     out->states[axis] = part->state;
 }
 
 /* Add what single moments and no load answer, after the axes. */
 void wb_add_moments(const wb_composition *c, const double small[6], const double wrench[6],
-                    int with_bends, wb_composed *out) {
+                    wb_composed *out) {
     for (int m = 0; m < 3; m++) {
         alone_part alone;
         double times = -1.0;
         if (!(fabs(wrench[3 + m]) > small[3 + m])) continue;
-        read_alone(c, m, wrench[3 + m], 0, with_bends, &alone);
+        read_alone(c, m, wrench[3 + m], 0, &alone);
         int base = (m + 2) % 3; /* the axis that the moment comes first in; then the other one */
         for (int k = 0; k < 2; k++) {
             int axis = (m + 2 - k) % 3;
             int other = 3 + (axis + 1 + !k) % 3; /* the axis' other moment */
             if (fabs(wrench[axis]) > small[axis] || fabs(wrench[other]) > small[other]) continue;
             times += 1.0;
-            put_own(out, axis, alone.outputs[axis], alone.bends[axis]);
+            out->own[axis] = alone.outputs[axis];
             out->states[axis] = worse(out->states[axis], alone.state);
         }
         if (times == 0.0) continue;
-        add_part(alone.outputs, alone.bends, alone.rest, times, out);
+        add_part(alone.outputs, alone.rest, times, out);
         out->states[base] = worse(out->states[base], alone.state);
     }
     add_rest(c, out);
@@ -169,38 +158,36 @@ void wb_add_moments(const wb_composition *c, const double small[6], const double
 
 /* `Composition.evaluate`. */
 void wb_compose(const wb_composition *c, const double small[6], const double wrench[6],
-                int with_bends, wb_composed *out) {
+                wb_composed *out) {
     wb_compose_start(c, out);
     for (int axis = 0; axis < 3; axis++) {
         wb_part part;
         if (!wb_needs_axis(small, wrench, axis)) continue;
-        wb_axis_part(c, axis, wrench, 0, with_bends, &part);
+        wb_axis_part(c, axis, wrench, 0, &part);
         wb_add_axis(&part, axis, out);
     }
-    wb_add_moments(c, small, wrench, with_bends, out);
+    wb_add_moments(c, small, wrench, out);
 }
 
 /* `Composition.derivatives`: of the law with all axes and moments in it, so that a load that is
  * zero has its slope too. */
 void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,
                            double derivative[36]) {
-    int bent = method == WB_TANGENT, additive = method == WB_ADDITIVE;
+    int additive = method == WB_ADDITIVE;
     memset(derivative, 0, 36 * sizeof(double));
     for (int axis = 0; axis < 3; axis++) {
         int inputs[3] = {axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3};
         wb_part part;
-        wb_axis_part(c, axis, wrench, 1, bent, &part);
+        wb_axis_part(c, axis, wrench, 1, &part);
         for (int q = 0; q < 6; q++) {
             if (q < 3 && q != axis && !additive) continue;
-            for (int i = 0; i < 3; i++)
-                derivative[6 * q + inputs[i]] +=
-                    part.slopes[q][i] + (bent ? part.bend_slopes[q][i] : 0.0);
+            for (int i = 0; i < 3; i++) derivative[6 * q + inputs[i]] += part.slopes[q][i];
         }
     }
     for (int m = 0; m < 3; m++) {
         alone_part alone;
-        read_alone(c, m, wrench[3 + m], 1, 1, &alone);
+        read_alone(c, m, wrench[3 + m], 1, &alone);
         for (int q = additive ? 0 : 3; q < 6; q++)
-            derivative[6 * q + 3 + m] -= alone.slopes[q] + (bent ? alone.bend_slopes[q] : 0.0);
+            derivative[6 * q + 3 + m] -= alone.slopes[q];
     }
 }

@@ -7,6 +7,7 @@
 
 #include "wb_file.h"
 
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -61,16 +62,21 @@ static int check_header(const wb_header *head, uint64_t size, char *why, size_t 
         return snprintf(why, most, "this is not a packed table of wrenchbook"), 0;
     if (head->byte_order != 0x01020304u)
         return snprintf(why, most, "the table has another byte order or is damaged"), 0;
-    if (head->format > WB_FORMAT)
-        return snprintf(why, most, "the table has format %u, this program reads format %u: use a "
-                        "newer wrenchbook", (unsigned)head->format, (unsigned)WB_FORMAT), 0;
-    if (head->format < WB_OLDEST_FORMAT)
-        return snprintf(why, most, "the table has format %u, which is older than format %u: write "
-                        "it again", (unsigned)head->format, (unsigned)WB_OLDEST_FORMAT), 0;
+    if (head->format != WB_FORMAT)
+        return snprintf(why, most, "the table has format %u, this program reads format %u: %s",
+                        (unsigned)head->format, (unsigned)WB_FORMAT,
+                        head->format > WB_FORMAT ? "use a newer wrenchbook" : "download it again"), 0;
     if (head->size != size)
         return snprintf(why, most, "the table is damaged: %llu of its %llu bytes",
                         (unsigned long long)size, (unsigned long long)head->size), 0;
     return 1;
+}
+
+/* The checksum of a header, all bytes but the checksum itself. */
+static uint32_t crc_of_header(uint32_t table[SLICES][256], const wb_header *head) {
+    const unsigned char *bytes = (const unsigned char *)head;
+    size_t before = offsetof(wb_header, checksum), after = before + sizeof head->checksum;
+    return crc_of(table, crc_of(table, 0, bytes, before), bytes + after, sizeof *head - after);
 }
 
 static int check_sum(uint64_t found, const wb_header *head, char *why, size_t most) {
@@ -87,7 +93,9 @@ int wb_check_bytes(const unsigned char *bytes, size_t count, char *why, size_t m
     memcpy(&head, bytes, sizeof head);
     if (!check_header(&head, count, why, most)) return 0;
     crc_tables(table);
-    return check_sum(crc_of(table, 0, bytes + WB_CHECKED, count - WB_CHECKED), &head, why, most);
+    uint32_t sum = crc_of_header(table, &head);
+    sum = crc_of(table, sum, bytes + sizeof head, count - sizeof head);
+    return check_sum(sum, &head, why, most);
 }
 
 static int check_file(FILE *file, uint64_t size, char *why, size_t most) {
@@ -101,7 +109,7 @@ static int check_file(FILE *file, uint64_t size, char *why, size_t most) {
     unsigned char *block = malloc(BLOCK);
     if (!block) return snprintf(why, most, "no memory"), 0;
     crc_tables(table);
-    sum = crc_of(table, 0, (unsigned char *)&head + WB_CHECKED, sizeof head - WB_CHECKED);
+    sum = crc_of_header(table, &head);
     while ((got = fread(block, 1, BLOCK, file)) > 0) sum = crc_of(table, sum, block, got);
     free(block);
     return check_sum(sum, &head, why, most);

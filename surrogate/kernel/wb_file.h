@@ -4,15 +4,14 @@
 
 #include "wb_internal.h"
 
-/* Files of format 1 have no second derivatives, those of 2 one covariance; else they are the same. */
-#define WB_FORMAT 3u
-#define WB_OLDEST_FORMAT 1u
-enum { WB_CHECKED = 24, WB_NAME = 64 }; /* the checksum is of what follows it */
+#define WB_FORMAT 4u /* the only one that is read */
+enum { WB_NAME = 64 };
 
 typedef struct {
     unsigned char magic[8];
     uint32_t format, byte_order;
-    uint64_t checksum, size, directory, arrays, json, json_size;
+    uint64_t checksum; /* CRC-32 of all other bytes of the file */
+    uint64_t size, directory, arrays, json, json_size;
 } wb_header;
 
 typedef struct {

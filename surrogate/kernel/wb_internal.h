@@ -41,7 +41,7 @@ typedef struct {
     int present, stretches;
     int64_t buckets;
     double scale;
-    const double *stations, *outputs, *bends, *stated, *unit, *error, *bucket;
+    const double *stations, *outputs, *stated, *unit, *error, *bucket;
     const int32_t *state, *start;
 } wb_cut;
 
@@ -94,10 +94,9 @@ typedef struct {
 /* The outputs that the same rows hold. */
 typedef struct {
     int method, reference, knows_interaction, rest_unknown, exact_fit, used;
-    int full, needed, has_composition, has_kriging, has_missed;
-    int64_t near;
+    int full, needed, has_rows, has_composition, has_kriging, has_missed;
     const int32_t *outputs;
-    const double *allowed, *near_wrench, *near_moved;
+    const double *allowed;
     wb_fit fit;
     wb_rows rows;
     wb_composition composition;
@@ -144,8 +143,7 @@ typedef struct {
 
 /* One axis' answer, all six outputs, its slopes by its own three loads (N and N·m). */
 typedef struct {
-    double outputs[6], bends[6], rest[6];
-    double slopes[6][3], bend_slopes[6][3];
+    double outputs[6], rest[6], slopes[6][3];
     int state, simplex;
 } wb_part;
 
@@ -158,7 +156,7 @@ typedef struct {
 /* Three axes together: `moved` adds all axes up, with the squared errors; `own` has each
  * translation of its own axis. `times`: how many parts there are, less those taken away. */
 typedef struct {
-    double moved[6], squares[6], bend[6], own[3], times;
+    double moved[6], squares[6], own[3], times;
     int states[3], state;
 } wb_composed;
 
@@ -178,18 +176,18 @@ void wb_shares(const wb_composition *c, int simplex, const double flat[3], doubl
 int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], double at[3],
                        double shares[4]);
 void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,
-                  int with_bends, wb_part *part);
+                  wb_part *part);
 void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_place *place);
 void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
-                  int with_slopes, int with_bends, wb_part *part);
+                  int with_slopes, wb_part *part);
 int wb_cut_state(const wb_cut *cut, double moment);
 void wb_compose_start(const wb_composition *c, wb_composed *out);
 int wb_needs_axis(const double small[6], const double wrench[6], int axis);
 void wb_add_axis(const wb_part *part, int axis, wb_composed *out);
 void wb_add_moments(const wb_composition *c, const double small[6], const double wrench[6],
-                    int with_bends, wb_composed *out);
+                    wb_composed *out);
 void wb_compose(const wb_composition *c, const double small[6], const double wrench[6],
-                int with_bends, wb_composed *out);
+                wb_composed *out);
 void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,
                            double derivative[36]);
 int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work);

@@ -92,8 +92,7 @@ static void sort(entry **order, entry **spare, size_t count) {
 }
 
 /* Read an axis for RUN wrenches: what is found is fetched while others are still looked up. */
-static void compose_run(const wb_composition *c, int axis, int bends, size_t first, size_t used,
-                        bench *b) {
+static void compose_run(const wb_composition *c, int axis, size_t first, size_t used, bench *b) {
     wb_place place[RUN];
     size_t count = used - first < RUN ? used - first : RUN;
     for (size_t i = 0; i < count; i++) {
@@ -106,13 +105,13 @@ static void compose_run(const wb_composition *c, int axis, int bends, size_t fir
     for (size_t i = 0; i < count; i++) {
         wb_part part;
         size_t at = b->order[first + i].place;
-        wb_axis_read(c, axis, b->inputs + 6 * at, &place[i], 0, bends, &part);
+        wb_axis_read(c, axis, b->inputs + 6 * at, &place[i], 0, &part);
         wb_add_axis(&part, axis, &b->composed[at]);
     }
 }
 
 /* Compose the block's answers axis by axis: one triangulation at a time is in the caches. */
-static void compose_block(const wb_table *t, const wb_group *g, int bends, size_t count, bench *b) {
+static void compose_block(const wb_table *t, const wb_group *g, size_t count, bench *b) {
     const wb_composition *c = &g->composition;
     for (size_t i = 0; i < count; i++) wb_compose_start(c, &b->composed[i]);
     for (int axis = 0; axis < 3; axis++) {
@@ -126,10 +125,10 @@ static void compose_block(const wb_table *t, const wb_group *g, int bends, size_
             b->order[used].key = key, b->order[used++].place = (uint32_t)i;
         }
         if (used) sort(&b->order, &b->spare, used);
-        for (size_t i = 0; i < used; i += RUN) compose_run(c, axis, bends, i, used, b);
+        for (size_t i = 0; i < used; i += RUN) compose_run(c, axis, i, used, b);
     }
     for (size_t i = 0; i < count; i++)
-        wb_add_moments(c, t->small, b->inputs + 6 * i, bends, &b->composed[i]);
+        wb_add_moments(c, t->small, b->inputs + 6 * i, &b->composed[i]);
 }
 
 /* The order in which a block is answered: that of the kriging's neighbourhoods. */
@@ -146,13 +145,13 @@ static void order_block(const wb_table *t, const wb_kriging *k, size_t count, be
 static void answer_block(const task *own, size_t start, size_t count, bench *b) {
     const wb_table *t = own->t;
     const wb_group *g = t->groups == 1 && t->group[0].used ? &t->group[0] : NULL;
-    int method = g ? wb_method_of(g, own->o) : WB_DEFAULT, axes = g && method <= WB_TANGENT;
+    int method = g ? wb_method_of(g, own->o) : WB_DEFAULT, axes = g && method <= WB_ADDITIVE;
     size_t n = (size_t)t->inputs, m = (size_t)t->outputs;
     const wb_kriging *k = NULL;
     if (g && method == WB_KRIGING) k = &g->kriging;
     else if (axes && g->reference & WB_REF_KRIGING) k = &g->kriging;
     else if (axes && g->reference & WB_REF_MISSED) k = &g->missed;
-    if (axes) compose_block(t, g, method == WB_TANGENT, count, b);
+    if (axes) compose_block(t, g, count, b);
     order_block(t, k, count, b);
     for (size_t i = 0; i < count; i++) {
         size_t within = b->order[i].place, place = start + within;

@@ -172,27 +172,26 @@ static void read_rows(reader *r, wb_rows *rows) {
 }
 
 static void read_cut(reader *r, wb_composition *c, int moment, int which) {
-    static const char *const PARTS[] = {"stations", "outputs", "bends", "stated", "unit", "state",
-                                        "bucket", "start"};
-    char name[8][32];
+    static const char *const PARTS[] = {"stations", "outputs", "stated", "unit", "state", "bucket",
+                                        "start"};
+    char name[7][32];
     wb_cut *cut = &c->cuts[moment][which];
-    for (int k = 0; k < 8; k++)
+    for (int k = 0; k < 7; k++)
         snprintf(name[k], sizeof name[k], "axes/cut%d%d/%s", moment, which, PARTS[k]);
-    if (!(cut->present = exists(r, name[5]))) return;
+    if (!(cut->present = exists(r, name[4]))) return;
     /* The axis that the moment comes first in, then the one that it comes second in. */
     int axis = (moment + (which ? 1 : 2)) % 3;
-    int64_t count = length(r, name[5], WB_I4, 1);
+    int64_t count = length(r, name[4], WB_I4, 1);
     cut->stretches = (int)count;
     cut->scale = *r->bad ? 1.0 : c->floats[axis].scale[1 + which];
     cut->error = *r->bad ? NULL : c->error + 12 * axis;
     cut->stations = doubles(r, name[0], 1, count ? count + 1 : (int64_t)0);
     cut->outputs = doubles(r, name[1], 3, count, (int64_t)2, (int64_t)6);
-    cut->bends = doubles(r, name[2], 3, count, (int64_t)3, (int64_t)6);
-    cut->stated = doubles(r, name[3], 3, count, (int64_t)2, (int64_t)6);
-    cut->unit = doubles(r, name[4], 2, count, (int64_t)3);
-    cut->state = ints(r, name[5], count);
-    cut->bucket = doubles(r, name[6], 1, (int64_t)2);
-    cut->start = read_start(r, name[7], count ? count + 1 : 0, &cut->buckets);
+    cut->stated = doubles(r, name[2], 3, count, (int64_t)2, (int64_t)6);
+    cut->unit = doubles(r, name[3], 2, count, (int64_t)3);
+    cut->state = ints(r, name[4], count);
+    cut->bucket = doubles(r, name[5], 1, (int64_t)2);
+    cut->start = read_start(r, name[6], count ? count + 1 : 0, &cut->buckets);
 }
 
 /* Check one axis' frame: the sizes of its grid and its part of the points and simplices. */
@@ -351,18 +350,15 @@ static void each_by_one(reader *r, const wb_group *g, const wb_kriging *k) {
 
 static void read_group(reader *r, wb_group *g, wb_share **share) {
     const wb_table *t = r->t;
-    const int32_t *flags = ints(r, "flags", 8);
+    const int32_t *flags = ints(r, "flags", 9);
     g->outputs = ints(r, "outputs", t->outputs);
     g->allowed = doubles(r, "allowed", 1, (int64_t)t->outputs);
-    g->near = length(r, "near/wrench", WB_F8, 2);
-    g->near_wrench = doubles(r, "near/wrench", 2, g->near, (int64_t)t->inputs);
-    g->near_moved = doubles(r, "near/moved", 2, g->near, (int64_t)t->outputs);
     read_fit(r, &g->fit);
     read_rows(r, &g->rows);
     if (*r->bad) return;
     g->method = flags[0], g->reference = flags[1], g->knows_interaction = flags[2];
     g->rest_unknown = flags[3], g->exact_fit = flags[4], g->used = flags[5];
-    g->full = flags[6], g->needed = flags[7];
+    g->full = flags[6], g->needed = flags[7], g->has_rows = flags[8];
     for (int64_t k = 0; k < g->rows.count; k++)
         within(r, "row/tangent_of", g->rows.tangent_of + k, 1, -1, g->rows.tangents);
     if ((g->has_composition = exists(r, "axes/vertex")))

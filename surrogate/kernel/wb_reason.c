@@ -44,12 +44,12 @@ static look look_at(const wb_table *t, const wb_group *g, int axis, const double
         loads[k] = w[k];
         if (fabs(w[k]) > t->small[k]) loaded++, last = k;
     }
-    wb_compose(c, t->small, loads, 0, &seen.found);
+    wb_compose(c, t->small, loads, &seen.found);
     seen.origin = c->ints[axis].dimension < 0 ? -1 : axis, seen.simplex = -1;
     if (loaded == 1 && last >= 3) seen.origin = axis_of_moment(c, last - 3, loads[last]);
     if (seen.origin >= 0 && loaded) {
         wb_part part;
-        wb_axis_part(c, seen.origin, loads, 0, 0, &part);
+        wb_axis_part(c, seen.origin, loads, 0, &part);
         seen.simplex = part.simplex;
     }
     return seen;
@@ -97,7 +97,7 @@ static void why_axis(const wb_composition *c, const look *seen, int axis, int st
 void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_found *a) {
     wb_composed all;
     if (!g->has_composition) return;
-    wb_compose(&g->composition, t->small, w, 0, &all);
+    wb_compose(&g->composition, t->small, w, &all);
     for (int axis = 0; axis < 3; axis++) {
         wb_reason reason;
         if (all.state == WB_SOUND || all.states[axis] != all.state) continue;
@@ -134,7 +134,7 @@ int wb_axis(const wb_table *t, const wb_options *o, int group, int axis, const d
         w[k] = t->locked[k] ? 0.0 : inputs[k] + 0.0;
     }
     const wb_composition *c = &g->composition;
-    wb_compose(c, t->small, w, 0, &all);
+    wb_compose(c, t->small, w, &all);
     look seen = look_at(t, g, axis, w);
     int state = all.states[axis];
     for (int q = 0; q < 6; q++) {

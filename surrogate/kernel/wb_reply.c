@@ -225,8 +225,7 @@ int wb_check(const wb_table *t, const wb_options *o, const double *inputs) {
         int exact = method == WB_LINEAR && g->exact_fit;
         int own = method == WB_KRIGING && g->reference & WB_REF_KRIGING;
         if (!g->used || own || exact) continue;
-        if (method <= WB_TANGENT && !g->has_composition) return WB_NO_METHOD;
-        if (!g->reference || (method == WB_NEAREST && !g->near)) return WB_NO_METHOD;
+        if (!g->reference || (method <= WB_ADDITIVE && !g->has_composition)) return WB_NO_METHOD;
     }
     return WB_OK;
 }

@@ -43,17 +43,15 @@ enum {
 enum { WB_COVERED = 0, WB_THIN = 1, WB_OUTSIDE = 2 };
 
 /* WB_ROW: a row of the table answers; WB_ESTIMATE: there are no rows to answer from. */
-enum { /* WB_TANGENT answers for WB_KRIGING where the rows allow no kriging */
+enum { /* the default method answers for WB_KRIGING where the rows allow no kriging */
     WB_DEFAULT = -1,
     WB_GRIDDATA = 0,
     WB_ADDITIVE = 1,
-    WB_TANGENT = 2,
-    WB_KRIGING = 3,
-    WB_LINEAR = 4,
-    WB_NEAREST = 5,
-    WB_METHODS = 6,
-    WB_ROW = 6,
-    WB_ESTIMATE = 7
+    WB_KRIGING = 2,
+    WB_LINEAR = 3,
+    WB_METHODS = 4,
+    WB_ROW = 4,
+    WB_ESTIMATE = 5
 };
 
 /* Why an answer is not covered. surrogate/packed/reasons.py has the words. */

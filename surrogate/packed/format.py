@@ -1,6 +1,6 @@
 """The file of a packed table (`.wbt`): a header, a directory of named arrays, JSON, the arrays.
 
-The header is 64 bytes: magic, format number, byte order, CRC-32 of all that follows it, sizes. Each
+The header is 64 bytes: magic, format number, byte order, CRC-32 of all other bytes, sizes. Each
 entry of the directory is 128 bytes, in the order of the names; arrays begin at multiples of 64
 bytes, so that a mapped file is read in place. The same table gives the same bytes.
 surrogate/kernel/wb_file.c and wb_open.c read the same in C.
@@ -14,7 +14,7 @@ import os
 import stat
 import tempfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,14 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC = b"\x89WBT\r\n\x1a\n"  # as PNG's: a transfer that changes line ends is noticed
-# A file has the oldest format that can hold it, which older programs read, so that their downloads
-# and models go on: by the ends of its arrays' names 2 where rows bring second derivatives, 3 where
-# outputs have length scales of their own.
-FORMAT, OLDEST_FORMAT = 3, 1
-NEWER = {"/smoothness": 2, "/own_terms": 3}
+FORMAT = 4  # the only one that is read: the file is derived, and built again from the rows
 SUFFIX = ".wbt"
 ALIGNED = 64  # bytes: a cache line
-CHECKED = 24  # bytes: the checksum is of what follows it
+CHECKSUM = slice(16, 24)  # bytes of the header; the checksum is of all others
 BLOCK = 1 << 20  # bytes read at once for the checksum
 
 _BYTE_ORDER = 0x01020304
@@ -119,20 +115,18 @@ def pieces(arrays: Mapping[str, NDArray[Any]], words: Mapping[str, Any]) -> list
     text_at = _HEADER.itemsize + directory.nbytes
     header = np.zeros(1, dtype=_HEADER)
     header[0] = (
-        *(MAGIC, _oldest_for(names), _BYTE_ORDER, 0, offset),
+        *(MAGIC, FORMAT, _BYTE_ORDER, 0, offset),
         *(_HEADER.itemsize, len(names), text_at, len(text) - 1),
     )
-    checksum = zlib.crc32(header.tobytes()[CHECKED:])
-    for piece in (head, *contents):
-        checksum = zlib.crc32(piece, checksum)
-    header["checksum"] = checksum
+    header["checksum"] = _checksum(header.tobytes(), (head, *contents))
     return [header.tobytes(), head, *contents]
 
 
-def _oldest_for(names: list[str]) -> int:
-    """Return the oldest format that has arrays of these names."""
-    newer = [NEWER[end] for end in NEWER if any(name.endswith(end) for name in names)]
-    return max(newer, default=OLDEST_FORMAT)
+def _checksum(header: bytes, blocks: Iterable[bytes | memoryview]) -> int:
+    checksum = zlib.crc32(header[CHECKSUM.stop :], zlib.crc32(header[: CHECKSUM.start]))
+    for block in blocks:
+        checksum = zlib.crc32(block, checksum)
+    return checksum
 
 
 def write_file(path: Path, content: list[bytes]) -> None:
@@ -164,7 +158,7 @@ def read(content: bytes | bytearray | memoryview | mmap.mmap) -> Packed:
         If they are no packed table, damaged, or of another format.
     """
     whole = memoryview(content)
-    _check(whole[: _HEADER.itemsize].tobytes(), len(whole), iter((whole[_HEADER.itemsize :],)))
+    _check(whole[: _HEADER.itemsize].tobytes(), len(whole), (whole[_HEADER.itemsize :],))
     return _views(whole)
 
 
@@ -190,11 +184,6 @@ def map_file(path: str | os.PathLike[str]) -> Packed:
         return _views(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
 
 
-def checksum_in(head: bytes) -> int:
-    """Return the checksum that the first `CHECKED` bytes of a file have."""
-    return int.from_bytes(head[CHECKED - 8 : CHECKED], "little")
-
-
 def _without_waiting(path: str, flags: int) -> int:
     """Open a path; a pipe that nobody writes to is opened too, and refused after that."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
@@ -204,7 +193,7 @@ def _aligned(size: int) -> int:
     return -(-size // ALIGNED) * ALIGNED
 
 
-def _check(head: bytes, size: int, rest: Iterator[bytes | memoryview]) -> None:
+def _check(head: bytes, size: int, rest: Iterable[bytes | memoryview]) -> None:
     if len(head) < _HEADER.itemsize:
         raise PackedTableError(f"this is not a packed table: {size} bytes")
     header = np.frombuffer(head, dtype=_HEADER)[0]
@@ -212,22 +201,14 @@ def _check(head: bytes, size: int, rest: Iterator[bytes | memoryview]) -> None:
         raise PackedTableError("this is not a packed table of wrenchbook")
     if header["byte_order"] != _BYTE_ORDER:
         raise PackedTableError("the table has another byte order or is damaged")
-    if header["format"] > FORMAT:
+    if header["format"] != FORMAT:
+        remedy = "use a newer wrenchbook" if header["format"] > FORMAT else "download it again"
         raise PackedTableError(
-            f"the table has format {header['format']}, this program reads format {FORMAT}: use a "
-            "newer wrenchbook"
-        )
-    if header["format"] < OLDEST_FORMAT:
-        raise PackedTableError(
-            f"the table has format {header['format']}, which is older than format {OLDEST_FORMAT}: "
-            "write it again"
+            f"the table has format {header['format']}, this program reads format {FORMAT}: {remedy}"
         )
     if header["size"] != size:
         raise PackedTableError(f"the table is damaged: {size} of its {header['size']} bytes")
-    checksum = zlib.crc32(head[CHECKED:])
-    for block in rest:
-        checksum = zlib.crc32(block, checksum)
-    if checksum != header["checksum"]:
+    if _checksum(head, rest) != header["checksum"]:
         raise PackedTableError("the table is damaged: its checksum is wrong")
 
 

@@ -214,22 +214,19 @@ def _group_arrays(
 
     ``outputs`` (m), which; ``flags``: the default method, the bits of its reference, whether rows
     show interaction, whether the answer at no load is unknown, whether the fit is exact, whether
-    there are rows to answer from, full wrenches, full wrenches needed; ``allowed`` (m), the largest
-    interpolation error of a covered answer, m and rad; ``near``, the used rows: scaled loads and
-    outputs.
+    there are rows to answer from, full wrenches, full wrenches needed, whether there are rows in
+    the load range; ``allowed`` (m), the largest interpolation error of a covered answer, m and rad.
     """
     used, exact = group.can_answer, group.is_exact
     mode, missed = _reference(group, exact) if used else (0, None)
     evidence = group.evidence
     flags = [
         *(METHODS.index(group.default), mode, evidence.knows_interaction, evidence.rest_unknown),
-        *(exact, used, evidence.full_wrenches, evidence.needed),
+        *(exact, used, evidence.full_wrenches, evidence.needed, len(group.used) > 0),
     ]
     yield "flags", np.array(flags, dtype=np.int32)
     yield "outputs", np.isin(np.arange(len(group.fit.matrix)), outputs).astype(np.int32)
     yield "allowed", np.array(group.allowed.of(None), dtype=float)
-    yield "near/wrench", group.used.wrench / group.load_range.scale
-    yield "near/moved", group.used.displacement
     yield "fit/matrix", group.fit.matrix
     yield "fit/bar", group.fit.error
     if group.fit.offset.any():

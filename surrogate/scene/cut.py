@@ -93,7 +93,6 @@ def _cut_group(own: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arr
     kept = {name: array for name, array in own.items() if "/" not in name or name[:4] == "fit/"}
     is_read = np.isin(np.arange(len(own["outputs"])), need.outputs)
     kept["outputs"] = np.where(is_read, own["outputs"], 0).astype(np.int32)
-    kept |= {name: own[name][:0] for name in ("near/wrench", "near/moved")}
     kept |= _cut_rows(own, need)
     if need.tolerance is not None:
         kept["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))

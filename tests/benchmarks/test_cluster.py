@@ -83,7 +83,7 @@ def test_two_workers_solve_faster_than_one(tmp_path, cluster):
             asked = attempts(tmp_path, bundle, wrenches[2:], named, fingerprint=fingerprint)
             times[workers].append(seconds_of(engine, asked))
             for one in asked:
-                assert read_outcome(one)["status"] == "done"
+                assert read_outcome(one).status == "done"
             while len(cluster.workers) > 1:
                 worker = cluster.workers.pop()
                 worker.terminate()

@@ -16,7 +16,7 @@ from wrenchbook.fea.component import build
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection.warnings import warnings_of
-from wrenchbook.fea.solve import Solver, solve
+from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 
 ALUMINIUM = {
@@ -359,10 +359,10 @@ def test_the_fingerprint_changes_with_expansion_and_reference_and_not_with_the_r
 
 
 def test_a_solve_is_started_from_a_state_at_another_temperature(tmp_path):
-    own, folder = clamped_arch(tmp_path), tmp_path / "warm"
+    own = clamped_arch(tmp_path)
     inputs = np.array([0, -1000.0, 100.0, 0, 0, 0, 80.0])
-    first = solve(own, inputs, warm=folder)
-    again = solve(own, inputs + np.array([0, 5.0, 0, 0, 0, 0, 1.0]), warm=folder)
+    first = own.solve(inputs)
+    again = own.solve(inputs + np.array([0, 5.0, 0, 0, 0, 0, 1.0]), start=first.state)
     cold = own.solve(again.wrench)
     assert len(again.history) < len(cold.history)
     np.testing.assert_allclose(again.displacement, cold.displacement, rtol=1e-7, atol=1e-12)

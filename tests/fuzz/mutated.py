@@ -121,7 +121,7 @@ def read(form: str, content: bytes, folder: Path) -> None:
     if form in tables:
         table = tables[form](content)
         assert np.isfinite(table.wrench).all()
-        assert len(table.wrench) == len(table.displacement) == len(table.row)
+        assert len(table.wrench) == len(table.displacement) == len(table.seq)
         return
     path = folder / {"toml": "component.toml"}.get(form, f"a.{form}")
     path.write_bytes(content)

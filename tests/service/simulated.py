@@ -5,7 +5,7 @@ import itertools
 import threading
 import time
 
-from wrenchbook.service.jobs.attempt import OUTCOME, write_outcome
+from wrenchbook.service.jobs.attempt import OUTCOME, Outcome, write_outcome
 
 
 class SimulatedEngine:
@@ -75,7 +75,7 @@ class SimulatedEngine:
                     continue
                 attempt = heapq.heappop(self._due)[2]
             answer = [load * 1e-6 for load in attempt.wrench]
-            write_outcome(attempt, {"status": "done", "displacement": answer})
+            write_outcome(attempt, Outcome("done", displacement=answer))
             if self._states.get(attempt.task) == "running":
                 self._states[attempt.task] = "finished"
             for heard in tuple(self._listeners):

@@ -6,7 +6,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from wrenchbook.service.jobs.attempt import write_outcome
+from wrenchbook.service.jobs.attempt import Outcome, write_outcome
 
 
 def displacement(wrench):
@@ -105,7 +105,7 @@ def leaks(spec, report):
 
 def answers_and_dies(spec, report):
     """Dies after its outcome is on the disk and before it has told anybody."""
-    write_outcome(spec, {"status": "done", "displacement": displacement(spec.wrench)})
+    write_outcome(spec, Outcome("done", displacement=displacement(spec.wrench)))
     dies(spec, report)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -17,7 +17,7 @@ from wrenchbook.service.formats.csv import read_csv as csv_file
 from wrenchbook.service.formats.hdf5 import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.json import read_json as json_file
 from wrenchbook.service.formats.options import FileMistake, Options, ReadReport
-from wrenchbook.surrogate.table.rows import unknown_column
+from wrenchbook.surrogate.table.rows import Rows, joined
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,11 @@ class ReadTable(ParsedTable):
 
 def read_table(pieces: list[ParsedTable], report: ReadReport) -> ReadTable:
     """Return the pieces of a file as one table."""
-    table = joined([] if report.mistakes.whole else pieces)
-    columns = {field.name: getattr(table, field.name) for field in fields(ParsedTable)}
+    pieces = [] if report.mistakes.whole else pieces
+    times = [piece.time for piece in pieces if piece.time is not None]
+    columns = dict(vars(joined(pieces or [Rows.empty()])))
+    columns["note"] = tuple(chain.from_iterable(piece.note for piece in pieces))
+    columns["time"] = np.concatenate(times) if times else None
     return ReadTable(**columns, errors=report.mistakes.listed())
 
 
@@ -52,7 +55,11 @@ read_json = partial(_read, json_file, "json")
 def layout_of(table: Any, units: Mapping[str, str] | None = None) -> Layout:
     """Return the columns of a table that hold anything."""
     known = [bool(np.isfinite(column).any()) for column in (table.uncertainty, table.compliance)]
-    texts = [name for name in ("source", "note", "fingerprint") if any(getattr(table, name, ()))]
+    texts = [
+        name
+        for name in ("source", "note", "fingerprint")
+        if any(map(str, getattr(table, name, ())))
+    ]
     return layout(*known, texts, units)
 
 
@@ -62,25 +69,3 @@ def write_csv(table: Any, units: Mapping[str, str] | None = None) -> str:
 
 def write_json(table: Any, about: Mapping[str, Any] | None = None) -> str:
     return "".join(json_text([table], about or {}))
-
-
-def joined(pieces: list[ParsedTable]) -> ParsedTable:
-    """Return the rows of the pieces of a file, in this order."""
-    times = [piece.time for piece in pieces if piece.time is not None]
-    return ParsedTable(
-        wrench=np.concatenate([np.empty((0, 6)), *(piece.wrench for piece in pieces)]),
-        displacement=np.concatenate([np.empty((0, 6)), *(piece.displacement for piece in pieces)]),
-        uncertainty=_concatenated([piece.uncertainty for piece in pieces], 6),
-        compliance=_concatenated([piece.compliance for piece in pieces], 6, 6),
-        source=tuple(chain.from_iterable(piece.source for piece in pieces)),
-        note=tuple(chain.from_iterable(piece.note for piece in pieces)),
-        fingerprint=tuple(chain.from_iterable(piece.fingerprint for piece in pieces)),
-        row=np.concatenate([np.empty(0, dtype=np.int64), *(piece.row for piece in pieces)]),
-        time=np.concatenate(times) if times else None,
-    )
-
-
-def _concatenated(columns: list[np.ndarray], *shape: int) -> np.ndarray:
-    if any(any(column.strides) for column in columns):
-        return np.concatenate(columns)
-    return unknown_column(sum(map(len, columns)), *shape)

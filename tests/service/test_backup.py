@@ -72,7 +72,7 @@ def test_a_restored_directory_keeps_what_solvers_may_be_wrong_by(folder, tmp_pat
     """Without it the mesh's share would leave every bar."""
     told = {"mesh": np.eye(6).tolist(), "loads": [1.0] * 6}
     with closing(Ledger(folder / "ledger.sqlite")) as ledger:
-        SolverErrors(ledger).settle("rig", "f", told)
+        SolverErrors(ledger).record("rig", "f", told)
     back_up(folder, tmp_path / "b")
     restore(tmp_path / "b", tmp_path / "again")
     with closing(Ledger(tmp_path / "again" / "ledger.sqlite")) as ledger:

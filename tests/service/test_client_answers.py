@@ -8,8 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from wrenchbook.service.client import Client, ProblemError, ServerUnreachable
-from wrenchbook.service.client.response import receive
-from wrenchbook.service.client.transport import Connection
+from wrenchbook.service.client.transport import Connection, receive
 
 OK = b"HTTP/1.1 200 OK\r\nContent-Length: 8\r\nETag: 7\r\n\r\n" + b'{"a": 1}'
 CHUNKED = (

@@ -82,6 +82,8 @@ def test_a_queued_answer_has_its_job_and_no_pose(stub: Stub, client: Client):
     assert answer.error_vector is None
     assert answer.job is not None
     assert (answer.job.id, answer.job.status, answer.job.ended) == (7, "waiting", False)
+    assert answer.job.component == "plate"  # which the short form lacks
+    assert "component" not in answer.job.raw
     assert answer.reason == "axis z: no rows yet"
     with pytest.raises(ValueError, match="wait for job 7"):
         answer.apply(np.eye(3), np.zeros(3))
@@ -184,7 +186,7 @@ def test_a_batch_keeps_unknown_rows_as_nan_and_jobs_by_wrench(stub: Stub, client
     assert np.isnan(answers.errors[1:]).all()
     assert answers.covered.tolist() == [True, False, False]
     assert list(answers.jobs) == [2]
-    assert answers.jobs[2].id == 9
+    assert (answers.jobs[2].id, answers.jobs[2].component) == (9, "plate")
 
 
 def test_an_empty_batch_is_an_empty_answer(stub: Stub, client: Client):

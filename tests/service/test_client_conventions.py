@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from wrenchbook.service.client import Displacement
 from wrenchbook.service.client import conventions as conv
-from wrenchbook.service.client.rotation import quaternion, rotation_matrix
+from wrenchbook.service.client.rotation import rotation_matrix
 
 WRENCH = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
 vectors = st.lists(st.floats(-3, 3), min_size=3, max_size=3).map(np.array)
@@ -28,7 +28,7 @@ def answer(translation, rotation) -> Displacement:
 def test_the_rotation_matrix_and_quaternion_are_scipys(rotation):
     expected = Rotation.from_rotvec(rotation)
     assert np.allclose(rotation_matrix(rotation), expected.as_matrix(), rtol=0, atol=1e-14)
-    w, x, y, z = quaternion(rotation)
+    w, x, y, z = conv.quaternion_wxyz(rotation)
     signed = np.array([x, y, z, w])
     other = expected.as_quat()
     assert min(np.abs(signed - other).max(), np.abs(signed + other).max()) < 1e-14

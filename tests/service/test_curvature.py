@@ -17,8 +17,8 @@ from wrenchbook.service.formats import UnitError, layout, write_hdf5
 from wrenchbook.service.formats.columns import columns_of
 from wrenchbook.service.formats.options import Options
 from wrenchbook.service.jobs import solver
-from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome, write_outcome
-from wrenchbook.service.jobs.dispatcher import settle
+from wrenchbook.service.jobs.attempt import Attempt, Outcome, prepare, read_outcome, write_outcome
+from wrenchbook.service.jobs.dispatcher import record
 from wrenchbook.service.ledger import About, Ledger
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
@@ -98,7 +98,7 @@ def test_a_solver_leaves_it_with_its_outcome_or_null(ledger, tmp_path, left, exp
     solver.run_attempt(tmp_path / "a", lambda spec, report: outcome_of(left))
     outcome = read_outcome(attempt)
     assert outcome is not None
-    assert outcome["curvature"] == expected
+    assert outcome.curvature == expected
 
 
 @pytest.mark.parametrize(("thirds", "status"), [(THIRDS, "done"), (THIRDS[1:], "failed")])
@@ -107,9 +107,8 @@ def test_the_outcome_of_a_job_becomes_a_row_with_it(ledger, tmp_path, thirds, st
     job = ledger.claim("me")
     attempt = Attempt.of(job, tmp_path / "a")
     prepare(attempt)
-    answer = {"status": "done", **outcome_of(list(thirds))}
-    write_outcome(attempt, answer)
-    settle(ledger, attempt)
+    write_outcome(attempt, Outcome("done", **outcome_of(list(thirds))))
+    record(ledger, attempt)
     assert ledger.job(job.id).status == status
     assert [row.curvature for row in stored(ledger, "bar")] == [thirds] * (status == "done")
 

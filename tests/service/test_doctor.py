@@ -74,7 +74,7 @@ def overwrite(path, first, count):
 
 def test_a_directory_in_order_has_no_findings(folder):
     assert examine(folder) == []
-    assert examine(folder, mend=True) == []
+    assert examine(folder, repair=True) == []
 
 
 def test_a_damaged_row_is_healed_from_its_tables_file_under_its_own_number(folder):
@@ -84,7 +84,7 @@ def test_a_damaged_row_is_healed_from_its_tables_file_under_its_own_number(folde
     found = examine(folder)
     assert "fault: row 7 of rig is damaged" in words(found)
     assert len(rows_of(folder)) == len(before) - 1  # looking changes nothing
-    assert "mended: row 7 of rig" in words(examine(folder, mend=True))
+    assert "repaired: row 7 of rig" in words(examine(folder, repair=True))
     assert rows_of(folder) == before
     assert kinds(examine(folder)) <= {"note"}
 
@@ -98,7 +98,7 @@ def test_a_healed_row_reaches_a_server_that_had_left_it_out(folder):
     assert site.tables.catch_up("rig", 20)
     assert len(site.tables.surrogate("rig").rows) == 59
     shutil.copy(keep, folder / "tables" / "rig.h5")
-    assert "mended" in kinds(examine(folder, mend=True))
+    assert "repaired" in kinds(examine(folder, repair=True))
     assert site.tables.catch_up("rig", 20)
     assert len(site.tables.surrogate("rig").rows) == 60
     site.close()
@@ -107,7 +107,7 @@ def test_a_healed_row_reaches_a_server_that_had_left_it_out(folder):
 def test_a_row_damaged_in_both_places_is_told_and_not_made_up(folder):
     edit(folder, damaged(7, "wrench"))
     overwrite(folder / "tables" / "rig.h5", 3000, 50)
-    found = examine(folder, mend=True)
+    found = examine(folder, repair=True)
     assert "row 7 of rig is damaged in the ledger no whole table file has it" in words(found)
     assert "fault" in kinds(found)
 
@@ -123,9 +123,10 @@ def test_a_damaged_tables_file_is_moved_aside_and_written_anew_from_the_ledger(f
     else:
         path.write_bytes(path.read_bytes()[: 1000 * (damage == "cut")])
     broken = path.read_bytes()
-    assert "tables/rig.h5 cannot be used" in words(examine(folder))
+    (found,) = examine(folder)  # it was called missing in the same breath
+    assert "tables/rig.h5 cannot be used" in found.what
     assert path.read_bytes() == broken
-    assert "mended" in kinds(examine(folder, mend=True))
+    assert "repaired" in kinds(examine(folder, repair=True))
     after = read_table(path)[0]
     assert after.displacement.tolist() == before.displacement.tolist()
     (aside,) = (folder / "tables").glob("rig.h5.damaged-*")
@@ -137,7 +138,7 @@ def test_a_missing_tables_file_is_written_from_the_ledger(folder):
     path = folder / "tables" / "rig.h5"
     path.unlink()
     assert "tables/rig.h5 is not there" in words(examine(folder))
-    examine(folder, mend=True)
+    examine(folder, repair=True)
     assert len(read_table(path)[0]) == 60
 
 
@@ -153,7 +154,7 @@ def test_rows_that_only_a_file_has_are_put_back_into_an_older_ledger(folder):
     found = examine(folder)
     assert "do not have the same rows" in words(found)
     assert "acknowledged and are not in the ledger any more" in words(found)
-    assert "10 rows put back" in words(examine(folder, mend=True))
+    assert "10 rows put back" in words(examine(folder, repair=True))
     assert content(folder) == before
 
 
@@ -166,7 +167,7 @@ def test_rows_that_no_copy_has_are_counted_and_are_not_in_order(folder, damaged)
         overwrite(folder / "ledger.sqlite", 0, 4096)
     else:
         (folder / "ledger.sqlite").unlink()
-    found = CliRunner().invoke(app, ["doctor", "--mend", "--data", str(folder)])
+    found = CliRunner().invoke(app, ["doctor", "--repair", "--data", str(folder)])
     assert found.exit_code == 1
     assert "up to 80 rows" in found.output
     assert "is in order" not in found.output
@@ -182,7 +183,7 @@ def test_rows_that_a_server_has_put_back_are_not_counted_as_gone(folder):
     for name in ("rig", "other"):
         assert site.tables.catch_up(name, 20)
     site.close()
-    found = examine(folder, mend=True)
+    found = examine(folder, repair=True)
     assert content(folder) == before
     assert "up to 0 rows and 30 jobs that were acknowledged are gone" in words(found)
 
@@ -192,7 +193,7 @@ def test_a_missing_ledger_is_made_from_the_tables(folder):
     (folder / "ledger.sqlite").unlink()
     assert "there is no ledger.sqlite" in words(examine(folder))
     assert not (folder / "ledger.sqlite").exists()
-    examine(folder, mend=True)
+    examine(folder, repair=True)
     assert content(folder) == before
 
 
@@ -209,7 +210,7 @@ def test_a_log_without_its_ledger_is_never_lost(folder):
     ledger.close()
     assert "without ledger.sqlite" in words(examine(folder))
     assert (folder / "ledger.sqlite-wal").read_bytes() == log
-    examine(folder, mend=True)
+    examine(folder, repair=True)
     (aside,) = folder.glob("ledger.sqlite-wal.orphan-*")
     assert aside.read_bytes() == log
     assert len(content(folder)) == 80
@@ -225,7 +226,7 @@ def test_a_ledger_file_with_damaged_pages_is_made_anew_and_loses_no_row(folder):
             name.unlink()
         path.write_bytes(whole)
         overwrite(path, 4096 * page, 4096)
-        found = examine(folder, mend=True)
+        found = examine(folder, repair=True)
         if "fault" in kinds(found):
             pytest.fail(f"page {page}: {words(found)}")
         mended += "a new one was made" in words(found)
@@ -240,7 +241,7 @@ def test_jobs_that_a_damaged_ledger_still_tells_are_in_the_new_one(folder):
     number = page.fetchone()[0]
     db.close()
     overwrite(path, 4096 * (number - 1), 4096)
-    found = examine(folder, mend=True)
+    found = examine(folder, repair=True)
     assert "30 jobs of 30 and" in words(found)
     ledger = Ledger(path)
     assert ledger.counts()["waiting"] == 30
@@ -255,7 +256,7 @@ def test_a_damaged_ledger_in_use_is_not_replaced(folder):
     overwrite(folder / "ledger.sqlite", 4096, 8192)
     before = (folder / "ledger.sqlite").read_bytes()
     lease = Lease(folder / "jobs" / "owners")
-    assert "stop the server" in words(examine(folder, mend=True))
+    assert "stop the server" in words(examine(folder, repair=True))
     lease.close()
     assert (folder / "ledger.sqlite").read_bytes() == before
 
@@ -274,7 +275,7 @@ def test_a_done_job_whose_row_is_nowhere_is_solved_again(folder):
     ).fetchone()
     db.close()
     overwrite(folder / "ledger.sqlite", 4096 * (number - 1), 4096)
-    assert "1 jobs wait again" in words(examine(folder, mend=True))
+    assert "1 jobs wait again" in words(examine(folder, repair=True))
     ledger = Ledger(folder / "ledger.sqlite")
     assert ledger.job(job.id).status == "waiting"
     ledger.close()
@@ -288,7 +289,7 @@ def test_leftovers_are_told_and_left_alone(folder):
     ]
     for path in left:
         path.mkdir(parents=True)
-    found = examine(folder, mend=True)
+    found = examine(folder, repair=True)
     assert kinds(found) == {"note"}
     for path in left:
         assert path.name in words(found)
@@ -315,7 +316,7 @@ def test_a_foreign_ledger_is_told_and_not_mended(folder):
     db.commit()
     db.close()
     before = path.read_bytes()
-    assert "another program" in words(examine(folder, mend=True))
+    assert "another program" in words(examine(folder, repair=True))
     assert path.read_bytes() == before
 
 
@@ -324,7 +325,7 @@ def test_the_doctor_mends_rows_while_the_directory_is_in_use(folder):
     site.open()
     edit(folder, damaged(7))
     site.insert(10, first=60)
-    assert "mended: row 7" in words(examine(folder, mend=True))
+    assert "repaired: row 7" in words(examine(folder, repair=True))
     site.insert(10, first=70)
     assert len(site.wrenches()) == len(new_rows(80))
     site.close()
@@ -335,7 +336,7 @@ def test_rows_that_neither_copy_has_are_told_as_lost_and_not_as_mended(folder):
     """It said that all was in order, and that the ledger had the rows."""
     overwrite(folder / "ledger.sqlite", 0, 4096)
     (folder / "tables" / "rig.h5").write_bytes(b"")
-    found = examine(folder, mend=True)
+    found = examine(folder, repair=True)
     lost, table = [one for one in found if one.kind == "fault"]
     assert lost.what == "up to 60 rows that were acknowledged are gone"
     assert "tables/rig.h5" in table.what
@@ -350,7 +351,7 @@ def test_a_ledger_that_was_cut_off_gives_the_jobs_of_the_pages_that_are_left(fol
     path = folder / "ledger.sqlite"
     with path.open("r+b") as file:
         file.truncate(path.stat().st_size * 3 // 4)
-    before = content(folder) if not examine(folder, mend=True) else None
+    before = content(folder) if not examine(folder, repair=True) else None
     ledger = Ledger(path)
     assert before is None
     assert ledger.count_rows("rig") == 60
@@ -378,7 +379,7 @@ def test_a_damaged_file_beside_the_ledger_is_told(folder, name, said):
     found = examine(folder)
     assert kinds(found) == {"fault"}
     assert said in words(found)
-    after = examine(folder, mend=True)
+    after = examine(folder, repair=True)
     own = name in ("keys.json", "wrenchbook.toml")
     assert ("fault" in kinds(after)) == own
     assert path.exists() == own

@@ -48,7 +48,7 @@ def site(request, tmp_path):
             assert site.tables.catch_up("rig", 20)
             site.tables.surrogate("rig")
             site.close()
-            assert examine(tmp_path, mend=True) is not None  # writes a file that is missing
+            assert examine(tmp_path, repair=True) is not None  # writes a file that is missing
     return site
 
 
@@ -197,7 +197,7 @@ def test_a_ledger_of_0_3_that_is_made_anew_has_the_state_of_the_files(directory)
     with path.open("r+b") as file:
         file.seek(20_000)
         file.write(b"\xff" * 20_000)
-    assert examine(directory, mend=True) is not None
+    assert examine(directory, repair=True) is not None
     with closing(Ledger(path)) as ledger:
         assert Catalogue(ledger)["rig"].notes == "bolts at 20 N m"
         assert QueryStatistics(ledger).map_of("rig", RANGE)["asked"] == 3

@@ -9,7 +9,7 @@ from tests.fea.decks import SOFT, WRENCH, component
 from tests.service.attempts import asked, ended
 from tests.until import until
 from wrenchbook.fea.deck import solving
-from wrenchbook.service.jobs.attempt import DECK, Attempt, prepare, read_outcome, tidy
+from wrenchbook.service.jobs.attempt import DECK, Attempt, Outcome, prepare, read_outcome, tidy
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 ENDLESS = (
@@ -49,10 +49,10 @@ def test_the_folder_of_a_deck_stays_with_the_attempt_and_an_unknown_compliance_i
     engine, folder, spec = submitted(tmp_path, SOFT)
     until(lambda: ended(engine, folder))
     outcome = read_outcome(replace(spec, folder=folder))
-    assert outcome["status"] == "done", outcome
-    assert outcome["displacement"] == pytest.approx([1e-6 * load for load in WRENCH])
-    assert outcome["compliance"] is None
-    assert outcome["strain_energy"] is None
+    assert outcome.status == "done", outcome
+    assert outcome.displacement == pytest.approx([1e-6 * load for load in WRENCH])
+    assert outcome.compliance is None
+    assert outcome.further["strain_energy"] is None
     tidy(folder)
     assert (folder / "deck" / "wrench" / "job.inp").is_file()
     assert solving.FOLDER == DECK
@@ -61,7 +61,7 @@ def test_the_folder_of_a_deck_stays_with_the_attempt_and_an_unknown_compliance_i
 def test_a_failed_deck_is_told_by_its_kind_and_remedy(tmp_path):
     engine, folder, spec = submitted(tmp_path, "print('no licence'); sys.exit(2)")
     until(lambda: ended(engine, folder))
-    error = read_outcome(replace(spec, folder=folder))["error"]
+    error = read_outcome(replace(spec, folder=folder)).error
     assert error["kind"] == "solver_failed"
     assert "no licence" in error["message"]
     assert "deck/wrench" in error["remedy"]
@@ -74,5 +74,5 @@ def test_a_cancelled_attempt_ends_the_decks_solver(tmp_path):
     assert alive(pid)
     engine.cancel(asked(folder))
     until(lambda: ended(engine, folder))
-    assert read_outcome(replace(spec, folder=folder)) == {"status": "cancelled"}
+    assert read_outcome(replace(spec, folder=folder)) == Outcome("cancelled")
     until(lambda: not alive(pid))

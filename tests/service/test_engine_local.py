@@ -15,6 +15,7 @@ from wrenchbook.service.jobs.attempt import (
     ALIVE,
     Attempt,
     EngineError,
+    Outcome,
     prepare,
     read_outcome,
     read_progress,
@@ -52,7 +53,7 @@ def test_a_submitted_attempt_is_running_at_once_and_then_finished(tmp_path):
     until(lambda: ended(engine, folder))
     assert engine.poll(asked(folder)) == "finished"
     outcome = read_outcome(replace(SPEC, folder=folder))
-    assert outcome["displacement"] == [1e-6, 2e-6, 3e-6, 0, 0, 0]
+    assert outcome.displacement == [1e-6, 2e-6, 3e-6, 0, 0, 0]
 
 
 def test_a_solver_that_is_killed_is_lost(tmp_path):
@@ -76,7 +77,7 @@ def test_another_engine_can_look_after_a_solver_it_did_not_start(tmp_path):
     solver_pid(folder)
     other.cancel(asked(folder))
     until(lambda: ended(other, folder))
-    assert read_outcome(replace(SPEC, folder=folder)) == {"status": "cancelled"}
+    assert read_outcome(replace(SPEC, folder=folder)) == Outcome("cancelled")
 
 
 def test_cancelling_before_the_solver_has_begun_ends_it_as_well(tmp_path):
@@ -110,7 +111,7 @@ def test_solvers_use_one_thread_each_low_priority_and_a_session_of_their_own(tmp
     folder, engine = attempt(tmp_path), engine_with("describe")
     engine.submit(asked(folder))
     until(lambda: ended(engine, folder))
-    seen = read_outcome(replace(SPEC, folder=folder))["seen"]
+    seen = read_outcome(replace(SPEC, folder=folder)).further["seen"]
     assert seen["threads"] == os.environ.get("OPENBLAS_NUM_THREADS", "1")
     assert seen["niceness"] > os.getpriority(os.PRIO_PROCESS, 0)
     assert seen["session"] == seen["pid"] != os.getsid(0)

@@ -12,6 +12,7 @@ from wrenchbook.service.jobs import solver as runjob
 from wrenchbook.service.jobs.attempt import (
     Attempt,
     BadOutcomeError,
+    Outcome,
     Progress,
     prepare,
     read_attempt,
@@ -32,8 +33,8 @@ def folder(tmp_path):
 
 def error_of(folder):
     outcome = read_outcome(replace(SPEC, folder=folder))
-    assert outcome["status"] == "failed"
-    return outcome["error"]
+    assert outcome.status == "failed"
+    return outcome.error
 
 
 def test_the_spec_is_read_as_it_was_written(folder):
@@ -45,10 +46,10 @@ def test_a_solve_that_succeeds_leaves_its_numbers_bit_for_bit(folder):
     answer = {"displacement": displacement, "compliance": np.eye(6) / 3, "unknowns": np.int64(7)}
     assert runjob.run_attempt(folder, lambda spec, report: answer) == 0
     outcome = read_outcome(replace(SPEC, folder=folder))
-    assert outcome["status"] == "done"
-    assert outcome["displacement"] == displacement.tolist()
-    assert outcome["compliance"] == (np.eye(6) / 3).tolist()
-    assert outcome["unknowns"] == 7
+    assert outcome.status == "done"
+    assert outcome.displacement == displacement.tolist()
+    assert outcome.compliance == (np.eye(6) / 3).tolist()
+    assert outcome.further["unknowns"] == 7
     assert not list(folder.glob(".*"))
 
 
@@ -102,8 +103,8 @@ def test_numbers_that_are_not_finite_never_reach_the_file(folder):
     }
     assert runjob.run_attempt(folder, lambda spec, report: answer) == 0
     outcome = read_outcome(replace(SPEC, folder=folder))
-    assert (outcome["compliance"], outcome["work"]) == (None, None)
-    assert outcome["history"] == [[0.5, 1, None], [1.0, 2, 1e-9]]
+    assert (outcome.compliance, outcome.further["work"]) == (None, None)
+    assert outcome.further["history"] == [[0.5, 1, None], [1.0, 2, 1e-9]]
 
 
 def test_progress_is_written_at_most_five_times_a_second(folder):
@@ -126,7 +127,7 @@ def test_a_cancelled_solve_says_so(folder):
         raise runjob.Cancelled
 
     assert runjob.run_attempt(folder, solve) == runjob.CANCELLED
-    assert read_outcome(replace(SPEC, folder=folder)) == {"status": "cancelled"}
+    assert read_outcome(replace(SPEC, folder=folder)) == Outcome("cancelled")
 
 
 @pytest.mark.parametrize("name", ["no_colon", "no.such.module:solve", "json:no_such_function"])
@@ -161,8 +162,12 @@ def test_the_embedded_solver_gives_all_numbers_of_its_solution(folder, monkeypat
     embedded(monkeypatch, "f1")
     assert runjob.run_attempt(folder) == 0
     outcome = read_outcome(replace(SPEC, folder=folder))
-    assert outcome["displacement"] == [0, 1, 2, 3, 4, 5]
-    assert (outcome["work"], outcome["unknowns"], outcome["history"]) == (2.0, 30, [])
+    assert outcome.displacement == [0, 1, 2, 3, 4, 5]
+    assert (outcome.further["work"], outcome.further["unknowns"], outcome.further["history"]) == (
+        2.0,
+        30,
+        [],
+    )
 
 
 def test_a_surface_that_cannot_be_kept_costs_the_answer_nothing(folder, monkeypatch, capsys):
@@ -175,7 +180,7 @@ def test_a_surface_that_cannot_be_kept_costs_the_answer_nothing(folder, monkeypa
     )  # fmt: skip
     embedded(monkeypatch, "f1", fields)
     assert runjob.run_attempt(folder) == 0
-    assert read_outcome(replace(SPEC, folder=folder))["status"] == "done"
+    assert read_outcome(replace(SPEC, folder=folder)).status == "done"
     assert "displacement has numbers that are not finite" in capsys.readouterr().err
     assert not list(folder.glob("*.fields"))
 
@@ -199,7 +204,7 @@ def test_an_outcome_of_another_attempt_or_a_torn_one_is_not_taken(folder):
 def test_an_outcome_does_not_depend_on_where_the_component_is(folder):
     runjob.run_attempt(folder, lambda spec, report: {"displacement": [0.0] * 6})
     moved = Attempt(4, 2, "bar", "/elsewhere/bar", "f1", SPEC.wrench)
-    assert read_outcome(replace(moved, folder=folder))["status"] == "done"
+    assert read_outcome(replace(moved, folder=folder)).status == "done"
 
 
 def test_a_folder_left_by_a_ledger_that_is_gone_is_moved_aside(folder):
@@ -222,7 +227,7 @@ def test_a_done_attempt_is_left_with_spec_log_and_outcome(folder):
 
 def test_an_answer_with_a_flipped_bit_is_no_answer(tmp_path):
     """One damaged digit between solver and ledger would have been a wrong row for good."""
-    answer = {"status": "done", "displacement": [1.25e-6, 0.1, -3.0, 0.0, 1e-300, 7.0]}
+    answer = Outcome("done", displacement=[1.25e-6, 0.1, -3.0, 0.0, 1e-300, 7.0])
     prepare(replace(SPEC, folder=tmp_path / "a"))
     write_outcome(replace(SPEC, folder=tmp_path / "a"), answer)
     path = tmp_path / "a" / "result.json"

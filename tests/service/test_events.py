@@ -10,7 +10,7 @@ import pytest
 from tests.service.live import add_rows, add_table, as_rows, clean_wrenches, moved, served
 from wrenchbook.service import events as feed_module
 from wrenchbook.service.client import Client, ProblemError, ServerUnreachable
-from wrenchbook.service.client.events import EventParser
+from wrenchbook.service.client.client import EventParser
 from wrenchbook.service.events import Feed, TooManyListenersError
 from wrenchbook.service.http.access import (
     AccessControl,

@@ -35,7 +35,7 @@ def test_derivatives_are_there_only_if_they_are_asked_for(solved):
     assert "derivatives" not in batch.json()
 
 
-@pytest.mark.parametrize("method", ["griddata", "kriging", "linear", "tangent"])
+@pytest.mark.parametrize("method", ["griddata", "additive", "kriging", "linear"])
 def test_a_derivative_is_what_answers_differ_by(http, method):
     wrenches = np.concatenate([clean_wrenches(), full_wrenches(24)])
     load(http, "mixed", wrenches, tangents(wrenches))

@@ -20,7 +20,14 @@ from tests.service.live import (
     served,
     tangents,
 )
-from wrenchbook.service.client import Client, ProblemError, Scene, SceneError, Table
+from wrenchbook.service.client import (
+    Client,
+    InvalidArgument,
+    ProblemError,
+    Scene,
+    SceneError,
+    Table,
+)
 from wrenchbook.service.client.mount import DisplacementUnknown, Mount
 
 CALL = "/v1/scenes/plan"
@@ -206,6 +213,9 @@ def test_a_scene_beyond_the_range_is_not_downloaded(client: Client):
     with pytest.raises(ProblemError, match="fx must lie within") as caught:
         client.download("rig", scene=Scene({"rig": {"force": [101, 0, 0], "moment": [0, 0, 0]}}))
     assert caught.value.status == 422
+    for wrong in ("rig", {"rig": {}}, [1]):
+        with pytest.raises(InvalidArgument, match="takes a Scene, such as"):
+            client.download("rig", scene=wrong)
     with pytest.raises(SceneError, match="the scene has no component 'rig'; it has plate"):
         client.download("rig", scene=Scene({"plate": PLANAR}))
 

@@ -130,7 +130,7 @@ def test_a_copy_is_not_seen_without_its_estimate_nor_made_if_that_cannot_be_writ
 ):
     workspace = Workspace(Settings(tmp_path, solvers=0))
     fingerprint = workspace.library["plate"].fingerprint
-    workspace.errors.settle("plate", fingerprint, WHOLE)
+    workspace.errors.record("plate", fingerprint, WHOLE)
     seen = []
 
     def full_disk(*_):
@@ -152,7 +152,7 @@ def test_a_copy_keeps_what_a_solve_has_told_since_the_check(tmp_path, monkeypatc
     """The check's report is in the folder that is copied, and told of an older estimate."""
     workspace = Workspace(Settings(tmp_path, solvers=0))
     newer = WHOLE | {"mesh_basis": "newer"}
-    workspace.errors.settle("plate", workspace.library["plate"].fingerprint, newer)
+    workspace.errors.record("plate", workspace.library["plate"].fingerprint, newer)
     monkeypatch.setattr("wrenchbook.service.workspace.solver_error_of", lambda *_: WHOLE)
     made = workspace.library.add_copy("plate", "second", None)
     assert workspace.errors.read("second", made.fingerprint).values == newer
@@ -188,9 +188,9 @@ def test_an_attempt_estimates_only_if_it_is_asked_to(tmp_path, monkeypatch):
         prepare(replace(spec, folder=tmp_path / str(number)))
         assert solver.run_attempt(tmp_path / str(number)) == solver.DONE
         found.append(read_outcome(replace(spec, folder=tmp_path / str(number), estimate=False)))
-    assert "solver_error" not in found[0]
-    assert np.shape(found[1]["solver_error"]["mesh"]) == (6, 6)
-    assert found[0]["displacement"] == found[1]["displacement"]
+    assert found[0].solver_error is None
+    assert np.shape(found[1].solver_error["mesh"]) == (6, 6)
+    assert found[0].displacement == found[1].displacement
 
 
 @pytest.fixture
@@ -202,25 +202,25 @@ def errors(tmp_path):
 
 def test_one_solve_at_a_time_estimates_and_another_one_if_that_told_nothing(errors):
     assert [errors.claim("bar", "f1"), errors.claim("bar", "f1")] == [True, False]
-    errors.settle("bar", "f1", None)
+    errors.record("bar", "f1", None)
     assert errors.claim("bar", "f1")
-    errors.settle("bar", "f1", {"mesh": "nonsense"})
+    errors.record("bar", "f1", {"mesh": "nonsense"})
     assert errors.claim("bar", "f1")
-    errors.settle("bar", "f1", WHOLE)
+    errors.record("bar", "f1", WHOLE)
     assert not errors.claim("bar", "f1")
     assert errors.claim("bar", "f2")
 
 
 def test_an_estimate_that_no_row_can_make_grow_is_made_again(errors):
-    errors.settle("bar", "f1", TOLD)
+    errors.record("bar", "f1", TOLD)
     assert errors.claim("bar", "f1")
     for known in (WHOLE, TOLD | {"linearity": None}, TOLD | {"mesh": None}):
-        errors.settle("bar", "f1", known)
+        errors.record("bar", "f1", known)
         assert not errors.claim("bar", "f1")
 
 
 def test_a_damaged_estimate_is_as_none_and_is_made_again(errors):
-    errors.settle("bar", "f1", TOLD)
+    errors.record("bar", "f1", TOLD)
     with errors._ledger.writing() as db:
         db.execute("UPDATE solver_errors SET estimate = '[1, 2'")
     assert errors.read("bar", "f1") is None
@@ -300,7 +300,7 @@ def test_a_row_that_came_just_now_has_the_solvers_share_though_its_table_is_not_
     try:
         fingerprint = workspace.library["plate"].fingerprint
         assert workspace.solver_error("plate") is None
-        workspace.errors.settle("plate", fingerprint, TOLD)
+        workspace.errors.record("plate", fingerprint, TOLD)
         assert workspace.surrogate("plate").solver_error is None
         found = workspace.solver_error("plate")
         assert found is not None

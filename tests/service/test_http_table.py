@@ -93,6 +93,14 @@ def test_a_dry_run_lists_the_mistakes_without_refusing(rig):
     assert [error["row"] for error in reply.json()["errors"]] == [3]
 
 
+def test_a_dry_run_counts_a_row_that_stands_twice_once_and_as_there_only_rows_of_the_table(rig):
+    load(rig, as_csv(measured(3)))
+    lines = as_csv(measured(5)).splitlines()
+    text = "\n".join([*lines, lines[-1], lines[1], ""])
+    body = load(rig, text, dry_run=True).json()
+    assert (body["rows"]["read"], body["inserted"], body["existing"]) == (7, 2, 4)
+
+
 def test_loading_twice_changes_nothing_the_second_time(rig):
     text = as_csv(measured(20))
     assert load(rig, text).json()["inserted"] == 20

@@ -1,5 +1,7 @@
 """Imports name probable systematic errors of a measurement, with the rows of the file."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,6 @@ from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.service.http.routes import components
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.surrogate.findings.find import MOST
-from wrenchbook.surrogate.table.rows import unknown_column
 
 CALL = "/v1/components/rig/table"
 HEADER = (
@@ -65,10 +66,8 @@ def test_loads_of_the_wrong_sign_are_loaded_and_said(http, rig):
 
 def table_of(first, count):
     wrench = np.arange(first, first + count)[:, None] * np.ones(6)
-    blank = ("",) * count
-    rows = np.arange(first, first + count)
-    unknown = unknown_column(count, 6), unknown_column(count, 6, 6)
-    return ParsedTable(wrench, wrench, *unknown, blank, blank, blank, rows)
+    rows = ParsedTable.of(wrench, wrench, seq=np.arange(first, first + count))
+    return replace(rows, note=[""] * count)
 
 
 @pytest.mark.parametrize("sizes", [[1] * 200, [7] * 3000, [40_001, 3, 12_345], [2 * MOST + 1] * 9])
@@ -77,7 +76,7 @@ def test_of_many_pieces_rows_of_one_distance_are_kept(sizes):
     for size in sizes:
         sample.add(table_of(first, size))
         first += size
-    rows = np.concatenate([part[2] for part in sample._parts])
+    rows = np.concatenate([part.seq for part in sample.parts])
     assert len(set(np.diff(rows).tolist())) == 1
     assert rows[0] == 1
     assert len(rows) <= 2 * MOST

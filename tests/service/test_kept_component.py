@@ -52,11 +52,11 @@ class Site:
         engine.submit(asked(folder))
         until(lambda: engine.poll(asked(folder)) == "finished", seconds=60)
         outcome = read_outcome(read_attempt(folder))
-        outcome.pop("seconds", None)
-        if outcome["status"] == "done":  # its surface and stresses too
+        outcome.further.pop("seconds", None)
+        if outcome.status == "done":  # its surface and stresses too
             for name in (GEOMETRY, ROW):
                 left = folder / name
-                outcome[name] = left.read_bytes().hex() if left.exists() else None
+                outcome.further[name] = left.read_bytes().hex() if left.exists() else None
         return outcome, (folder / "lock").read_text()
 
 
@@ -88,9 +88,9 @@ def test_a_solver_that_lives_gives_the_rows_of_fresh_ones_to_the_last_bit(site, 
     assert len({pid for _, pid in fresh}) == 4
     assert len({pid for _, pid in kept}) == 1
     for place, (outcome, _) in zip((2, 0, 3, 1), kept, strict=True):
-        assert outcome["status"] == "done"
-        assert outcome[ROW]
-        assert json.dumps(outcome) == json.dumps(fresh[place][0])
+        assert outcome.status == "done"
+        assert outcome.further[ROW]
+        assert json.dumps(vars(outcome)) == json.dumps(vars(fresh[place][0]))
 
 
 def test_after_a_solve_that_failed_the_next_row_is_that_of_a_fresh_process(site):
@@ -98,7 +98,7 @@ def test_after_a_solve_that_failed_the_next_row_is_that_of_a_fresh_process(site)
     expected, _ = site.solved(site.engine(lives=1), bundle, wrench)
     warm = site.engine()
     failed, first = site.solved(warm, bundle, (-1e6, 0, 0, 0, 0, 0))
-    assert failed["error"]["kind"] == "snap_through"
+    assert failed.error["kind"] == "snap_through"
     outcome, second = site.solved(warm, bundle, wrench)
     assert (outcome, first) == (expected, second)
 
@@ -109,11 +109,11 @@ def test_a_component_edited_between_two_attempts_is_solved_as_it_is_now(site):
     old = read_bundle(bundle).fingerprint
     site.block(height=0.11)
     refused, _ = site.solved(warm, bundle, wrench, fingerprint=old)
-    assert refused["error"]["kind"] == "component_changed"
+    assert refused.error["kind"] == "component_changed"
     after, again = site.solved(warm, bundle, wrench)
     expected, _ = site.solved(site.engine(lives=1), bundle, wrench)
     assert (after, pid) == (expected, again)
-    assert after["displacement"] != before["displacement"]
+    assert after.displacement != before.displacement
 
 
 def test_two_components_in_turn_on_one_solver_each_get_their_own_rows(site):
@@ -131,20 +131,20 @@ def test_a_solve_beyond_its_memory_fails_by_name_and_the_next_one_has_a_new_solv
     bundle, wrench, engine = site.block(across=12), wrenches(1)[0], site.engine()
     monkeypatch.setenv("WRENCHBOOK_MEMORY_MARGIN", "0.001")
     refused, first = site.solved(engine, bundle, wrench)
-    error = refused["error"]
+    error = refused.error
     assert error["kind"] == "out_of_memory"
     assert "0.001 times its estimate" in error["message"]
     assert "WRENCHBOOK_MEMORY_MARGIN" in error["remedy"]
     monkeypatch.delenv("WRENCHBOOK_MEMORY_MARGIN")
     done, second = site.solved(engine, bundle, wrench)
-    assert (done["status"], first != second) == ("done", True)
+    assert (done.status, first != second) == ("done", True)
 
 
 def test_a_margin_that_is_no_number_is_refused_by_name(site, monkeypatch):
     monkeypatch.setenv("WRENCHBOOK_MEMORY_MARGIN", "plenty")
     outcome, _ = site.solved(site.engine(), site.block(), wrenches(1)[0])
-    assert outcome["error"]["kind"] == "bad_setting"
-    assert "'plenty'" in outcome["error"]["message"]
+    assert outcome.error["kind"] == "bad_setting"
+    assert "'plenty'" in outcome.error["message"]
 
 
 def test_decks_are_solved_one_after_the_other_by_one_solver_without_a_memory_limit(site):
@@ -156,10 +156,10 @@ def test_decks_are_solved_one_after_the_other_by_one_solver_without_a_memory_lim
     warm, block = site.engine(), site.block()
     site.solved(warm, block, wrenches(1)[0])
     found = [site.solved(warm, folder, LOAD * factor / 1e3) for factor in (0.5, 1.0)]
-    assert {outcome["status"] for outcome, _ in found} == {"done"}
+    assert {outcome.status for outcome, _ in found} == {"done"}
     assert len({pid for _, pid in found}) == 1
     for outcome, factor in zip((one for one, _ in found), (0.5, 1.0), strict=True):
-        assert outcome["displacement"] == pytest.approx((LOAD * factor * 1e-9).tolist())
+        assert outcome.displacement == pytest.approx((LOAD * factor * 1e-9).tolist())
     printed = next(site.folder.rglob("jobs/3/deck/wrench/printed.txt")).read_text()
     assert "(-1, -1)" in printed
 

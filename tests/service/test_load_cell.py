@@ -2,6 +2,7 @@
 
 import csv
 import io
+from dataclasses import replace
 
 import numpy as np
 import orjson
@@ -16,8 +17,8 @@ from wrenchbook.service.client import ProblemError
 from wrenchbook.service.formats.options import Options, ReadReport
 from wrenchbook.service.formats.rig import Rig, rigged, with_known_point
 from wrenchbook.service.formats.rows import ParsedTable
-from wrenchbook.surrogate.table.rows import LoadRange, unknown_column
-from wrenchbook.surrogate.table.space import space_of
+from wrenchbook.surrogate.table.rows import LoadRange
+from wrenchbook.surrogate.table.space import DEFAULT, space_of
 
 CALL = "/v1/components/rig/table"
 RANGE = {"force": [250, 20, 20], "moment": [10, 20, 20]}
@@ -161,12 +162,9 @@ def test_a_load_cell_of_no_kind_or_told_twice_is_refused(http, query, problem):
     assert problem in reply.text
 
 
-def pieces_of(wrench, moved, uncertainty=None):
-    blank = ("",) * len(wrench)
-    unknown = unknown_column(*moved.shape) if uncertainty is None else uncertainty
-    compliance = unknown_column(*moved.shape, wrench.shape[1])
-    rows = np.arange(1, 1 + len(wrench))
-    return [ParsedTable(wrench, moved, unknown, compliance, blank, blank, blank, rows)]
+def pieces_of(wrench, moved, uncertainty=None, space=DEFAULT):
+    known = {} if uncertainty is None else {"uncertainty": uncertainty}
+    return [replace(ParsedTable.of(wrench, moved, space, **known), note=[""] * len(wrench))]
 
 
 @pytest.mark.parametrize(("bar", "asked"), [(1e-7, True), (1e-2, False)])
@@ -190,7 +188,7 @@ def test_each_interface_of_a_part_has_its_own_cell(solved):
     wrench, moved = np.hstack((solved[0], solved[0][::-1])), np.hstack((solved[1], solved[1][::-1]))
     ground = [on_the_ground(wrench[:, k : k + 6], moved[:, k : k + 6]) for k in (0, 6)]
     report = ReadReport()
-    (found,) = rigged(iter(pieces_of(np.hstack(ground), moved)), options, report)
+    (found,) = rigged(iter(pieces_of(np.hstack(ground), moved, space=space)), options, report)
     assert not report.mistakes
     np.testing.assert_allclose(found.wrench, wrench, rtol=0, atol=1e-12)
 

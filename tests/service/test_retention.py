@@ -6,7 +6,10 @@ import time
 import pytest
 
 from wrenchbook.service.ledger import Ledger
-from wrenchbook.service.ops.retention import DAY, Keep, prune, shorten_log
+from wrenchbook.service.settings import Settings
+from wrenchbook.service.workers.builder import DAY, prune, shorten_log
+
+NONE = Settings(keep_days=0, keep_count=0, keep_failed_days=0, keep_failed_count=0)
 
 
 @pytest.fixture
@@ -30,6 +33,13 @@ def end_job(ledger, number, *, good=True):
     return job.id
 
 
+def pruned(ledger, settings, *, stopping=False):
+    stop = threading.Event()
+    if stopping:
+        stop.set()
+    return prune(ledger, ledger.path.parent / "jobs", settings, stop)
+
+
 def left(ledger):
     return sorted(int(one.name) for one in (ledger.path.parent / "jobs").iterdir())
 
@@ -37,21 +47,20 @@ def left(ledger):
 def test_the_newest_folders_are_kept_and_failed_ones_longer(ledger):
     done = [end_job(ledger, n) for n in range(6)]
     failed = [end_job(ledger, 10 + n, good=False) for n in range(3)]
-    removed = prune(ledger, ledger.path.parent / "jobs", Keep(count=2, failed_count=2))
-    assert removed == 5
+    assert pruned(ledger, Settings(keep_count=2, keep_failed_count=2)) == 5
     assert left(ledger) == sorted([*done[-2:], *failed[-2:]])
     assert ledger.counts() | {"done": 6, "failed": 3} == ledger.counts()
 
 
 def test_folders_are_removed_by_age_and_a_clock_set_back_removes_none(ledger, monkeypatch):
     jobs = [end_job(ledger, n) for n in range(3)]
-    folder, now = ledger.path.parent / "jobs", time.time()
+    now = time.time()
     monkeypatch.setattr(time, "time", lambda: now - 1000 * DAY)
-    assert prune(ledger, folder, Keep()) == 0
+    assert pruned(ledger, Settings()) == 0
     monkeypatch.setattr(time, "time", lambda: now + 29 * DAY)
-    assert prune(ledger, folder, Keep()) == 0
+    assert pruned(ledger, Settings()) == 0
     monkeypatch.setattr(time, "time", lambda: now + 31 * DAY)
-    assert prune(ledger, folder, Keep()) == len(jobs)
+    assert pruned(ledger, Settings()) == len(jobs)
 
 
 def test_what_waits_runs_or_is_unknown_is_left_alone(ledger):
@@ -60,15 +69,13 @@ def test_what_waits_runs_or_is_unknown_is_left_alone(ledger):
     ledger.retry(reopened)
     (folder / "owners").mkdir()
     (folder / "4711" / "1").mkdir(parents=True)
-    assert prune(ledger, folder, Keep(0, 0, 0, 0)) == 0
+    assert pruned(ledger, NONE) == 0
     assert {one.name for one in folder.iterdir()} == {str(reopened), "owners", "4711"}
 
 
 def test_pruning_ends_when_it_is_told_to(ledger):
     end_job(ledger, 1)
-    stopping = threading.Event()
-    stopping.set()
-    assert prune(ledger, ledger.path.parent / "jobs", Keep(0, 0, 0, 0), stopping) == 0
+    assert pruned(ledger, NONE, stopping=True) == 0
 
 
 def test_a_long_log_is_brought_in_and_emptied(ledger):

@@ -51,8 +51,8 @@ def attempt(folder, wrench, **changes):
 def test_a_part_that_buckles_leaves_its_history_and_last_state(tmp_path):
     code, outcome, folder = attempt(tmp_path, (-1e6, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert code == runjob.FAILED
-    assert outcome["error"]["kind"] == "snap_through"
-    assert "of this wrench" in outcome["error"]["message"]
+    assert outcome.error["kind"] == "snap_through"
+    assert "of this wrench" in outcome.error["message"]
     record = json.loads((folder / "history.json").read_text(encoding="utf-8"))
     assert 0 < record["last_load_factor"] <= record["critical_load_factor"] < 1
     assert record["iterations"]
@@ -63,8 +63,8 @@ def test_a_part_that_buckles_leaves_its_history_and_last_state(tmp_path):
 def test_a_locking_material_is_refused_by_name(tmp_path):
     code, outcome, folder = attempt(tmp_path, (1.0, 0, 0, 0, 0, 0), poisson=0.4999)
     assert code == runjob.FAILED
-    assert outcome["error"]["kind"] == "locking_material"
-    assert "hex27" in outcome["error"]["remedy"]
+    assert outcome.error["kind"] == "locking_material"
+    assert "hex27" in outcome.error["remedy"]
     assert (folder / "last_state.vtu").exists()
 
 

@@ -37,8 +37,8 @@ def test_the_servers_method_answers_a_request_that_names_none(http, method):
 
 
 def test_the_method_of_a_request_goes_before_the_servers(http):
-    asked = {**WRENCH, "method": "nearest"}
-    assert http.post(f"{CALL}/displacement", json=asked).json()["method"] == "nearest"
+    asked = {**WRENCH, "method": "additive"}
+    assert http.post(f"{CALL}/displacement", json=asked).json()["method"] == "additive"
 
 
 def test_serve_refuses_a_method_that_there_is_not(tmp_path):

@@ -49,7 +49,8 @@ def test_pounds_millimetres_and_degrees_become_si():
     assert np.allclose(table.displacement[0], displacement, rtol=1e-15, atol=0)
     assert table.uncertainty[0, 2] == pytest.approx(1e-5, rel=1e-15)
     assert np.isnan(np.delete(table.uncertainty[0], 2)).all()
-    assert (table.source, table.note, table.row.tolist()) == (("measured",), ("rig 2",), [2])
+    assert (table.source.tolist(), table.note) == (["measured"], ("rig 2",))
+    assert table.seq.tolist() == [2]
 
 
 def test_a_german_spreadsheet_export_reads_the_same():
@@ -74,7 +75,7 @@ def test_a_german_spreadsheet_export_reads_the_same():
         assert np.array_equal(table.wrench, plain.wrench)
         assert np.array_equal(table.displacement, plain.displacement)
         assert table.note == ("Prüfstand", "")
-        assert table.row.tolist() == [5, 7]  # lines of the file, as an editor counts
+        assert table.seq.tolist() == [5, 7]  # lines of the file, as an editor counts
 
 
 def test_a_unit_behind_a_comma_is_read():
@@ -116,7 +117,7 @@ def test_tabs_old_line_ends_quotes_and_round_brackets_are_read():
     assert table.errors == ()
     assert table.wrench[:, 0].tolist() == [1000.0, 2500.0]
     assert table.note == ("two\rlines", "plain")
-    assert table.row.tolist() == [2, 4]
+    assert table.seq.tolist() == [2, 4]
 
 
 def test_three_bad_rows_among_500_are_each_named_by_row_field_and_reason():
@@ -141,7 +142,7 @@ def test_three_bad_rows_among_500_are_each_named_by_row_field_and_reason():
         },
     ]
     assert len(table) == 497
-    assert not {101, 201, 301} & set(table.row.tolist())
+    assert not {101, 201, 301} & set(table.seq.tolist())
 
 
 @pytest.mark.parametrize(
@@ -327,7 +328,7 @@ def test_a_hash_begins_a_comment_only_at_the_start_of_a_record():
     table = read_csv(f'{SI},note\n{"0," * 12}"a\n# b"\n# c, "d\n{"1," * 6}{"0," * 6}#e\n')
     assert table.errors == ()
     assert table.note == ("a\n# b", "#e")
-    assert table.row.tolist() == [2, 5]
+    assert table.seq.tolist() == [2, 5]
 
 
 def test_texts_that_no_store_can_keep_are_refused():
@@ -518,7 +519,7 @@ def test_rows_read_in_blocks_are_those_read_line_by_line(lines: list[str], end: 
         patch.setattr(csv_table._Body, "_by_arrow", lambda *_: None)
         line_by_line = read_csv(text)
     assert table.errors == line_by_line.errors
-    for name in ("wrench", "displacement", "row"):
+    for name in ("wrench", "displacement", "seq"):
         np.testing.assert_array_equal(getattr(table, name), getattr(line_by_line, name))
     assert table.note == line_by_line.note
 
@@ -530,5 +531,5 @@ def test_a_file_of_plain_rows_is_read_in_blocks_alone(monkeypatch):
     table = read_csv(text, decimal=",")
     assert table.errors == ()
     assert table.wrench[:, 0].tolist() == [k + 0.5 for k in range(20)]
-    assert table.row.tolist() == list(range(2, 22))
+    assert table.seq.tolist() == list(range(2, 22))
     assert table.note[19] == "row 19"

@@ -43,7 +43,7 @@ def test_a_row_beyond_a_limit_is_named_and_the_others_are_read():
         (3, "displacement[2]"),
         (6, "displacement[5]"),
     ]
-    assert table.row.tolist() == [1, 4, 5]
+    assert table.seq.tolist() == [1, 4, 5]
 
 
 def test_an_uncertainty_below_zero_and_half_a_tangent_are_named():

@@ -29,8 +29,8 @@ def test_rows_become_si_arrays():
     assert np.isnan(table.uncertainty[0]).all()
     assert table.uncertainty[1, 0] == 1e-6
     assert math.isnan(table.uncertainty[1, 1])
-    assert (table.source, table.note) == (("", "measured"), ("", "rig 2"))
-    assert table.row.tolist() == [1, 2]
+    assert (table.source.tolist(), table.note) == (["", "measured"], ("", "rig 2"))
+    assert table.seq.tolist() == [1, 2]
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_each_kind_of_bad_row_is_named_by_its_place_and_key(row: Any, field: str
     assert (table.errors[0].row, table.errors[0].field) == (2, field)
     assert {error.row for error in table.errors} == {2}
     assert says in table.errors[0].message
-    assert table.row.tolist() == [1, 3]
+    assert table.seq.tolist() == [1, 3]
 
 
 @pytest.mark.parametrize(

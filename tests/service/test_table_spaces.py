@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,16 +45,16 @@ def table_of(space: Space) -> ParsedTable:
     n, m = len(space.inputs), len(space.outputs)
     moved, tangent = random.uniform(-0.1, 0.1, (3, m)), random.normal(size=(3, m, n))
     moved[1, 4] = moved[2, :3] = tangent[1:] = np.nan
-    return ParsedTable(
-        wrench=random.uniform(-9, 9, (3, n)),
-        displacement=moved,
+    rows = ParsedTable.of(
+        random.uniform(-9, 9, (3, n)),
+        moved,
+        space,
         uncertainty=np.where(np.isnan(moved), np.nan, 1e-6),
         compliance=tangent,
-        source=("rig 1", "rig 1", "rig 2"),
-        note=("", "=1", "cold"),
-        fingerprint=("", "", ""),
-        row=np.arange(3),
+        source=["rig 1", "rig 1", "rig 2"],
+        seq=np.arange(3),
     )
+    return replace(rows, note=["", "=1", "cold"])
 
 
 def read(path: Path, load_range: LoadRange, **options) -> ReadResult:

@@ -12,7 +12,14 @@ import pytest
 from tests.service.attempts import asked, ended
 from tests.until import until
 from wrenchbook.service.jobs import solver
-from wrenchbook.service.jobs.attempt import ALIVE, Attempt, prepare, read_attempt, read_outcome
+from wrenchbook.service.jobs.attempt import (
+    ALIVE,
+    Attempt,
+    Outcome,
+    prepare,
+    read_attempt,
+    read_outcome,
+)
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 HERE = Path(__file__).parent
@@ -46,7 +53,7 @@ class Site:
         return outcome_in(folder)
 
     def seen(self, engine, number):
-        return self.solved(engine, number)["seen"]
+        return self.solved(engine, number).further["seen"]
 
 
 @pytest.fixture
@@ -101,9 +108,9 @@ def test_a_solver_that_leaks_is_renewed(site):
 
 def test_what_the_environment_says_now_holds_for_the_next_attempt(site):
     engine = site.engine("counts")
-    assert "seen" in site.solved(engine, 1)
+    assert "seen" in site.solved(engine, 1).further
     site.setenv("WRENCHBOOK_SOLVE", "stand_in:quick")
-    assert "seen" not in site.solved(engine, 2)
+    assert "seen" not in site.solved(engine, 2).further
 
 
 def test_a_solver_killed_between_attempts_costs_none(site):
@@ -130,13 +137,13 @@ def test_a_solver_killed_at_work_is_lost_with_its_cause_in_the_log(site):
     until(lambda: ended(engine, folder))
     assert engine.poll(asked(folder)) == "lost"
     until(lambda: "ended by SIGKILL" in (folder / "log.txt").read_text())
-    assert site.solved(engine, 1, attempt=2)["status"] == "done"
+    assert site.solved(engine, 1, attempt=2).status == "done"
 
 
 def test_an_answer_on_the_disk_counts_though_its_solver_died_at_once(site):
     engine = site.engine("answers_and_dies")
-    assert site.solved(engine, 1)["displacement"][0] == 1e-6
-    assert site.solved(engine, 2)["displacement"][0] == 2e-6
+    assert site.solved(engine, 1).displacement[0] == 1e-6
+    assert site.solved(engine, 2).displacement[0] == 2e-6
 
 
 def test_a_stopped_solver_is_ended_at_its_deadline_and_fails_its_attempt_by_name(site):
@@ -147,10 +154,10 @@ def test_a_stopped_solver_is_ended_at_its_deadline_and_fails_its_attempt_by_name
     pid = pid_at(folder)
     os.kill(pid, signal.SIGSTOP)
     until(lambda: engine.poll(attempt) not in ALIVE)
-    error = outcome_in(folder)["error"]
+    error = outcome_in(folder).error
     assert (error["kind"], "0.5 s" in error["message"]) == ("deadline", True)
     until(lambda: not lives(pid))
-    assert site.solved(engine, 1, attempt=2, deadline=60)["status"] == "done"
+    assert site.solved(engine, 1, attempt=2, deadline=60).status == "done"
 
 
 def test_a_deadline_counts_from_the_beginning_whoever_looks(site):
@@ -164,7 +171,7 @@ def test_a_deadline_counts_from_the_beginning_whoever_looks(site):
     attempt = asked(folder, deadline=50)
     second.attach(attempt)
     until(lambda: second.poll(attempt) == "finished")
-    assert outcome_in(folder)["error"]["kind"] == "deadline"
+    assert outcome_in(folder).error["kind"] == "deadline"
 
 
 def test_a_cancelled_solver_ends_and_the_next_attempt_has_another(site):
@@ -174,8 +181,8 @@ def test_a_cancelled_solver_ends_and_the_next_attempt_has_another(site):
     pid = pid_at(folder)
     engine.cancel(asked(folder))
     until(lambda: ended(engine, folder))
-    assert outcome_in(folder) == {"status": "cancelled"}
-    assert site.solved(engine, 1, attempt=2)["seen"]["answered"] == 1
+    assert outcome_in(folder) == Outcome("cancelled")
+    assert site.solved(engine, 1, attempt=2).further["seen"]["answered"] == 1
     until(lambda: not lives(pid))
 
 
@@ -185,7 +192,7 @@ def test_no_more_solvers_wait_than_may_work(site):
     for folder in folders:
         engine.submit(asked(folder))  # more than slots at once, which a dispatcher never does
     until(lambda: all(ended(engine, folder) for folder in folders))
-    pids = {outcome_in(folder)["seen"]["pid"] for folder in folders}
+    pids = {outcome_in(folder).further["seen"]["pid"] for folder in folders}
     until(lambda: sum(lives(pid) for pid in pids) <= 2)
 
 
@@ -214,7 +221,7 @@ def test_a_solver_whose_server_is_killed_ends_its_attempt_and_then_itself(site):
     pid = pid_at(folder)
     kill(server)
     until(lambda: (folder / "result.json").exists())
-    assert outcome_in(folder)["displacement"][0] == 1e-6
+    assert outcome_in(folder).displacement[0] == 1e-6
     until(lambda: not lives(pid), seconds=5)
 
 
@@ -234,8 +241,8 @@ def test_a_solver_that_waits_for_work_ends_when_its_server_is_killed(site):
     server = serve(folders, "counts")
     for _ in range(4):
         server.stdout.readline()
-    pid = outcome_in(folders[1])["seen"]["pid"]
-    assert outcome_in(folders[0])["seen"]["pid"] == pid
+    pid = outcome_in(folders[1]).further["seen"]["pid"]
+    assert outcome_in(folders[0]).further["seen"]["pid"] == pid
     assert lives(pid)
     kill(server)
     until(lambda: not lives(pid), seconds=5)
@@ -254,5 +261,5 @@ def test_an_outcome_waits_for_room_on_a_full_disk(tmp_path, monkeypatch):
     monkeypatch.setattr(solver, "write_outcome", full)
     monkeypatch.setattr(solver, "_AGAIN_SECONDS", 0.01)
     assert solver.run_attempt(tmp_path / "1", lambda *_: {"displacement": [0.0] * 6}) == 0
-    assert outcome_in(tmp_path / "1")["status"] == "done"
+    assert outcome_in(tmp_path / "1").status == "done"
     assert len(refused) == 2

@@ -86,7 +86,7 @@ def test_answers_on_a_grids_planes_do_not_jump() -> None:
     ],
     ids=["axes", "full", "few", "plane", "single", "four full", "grid", "none"],
 )
-@pytest.mark.parametrize("method", [None, "linear", "nearest"])
+@pytest.mark.parametrize("method", [None, "linear", "additive"])
 def test_a_batch_says_what_single_answers_say_outside_too(rows: Rows, method: str | None) -> None:
     surrogate = build(rows, RANGE, linear=method == "linear")
     rng = np.random.default_rng(5)

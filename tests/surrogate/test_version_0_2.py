@@ -1,8 +1,8 @@
-"""Files that version 0.2 wrote are read, and answer as they did then.
+"""An HDF5 file that version 0.2 wrote is read, and answers as it did then.
 
-A smooth table of 20 solves in HDF5, and a packed table of a linear part; the answers are those of
-the program that wrote them, the commit before 77a621e5. On one machine they are equal to the last
-bit; another compiler or BLAS may round otherwise. Outputs with length scales of their own, which
+A smooth table of 20 solves; the answers are those of the program that wrote it, the commit before
+77a621e5. On one machine they are equal to the last bit; another compiler or BLAS may round
+otherwise. Outputs with length scales of their own, which
 0.2 did not have, answer by another one.
 """
 
@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.hdf5 import read_table
 
@@ -41,9 +40,3 @@ def test_an_hdf5_table_answers_as_it_did(then):
     np.testing.assert_allclose(found[:, common], then["kriging"][:, common], rtol=1e-9)
     size = np.ptp(rows.displacement, axis=0)
     assert (np.abs(found - then["kriging"]) < 0.01 * size).all()  # its errors were some percent
-
-
-def test_a_packed_table_answers_as_it_did(then):
-    packed = PackedTable.from_bytes((FOLDER / "table.wbt").read_bytes())
-    found = packed.batch(then["wrenches"]).outputs
-    np.testing.assert_allclose(found, then["outputs"], rtol=1e-14)

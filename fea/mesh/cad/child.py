@@ -22,7 +22,6 @@ from wrenchbook.fea.mesh.cad.entities import METRES, bodies_of, faces_of
 from wrenchbook.fea.mesh.cad.select import choose_bodies, choose_faces
 from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
-from wrenchbook.fea.spec.schema import GeometryMeshing
 
 Array = np.ndarray
 
@@ -68,35 +67,29 @@ def main() -> None:
                 shapes = {"faces": faces_of(gmsh), "bodies": bodies_of(gmsh)}
                 fields = {key: [asdict(one) for one in own] for key, own in shapes.items()}
             else:
-                fields, arrays = _meshed(gmsh, geometry, optimise)
+                problems: list[BundleProblem] = []
+                size = geometry.size
+                groups = choose_faces(gmsh, faces_of(gmsh), geometry.groups, size, problems)
+                bodies = bodies_of(gmsh)
+                regions = choose_bodies(gmsh, bodies, geometry.regions, size, problems)
+                volume = sum(body.volume for body in bodies)
+                cells = too_many(_REGULAR * volume / size**3, "mesh.size")
+                problems += [BundleProblem(*mistake) for mistake in cells]
+                if problems:
+                    raise BundleError(problems)
+                gmsh.option.setNumber("Mesh.MeshSizeMax", size / METRES)
+                gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size / METRES)
+                gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", geometry.curvature)
+                gmsh.option.setNumber("Mesh.MinimumCircleNodes", geometry.circle)
+                if not optimise:
+                    gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)
+                gmsh.model.mesh.generate(3)
+                fields, arrays = _collected(gmsh, groups, regions)
     except BundleError as error:
         fields = {"problems": [asdict(problem) for problem in error.problems]}
     head = np.frombuffer(json.dumps(fields).encode(), dtype=np.uint8)
     with output:
         np.savez(output, head=head, **arrays)
-
-
-def _meshed(
-    gmsh: Any, geometry: GeometryMeshing, optimise: bool
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    problems: list[BundleProblem] = []
-    size = geometry.size
-    groups = choose_faces(gmsh, faces_of(gmsh), geometry.groups, size, problems)
-    bodies = bodies_of(gmsh)
-    regions = choose_bodies(gmsh, bodies, geometry.regions, size, problems)
-    volume = sum(body.volume for body in bodies)
-    cells = too_many(_REGULAR * volume / size**3, "mesh.size")
-    problems += [BundleProblem(*mistake) for mistake in cells]
-    if problems:
-        raise BundleError(problems)
-    gmsh.option.setNumber("Mesh.MeshSizeMax", size / METRES)
-    gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size / METRES)
-    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", geometry.curvature)
-    gmsh.option.setNumber("Mesh.MinimumCircleNodes", geometry.circle)
-    if not optimise:
-        gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)
-    gmsh.model.mesh.generate(3)
-    return _collected(gmsh, groups, regions)
 
 
 def _collected(
@@ -136,19 +129,6 @@ def opened(path: Path) -> Iterator[Any]:
     BundleError
         If gmsh is not there, the file cannot be read or holds no solid body, or gmsh fails.
     """
-    gmsh = _gmsh()
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    try:
-        for name, value in _SETTINGS.items():
-            gmsh.option.setNumber(name, value)
-        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
-        _read(gmsh, path)
-        yield gmsh
-    finally:
-        gmsh.finalize()
-
-
-def _gmsh() -> Any:
     try:
         import gmsh
     except ImportError:
@@ -160,26 +140,30 @@ def _gmsh() -> Any:
             f"apt install {_LIBRARIES}"
         )
         raise BundleError([BundleProblem("mesh.file", message)]) from None
-    return gmsh
-
-
-def _read(gmsh: Any, path: Path) -> None:
-    gmsh.model.add("part")
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
-        # Named, because gmsh knows the ending in lower case only.
-        shapes = gmsh.model.occ.importShapes(str(path), format="step")
-        bodies = [shape for shape in shapes if shape[0] == 3]
-        if len(bodies) > 1:
-            gmsh.model.occ.fragment(bodies, [])
-        gmsh.model.occ.synchronize()
-    except Exception as error:
-        why = " ".join(str(error).split())[:200] or type(error).__name__
-        message = f'"{path.name}" cannot be read as a STEP file ({why}); export it anew'
-        raise BundleError([BundleProblem("mesh.file", message)]) from None
-    if not gmsh.model.getEntities(3):
-        there = "surfaces only" if gmsh.model.getEntities(2) else "no shapes"
-        message = f'"{path.name}" holds no solid body ({there}); export the part as a solid'
-        raise BundleError([BundleProblem("mesh.file", message)])
+        for name, value in _SETTINGS.items():
+            gmsh.option.setNumber(name, value)
+        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+        gmsh.model.add("part")
+        try:
+            # Named, because gmsh knows the ending in lower case only.
+            shapes = gmsh.model.occ.importShapes(str(path), format="step")
+            bodies = [shape for shape in shapes if shape[0] == 3]
+            if len(bodies) > 1:
+                gmsh.model.occ.fragment(bodies, [])
+            gmsh.model.occ.synchronize()
+        except Exception as error:
+            why = " ".join(str(error).split())[:200] or type(error).__name__
+            message = f'"{path.name}" cannot be read as a STEP file ({why}); export it anew'
+            raise BundleError([BundleProblem("mesh.file", message)]) from None
+        if not gmsh.model.getEntities(3):
+            there = "surfaces only" if gmsh.model.getEntities(2) else "no shapes"
+            message = f'"{path.name}" holds no solid body ({there}); export the part as a solid'
+            raise BundleError([BundleProblem("mesh.file", message)])
+        yield gmsh
+    finally:
+        gmsh.finalize()
 
 
 if __name__ == "__main__":

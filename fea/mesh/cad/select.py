@@ -125,7 +125,16 @@ def _nearest(
 ) -> list[int]:
     """Return the face or body nearest to a point; two as near, or none near, are refused."""
     kind, dimension = ("face", 2) if isinstance(shapes[0], Face) else ("body", 3)
-    distances = _distances(gmsh, dimension, shapes, point, _NEAR * size)
+    # Distances from a point, m, of all the shapes that can be nearest.
+    margin = _NEAR * size
+    bound = {s.number: _to_box(point, s.low, s.high) for s in shapes}
+    distances: dict[int, float] = {}
+    vertex = gmsh.model.occ.addPoint(*(x / METRES for x in point))
+    for number in sorted(bound, key=lambda n: bound[n]):
+        if distances and bound[number] > min(distances.values()) + margin:
+            break
+        distances[number] = gmsh.model.occ.getDistance(0, vertex, dimension, number)[0] * METRES
+    gmsh.model.occ.remove([(0, vertex)])
     least = min(distances.values())
     found = [n for n, distance in distances.items() if distance <= least + _NEAR * size]
     at = ", ".join(f"{x:g}" for x in point)
@@ -138,21 +147,6 @@ def _nearest(
         return found
     problems.append(BundleProblem(f"{where}.near", message))
     return []
-
-
-def _distances(
-    gmsh: Any, dimension: int, shapes: Sequence[Face] | Sequence[Solid], point: Place, margin: float
-) -> dict[int, float]:
-    """Return distances from a point, m, of all the shapes that can be nearest."""
-    bound = {s.number: _to_box(point, s.low, s.high) for s in shapes}
-    found: dict[int, float] = {}
-    vertex = gmsh.model.occ.addPoint(*(x / METRES for x in point))
-    for number in sorted(bound, key=lambda n: bound[n]):
-        if found and bound[number] > min(found.values()) + margin:
-            break
-        found[number] = gmsh.model.occ.getDistance(0, vertex, dimension, number)[0] * METRES
-    gmsh.model.occ.remove([(0, vertex)])
-    return found
 
 
 def _to_box(point: Place, low: Place, high: Place) -> float:

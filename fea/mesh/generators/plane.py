@@ -96,7 +96,16 @@ def round_corners(radius: float, core: int) -> tuple[Array, Array]:
     The last 4 `core` nodes are those of the circle, counter-clockwise from -135 degrees, and the
     last 4 `core` quadrilaterals those along it, each with its second side there.
     """
-    inner = _core_points(radius, core)
+    # The core's nodes are halfway between a square and a disc. Its fraction of the radius makes the
+    # ring about as wide as the cells of a fine core; for a core of one or two cells it is the
+    # fraction that gave the most exact torsion of a wire.
+    line = np.linspace(-1.0, 1.0, core + 1)
+    s, t = np.meshgrid(line, line, indexing="ij")
+    square = np.stack([s, t], axis=-1) / np.sqrt(2.0)
+    # The elliptical map of a square to a disc; it keeps the four corners on the circle.
+    round_ = np.stack([s * np.sqrt(1.0 - t**2 / 2.0), t * np.sqrt(1.0 - s**2 / 2.0)], axis=-1)
+    fraction = max(0.6, core / (core + 1.7))
+    inner = fraction * radius * (0.5 * (square + round_)).reshape(-1, 2)
     arcs = 4 * core
     angles = -0.75 * np.pi + 2.0 * np.pi * np.arange(arcs) / arcs
     outer = radius * equal_area_factor(arcs) * directions(angles)
@@ -126,21 +135,6 @@ def equal_area_factor(arcs: int) -> float:
     triangle = np.sin(half) * np.cos(half)
     segment = 4.0 / 3.0 * np.sin(half) * (1.0 - np.cos(half))
     return float(np.sqrt(np.pi / (arcs * (triangle + segment))))
-
-
-def _core_points(radius: float, core: int) -> Array:
-    """Place the core's nodes halfway between a square and a disc.
-
-    Its fraction of the radius makes the ring about as wide as the cells of a fine core; for a core
-    of one or two cells it is the fraction that gave the most exact torsion of a wire.
-    """
-    line = np.linspace(-1.0, 1.0, core + 1)
-    s, t = np.meshgrid(line, line, indexing="ij")
-    square = np.stack([s, t], axis=-1) / np.sqrt(2.0)
-    # The elliptical map of a square to a disc; it keeps the four corners on the circle.
-    round_ = np.stack([s * np.sqrt(1.0 - t**2 / 2.0), t * np.sqrt(1.0 - s**2 / 2.0)], axis=-1)
-    fraction = max(0.6, core / (core + 1.7))
-    return fraction * radius * (0.5 * (square + round_)).reshape(-1, 2)
 
 
 def grid_quads(nx: int, ny: int) -> Array:

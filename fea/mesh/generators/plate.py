@@ -9,7 +9,6 @@ import numpy as np
 
 from wrenchbook.fea.mesh.generators.parameters import count, metres, too_many
 from wrenchbook.fea.mesh.generators.plane import (
-    PlaneMesh,
     bend_circle,
     grid_quads,
     quadratic,
@@ -65,44 +64,33 @@ class Plate:
         """Return (key, message) for what does not fit together, or makes too many cells."""
         side = min(self.length, self.width)
         if 1.1 * self.patch + 2.0 * self.corner < side:
-            return self._too_many()
+            lines = self.cells + 2.0 * self.corner_cells
+            plan = lines**2 + 4.0 * self.cells * (self.rings + 1)
+            counts = ("cells", "rings", "corner_cells", "layers")
+            return too_many(plan * self.layers, max(counts, key=lambda name: getattr(self, name)))
         message = (
             f"patch ({self.patch:g} m) and two corner squares ({self.corner:g} m each) do not fit "
             f"along the shorter side ({side:g} m) with room between them; make one smaller"
         )
         return [("patch", message)]
 
-    def _too_many(self) -> list[tuple[str, str]]:
-        lines = self.cells + 2.0 * self.corner_cells
-        plan = lines**2 + 4.0 * self.cells * (self.rings + 1)
-        counts = ("cells", "rings", "corner_cells", "layers")
-        return too_many(plan * self.layers, max(counts, key=lambda name: getattr(self, name)))
-
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""
-        section = self._plan()
-
-        def place(flat: Array, fraction: Array) -> Array:
-            return np.column_stack([flat, self.thickness * fraction])
-
-        plate = sweep(section, self.layers, place)
-        on_patch = np.arange(self.cells**2 + 4 * self.cells)
-        groups = {
-            "patch": plate.end(on_patch),
-            "corners": plate.start(self._corner_quads(section.points[section.quads[:, :4]])),
-            "rim": plate.side(),
-            "top": plate.end(),
-            "bottom": plate.start(),
-        }
-        return Mesh(plate.points, (plate.cells,), facet_groups=groups)
-
-    def _plan(self) -> PlaneMesh:
-        """Return the plan: the patch, rings out to a rectangle, and a frame as wide as `corner`."""
+        # The plan: the patch, rings out to a rectangle, and a frame as wide as `corner`.
         disc, disc_quads = round_corners(self.patch / 2.0, self.cells)
         grid = np.stack(
             np.meshgrid(self._lines(self.length), self._lines(self.width), indexing="ij"), axis=-1
         )
-        frame, of_frame, inner = self._frame(len(grid))
+        # The frame's part of a grid of `lines` x `lines` nodes: its quadrilaterals, their nodes,
+        # and the nodes of the inner rectangle, counter-clockwise from its lowest corner.
+        lines = len(grid)
+        first, last = self.corner_cells, self.corner_cells + self.cells
+        quads = grid_quads(lines, lines)
+        column, row = quads[:, 0] // lines, quads[:, 0] % lines
+        inside = (first <= column) & (column < last) & (first <= row) & (row < last)
+        column, row = np.divmod(rim_of_grid(self.cells), self.cells + 1)
+        inner = (first + column) * lines + first + row
+        frame, of_frame = quads[~inside], np.unique(quads[~inside])
         arcs = 4 * self.cells
         circle, rectangle = disc[-arcs:], grid.reshape(-1, 2)[inner]
         steps = np.arange(1, self.rings) / self.rings
@@ -118,7 +106,22 @@ class Plate:
         rings = [ring_quads(a, b) for a, b in pairwise(rows)]
         section = quadratic(points, np.concatenate([disc_quads, *rings, number[frame]]))
         bend_circle(section, self.cells)
-        return section
+
+        def place(flat: Array, fraction: Array) -> Array:
+            return np.column_stack([flat, self.thickness * fraction])
+
+        plate = sweep(section, self.layers, place)
+        on_patch = np.arange(self.cells**2 + 4 * self.cells)
+        middle = np.abs(section.points[section.quads[:, :4]].mean(axis=1))
+        edge = np.array([self.length, self.width]) / 2.0 - self.corner
+        groups = {
+            "patch": plate.end(on_patch),
+            "corners": plate.start(np.flatnonzero((middle > edge).all(axis=1))),
+            "rim": plate.side(),
+            "top": plate.end(),
+            "bottom": plate.start(),
+        }
+        return Mesh(plate.points, (plate.cells,), facet_groups=groups)
 
     def _lines(self, length: float) -> Array:
         """Return the grid lines of the frame in one direction, symmetric about 0."""
@@ -126,28 +129,3 @@ class Plate:
         corner = np.linspace(inner, length / 2.0, self.corner_cells + 1)[1:]
         middle = np.linspace(-inner, inner, self.cells + 1)
         return np.concatenate([-corner[::-1], middle, corner])
-
-    def _frame(self, lines: int) -> tuple[Array, Array, Array]:
-        """Return the frame's part of a grid of `lines` x `lines` nodes.
-
-        Returns
-        -------
-        quads
-            Shape (q, 4): those outside the inner rectangle.
-        nodes
-            Their nodes, ascending.
-        inner
-            The nodes of the inner rectangle, counter-clockwise from its lowest corner.
-        """
-        first, last = self.corner_cells, self.corner_cells + self.cells
-        quads = grid_quads(lines, lines)
-        column, row = quads[:, 0] // lines, quads[:, 0] % lines
-        inside = (first <= column) & (column < last) & (first <= row) & (row < last)
-        column, row = np.divmod(rim_of_grid(self.cells), self.cells + 1)
-        inner = (first + column) * lines + first + row
-        return quads[~inside], np.unique(quads[~inside]), inner
-
-    def _corner_quads(self, corners: Array) -> Array:
-        middle = np.abs(corners.mean(axis=1))
-        inner = np.array([self.length, self.width]) / 2.0 - self.corner
-        return np.flatnonzero((middle > inner).all(axis=1))

@@ -107,21 +107,16 @@ def _take_nodes(deck: Deck, one: Keyword) -> None:
         label = one.frame.label(row[0])
         point = one.frame.place([float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]])
         if deck.nodes.setdefault(label, point) != point:
-            raise MeshFileError(_two_places(deck, row[0], label, point))
+            place = list(deck.nodes).index(label)
+            line = next(line for first, line in reversed(deck.node_lines) if first <= place)
+            here, there = (", ".join(f"{x:g}" for x in at) for at in (point, deck.nodes[label]))
+            raise MeshFileError(
+                f"has node {row[0]} at ({here}), but the *NODE of line {line} has it at ({there}); "
+                "number one of the two anew"
+            )
         labels.append(label)
     if "NSET" in one.options:
         _add(deck, deck.node_sets, one.frame, one.options["NSET"], labels)
-
-
-def _two_places(deck: Deck, name: str, label: int, point: list[float]) -> str:
-    """Say where the two nodes of one number are."""
-    place = list(deck.nodes).index(label)
-    line = next(line for first, line in reversed(deck.node_lines) if first <= place)
-    here, there = (", ".join(f"{x:g}" for x in at) for at in (point, deck.nodes[label]))
-    return (
-        f"has node {name} at ({here}), but the *NODE of line {line} has it at ({there}); number "
-        "one of the two anew"
-    )
 
 
 def _take_elements(deck: Deck, one: Keyword) -> None:
@@ -154,17 +149,14 @@ def kind_of(name: str) -> str | None:
     """Return what an element type is in a mesh; None for masses, springs and the like."""
     solid = _SOLID.fullmatch(name)
     if solid:
-        return _known_solid(name, solid[1])
+        nodes = solid[1]
+        if nodes not in _SOLIDS:
+            raise MeshFileError(f"of type {name} is not read; it may be C3D{', C3D'.join(_SOLIDS)}")
+        return _SOLIDS[nodes]
     for kind, pattern in {**_SURFACES, **_LINES}.items():
         if pattern.fullmatch(name):
             return kind
     return None
-
-
-def _known_solid(name: str, nodes: str) -> str:
-    if nodes not in _SOLIDS:
-        raise MeshFileError(f"of type {name} is not read; it may be C3D{', C3D'.join(_SOLIDS)}")
-    return _SOLIDS[nodes]
 
 
 def _take_node_set(deck: Deck, one: Keyword) -> None:
@@ -315,13 +307,12 @@ def raw_mesh(deck: Deck) -> RawMesh:
         points,
         blocks,
         {regions[key]: _by_block(deck, ids) for key, ids in deck.element_sets.items()},
-        {groups[key]: _rows(row, ids) for key, ids in deck.node_sets.items()},
+        {
+            groups[key]: np.array([row[node] for node in ids if node in row], dtype=np.int64)
+            for key, ids in deck.node_sets.items()
+        },
         {faces[key]: _faces(deck, row, own) for key, own in deck.surfaces.items()},
     )
-
-
-def _rows(row: dict[int, int], ids: list[int]) -> Array:
-    return np.array([row[node] for node in ids if node in row], dtype=np.int64)
 
 
 def _by_block(deck: Deck, ids: list[int]) -> list[Array]:

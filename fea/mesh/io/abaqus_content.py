@@ -172,7 +172,42 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     """
     reader = _Reader()
     deck = parsed(path, reader.take)
-    _finish(reader, deck)
+    # Make a case of each step: groups by their final names, and what acts on couplings.
+    content = reader.content
+    reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
+    couplings = _couplings(reader, deck)
+    steps = [step for step in reader.steps if step.name] or reader.steps
+    held: dict[int, tuple[list[HeldGroup], list[set[int]]]] = {}  # steps share their motions
+    for step in reversed(steps):  # from the last: its groups get the plain names
+        case = LoadCase(step.name, nonlinear=step.nonlinear)
+        if id(step.motions) not in held:
+            held[id(step.motions)] = _supports(reader, deck, step, len(couplings))
+        case.supports, freedoms = held[id(step.motions)]
+        case.couplings = [
+            replace(own, held=set(freedoms[i]), loads=[0.0] * 6) for i, own in enumerate(couplings)
+        ]
+        single = {label for (label, _), (key, _) in step.forces.items() if not key}
+        single -= reader.points.keys()
+        rest = _set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
+        for (label, freedom), (key, value) in step.forces.items():
+            number, first = reader.points.get(label, (None, 0))
+            if number is None:
+                loads = case.loads.setdefault(key or rest, [0.0] * 6)
+            else:
+                loads = case.couplings[number].loads
+            loads[(freedom + first) % 6] += value
+        content.cases.insert(0, case)
+    regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
+    faces = set_names(deck, deck.surfaces)
+    content.sections += [SolidSection(w, regions[key], name) for w, key, name in reader.sections]
+    for case in content.cases:
+        case.supports = [replace(own, group=groups[own.group]) for own in case.supports]
+        case.loads = {groups[key]: loads for key, loads in case.loads.items()}
+        for own in list(case.couplings):
+            own.group = faces.get(own.group) or groups[own.group]
+            if len(own.held) == len(own.loads):
+                case.couplings.remove(own)
+                case.supports.append(HeldGroup(own.where, own.group, "xyz"))
     return raw_mesh(deck), reader.content
 
 
@@ -325,45 +360,6 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "CLOAD": _take_force,
     **dict.fromkeys(("STEP", "LOAD CASE"), _take_step),
 }
-
-
-def _finish(reader: _Reader, deck: Deck) -> None:
-    """Make a case of each step: groups by their final names, and what acts on couplings."""
-    content = reader.content
-    reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
-    couplings = _couplings(reader, deck)
-    steps = [step for step in reader.steps if step.name] or reader.steps
-    held: dict[int, tuple[list[HeldGroup], list[set[int]]]] = {}  # steps share their motions
-    for step in reversed(steps):  # from the last: its groups get the plain names
-        case = LoadCase(step.name, nonlinear=step.nonlinear)
-        if id(step.motions) not in held:
-            held[id(step.motions)] = _supports(reader, deck, step, len(couplings))
-        case.supports, freedoms = held[id(step.motions)]
-        case.couplings = [
-            replace(own, held=set(freedoms[i]), loads=[0.0] * 6) for i, own in enumerate(couplings)
-        ]
-        single = {label for (label, _), (key, _) in step.forces.items() if not key}
-        single -= reader.points.keys()
-        rest = _set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
-        for (label, freedom), (key, value) in step.forces.items():
-            number, first = reader.points.get(label, (None, 0))
-            if number is None:
-                loads = case.loads.setdefault(key or rest, [0.0] * 6)
-            else:
-                loads = case.couplings[number].loads
-            loads[(freedom + first) % 6] += value
-        content.cases.insert(0, case)
-    regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
-    faces = set_names(deck, deck.surfaces)
-    content.sections += [SolidSection(w, regions[key], name) for w, key, name in reader.sections]
-    for case in content.cases:
-        case.supports = [replace(own, group=groups[own.group]) for own in case.supports]
-        case.loads = {groups[key]: loads for key, loads in case.loads.items()}
-        for own in list(case.couplings):
-            own.group = faces.get(own.group) or groups[own.group]
-            if len(own.held) == len(own.loads):
-                case.couplings.remove(own)
-                case.supports.append(HeldGroup(own.where, own.group, "xyz"))
 
 
 def _supports(

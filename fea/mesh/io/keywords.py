@@ -126,18 +126,15 @@ def _blocks(text: str) -> Iterator[Keyword]:
                 yield head
             first = head.line if head is not None and open_head else number
             line = open_head + line
-            head = Keyword(first, *_head(line))
+            keyword, *options = (part.strip() for part in line.lstrip("*").split(","))
+            pairs = (option.partition("=") for option in options if option)
+            values = {key.strip().upper(): value.strip() for key, _, value in pairs}
+            head = Keyword(first, keyword.upper(), values)
             open_head = line if line.endswith(",") else ""
         elif head is not None:
             head.rows.append([each.strip() for each in line.rstrip(",").split(",")])
     if head is not None:
         yield head
-
-
-def _head(line: str) -> tuple[str, dict[str, str]]:
-    keyword, *options = (part.strip() for part in line.lstrip("*").split(","))
-    pairs = (option.partition("=") for option in options if option)
-    return keyword.upper(), {key.strip().upper(): value.strip() for key, _, value in pairs}
 
 
 def _frame(one: Keyword, number: int) -> Frame:

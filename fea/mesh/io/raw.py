@@ -71,8 +71,23 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
         If there are no solid cells, some of a kind that cannot be solved, points that there are
         not, or facets in a group that are not faces of a cell.
     """
-    _require_solids(raw)
-    _require_points(raw)
+    kinds = [kind for kind, nodes in raw.blocks if len(nodes)]
+    known = {*NODES_PER_CELL, *NODES_PER_FACET, *NODES_PER_LINE}
+    unknown = sorted({kind for kind in kinds if kind not in known})
+    if unknown:
+        raise MeshFileError(
+            f"has cells of kind {', '.join(unknown)}, which the solver does not know; "
+            f"it knows {', '.join(NODES_PER_CELL)}"
+        )
+    if not any(kind in NODES_PER_CELL for kind in kinds):
+        there = ", ".join(dict.fromkeys(kinds)) or "no cells at all"
+        raise MeshFileError(f"has no solid cells (it has {there}); export the volume mesh too")
+    # Refuse cells and sets of points that there are not: -1 would else be taken for the last.
+    for numbers in (*(nodes for _, nodes in raw.blocks), *raw.node_sets.values()):
+        if numbers.size and not (numbers.min() >= 0 and numbers.max() < len(raw.points)):
+            raise MeshFileError(
+                f"names points that it does not have; it has {len(raw.points)}. Write it anew"
+            )
     solids = [i for i, (kind, _) in enumerate(raw.blocks) if kind in NODES_PER_CELL]
     used = np.unique(np.concatenate([raw.blocks[i][1].ravel() for i in solids]))
     number = np.full(len(raw.points), -1, dtype=np.int64)
@@ -87,18 +102,21 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
         right_way_round(points, CellBlock(kind, cells[kind][kept]))
         for kind, (kept, _) in once.items()
     )
-    regions = _regions(raw, {kind: new for kind, (_, new) in once.items()})
+    # Each element set as numbers of cells within the joined block of their kind.
+    renumbered = {kind: new for kind, (_, new) in once.items()}
+    regions = {}
+    for name, numbers in raw.element_sets.items():
+        chosen: dict[str, list[Array]] = {kind: [] for kind in renumbered}
+        passed = dict.fromkeys(renumbered, 0)
+        for (kind, nodes), rows in zip(raw.blocks, numbers, strict=True):
+            if kind in renumbered:
+                chosen[kind].append(renumbered[kind][rows + passed[kind]])
+                passed[kind] += len(nodes)
+        region = tuple(np.unique(np.concatenate(parts)) for parts in chosen.values())
+        if any(len(cells) for cells in region):
+            regions[name] = region
     groups = _facet_groups(raw, number, blocks)
     return Mesh(points, blocks, regions, groups, _node_groups(raw, number))
-
-
-def _require_points(raw: RawMesh) -> None:
-    """Refuse cells and sets of points that there are not: -1 would else be taken for the last."""
-    for numbers in (*(nodes for _, nodes in raw.blocks), *raw.node_sets.values()):
-        if numbers.size and not (numbers.min() >= 0 and numbers.max() < len(raw.points)):
-            raise MeshFileError(
-                f"names points that it does not have; it has {len(raw.points)}. Write it anew"
-            )
 
 
 def _without_twins(nodes: Array) -> tuple[Array, Array]:
@@ -112,44 +130,6 @@ def _without_twins(nodes: Array) -> tuple[Array, Array]:
     )
     kept = np.sort(first)
     return kept, np.searchsorted(kept, first[twin_of.ravel()])
-
-
-def _require_solids(raw: RawMesh) -> None:
-    kinds = [kind for kind, nodes in raw.blocks if len(nodes)]
-    known = {*NODES_PER_CELL, *NODES_PER_FACET, *NODES_PER_LINE}
-    unknown = sorted({kind for kind in kinds if kind not in known})
-    if unknown:
-        raise MeshFileError(
-            f"has cells of kind {', '.join(unknown)}, which the solver does not know; "
-            f"it knows {', '.join(NODES_PER_CELL)}"
-        )
-    if not any(kind in NODES_PER_CELL for kind in kinds):
-        there = ", ".join(dict.fromkeys(kinds)) or "no cells at all"
-        raise MeshFileError(f"has no solid cells (it has {there}); export the volume mesh too")
-
-
-def _regions(raw: RawMesh, renumbered: dict[str, Array]) -> dict[str, tuple[Array, ...]]:
-    """Return each element set as numbers of cells within the joined block of their kind.
-
-    Parameters
-    ----------
-    raw
-        As read.
-    renumbered
-        For each kind the final number of each cell, in the order of the file.
-    """
-    regions = {}
-    for name, numbers in raw.element_sets.items():
-        chosen: dict[str, list[Array]] = {kind: [] for kind in renumbered}
-        passed = dict.fromkeys(renumbered, 0)
-        for (kind, nodes), rows in zip(raw.blocks, numbers, strict=True):
-            if kind in renumbered:
-                chosen[kind].append(renumbered[kind][rows + passed[kind]])
-                passed[kind] += len(nodes)
-        region = tuple(np.unique(np.concatenate(parts)) for parts in chosen.values())
-        if any(len(cells) for cells in region):
-            regions[name] = region
-    return regions
 
 
 def _facet_groups(

@@ -79,10 +79,27 @@ def _read_meshio(path: Path) -> RawMesh:
         (_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
         for block in read.cells
     ]
-    sets = {**_physical_groups(read), **_array_groups(read)}
+    # Gmsh's physical groups; the 2.2 format has them only as numbers of cells.
+    tags = read.cell_data.get("gmsh:physical", [])
+    names = {(int(tag), int(dim)): name for name, (tag, dim) in read.field_data.items()}
+    groups: dict[str, list[Array]] = {}
+    for i, (block, part) in enumerate(zip(read.cells, tags, strict=False)):
+        numbers = _as_numbers(part)
+        for tag in np.unique(numbers[numbers > 0]).tolist():
+            name = names.get((tag, block.dim), str(tag))
+            parts = groups.setdefault(name, [_as_numbers(None) for _ in read.cells])
+            parts[i] = np.flatnonzero(numbers == tag)
+    sets = {**groups, **_array_groups(read)}
     sets |= {name: s for name, s in read.cell_sets.items() if not name.startswith("gmsh:")}
     element_sets = {name: [_as_numbers(part) for part in parts] for name, parts in sets.items()}
-    node_sets = {**_point_groups(read), **read.point_sets}
+    # The groups that integer point arrays make.
+    point_groups = {}
+    for array, values in read.point_data.items():
+        if array.startswith("gmsh:"):
+            continue
+        for name, value in _group_values(array, np.asarray(values)):
+            point_groups[name] = np.flatnonzero(values == value)
+    node_sets = {**point_groups, **read.point_sets}
     points = np.asarray(read.points, dtype=float)
     if points.shape[1] != 3:
         raise MeshFileError("is flat; write a mesh of solid cells in three dimensions")
@@ -108,20 +125,6 @@ def _as_numbers(part: object) -> Array:
     return np.asarray([] if part is None else part, dtype=np.int64).ravel()
 
 
-def _physical_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
-    """Return gmsh's physical groups; the 2.2 format has them only as numbers of cells."""
-    tags = read.cell_data.get("gmsh:physical", [])
-    names = {(int(tag), int(dim)): name for name, (tag, dim) in read.field_data.items()}
-    groups: dict[str, list[Array]] = {}
-    for i, (block, part) in enumerate(zip(read.cells, tags, strict=False)):
-        numbers = _as_numbers(part)
-        for tag in np.unique(numbers[numbers > 0]).tolist():
-            name = names.get((tag, block.dim), str(tag))
-            parts = groups.setdefault(name, [_as_numbers(None) for _ in read.cells])
-            parts[i] = np.flatnonzero(numbers == tag)
-    return groups
-
-
 def _array_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
     """Return the groups that integer cell arrays make."""
     groups = {}
@@ -130,17 +133,6 @@ def _array_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
             continue
         for name, value in _group_values(array, np.concatenate([np.asarray(p) for p in parts])):
             groups[name] = [np.flatnonzero(np.asarray(part) == value) for part in parts]
-    return groups
-
-
-def _point_groups(read: meshio.Mesh) -> dict[str, Array]:
-    """Return the groups that integer point arrays make."""
-    groups = {}
-    for array, values in read.point_data.items():
-        if array.startswith("gmsh:"):
-            continue
-        for name, value in _group_values(array, np.asarray(values)):
-            groups[name] = np.flatnonzero(values == value)
     return groups
 
 

@@ -42,7 +42,10 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
         If the file has not four finite numbers a line below a line of names, gives a point two
         temperatures or lies far from the part, or if nothing is heated.
     """
-    _require_names(field)
+    with field.open(encoding="utf-8", errors="replace") as file:
+        names = [name.strip().strip('"').lower()[:1] for name in file.readline().split(",")]
+    if names[:3] != ["x", "y", "z"]:
+        raise _wrong("must begin with a line of names: x, y, z (m) and the temperature")
     try:
         table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
     except (ValueError, UnicodeDecodeError) as error:
@@ -53,26 +56,12 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     most = float(rise[np.abs(rise).argmax()])
     if most == 0.0:
         raise _wrong("is at the reference everywhere: nothing is heated")
-    _require_one_each(points, rise)
-    return _interpolated(points, rise / most, nodes)
-
-
-def _require_names(field: Path) -> None:
-    with field.open(encoding="utf-8", errors="replace") as file:
-        names = [name.strip().strip('"').lower()[:1] for name in file.readline().split(",")]
-    if names[:3] != ["x", "y", "z"]:
-        raise _wrong("must begin with a line of names: x, y, z (m) and the temperature")
-
-
-def _require_one_each(points: Array, rise: Array) -> None:
     order = np.lexsort(points.T)
     same = (points[order][1:] == points[order][:-1]).all(axis=1)
     if (rise[order][1:] != rise[order][:-1])[same].any():
         x, y, z = points[order][1:][same][0].tolist()
         raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures")
-
-
-def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
+    values = rise / most
     distance, nearest = KDTree(points).query(nodes)
     found, size = values[nearest], np.ptp(nodes, axis=0).max()
     if np.median(distance) > size:
@@ -82,21 +71,18 @@ def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
         )
     between = distance > _SAME * size
     if between.any() and len(points) > 1:
-        inside = _linear(points, values, nodes[between])
+        # Interpolate linearly in the space, the plane or the line of the points; NaN outside.
+        centre = points.mean(axis=0)
+        _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
+        axes = axes[sizes > _SAME * sizes[0]]
+        own, there = (points - centre) @ axes.T, (nodes[between] - centre) @ axes.T
+        if len(axes) == 1:
+            order = np.argsort(own[:, 0])
+            inside = np.interp(there[:, 0], own[order, 0], values[order], np.nan, np.nan)
+        else:
+            inside = np.asarray(LinearNDInterpolator(own, values)(there))
         found[between] = np.where(np.isnan(inside), found[between], inside)
     return found
-
-
-def _linear(points: Array, values: Array, nodes: Array) -> Array:
-    """Interpolate linearly in the space, the plane or the line of the points; NaN outside."""
-    centre = points.mean(axis=0)
-    _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
-    axes = axes[sizes > _SAME * sizes[0]]
-    own, there = (points - centre) @ axes.T, (nodes - centre) @ axes.T
-    if len(axes) == 1:
-        order = np.argsort(own[:, 0])
-        return np.interp(there[:, 0], own[order, 0], values[order], np.nan, np.nan)
-    return np.asarray(LinearNDInterpolator(own, values)(there))
 
 
 def _wrong(message: str) -> BundleError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
@@ -117,10 +116,10 @@ class MujocoJoint(Joint):
         turning = {0: [], 1: [_JOINT.mjJNT_HINGE], 3: [_JOINT.mjJNT_BALL]}[len(turns)]
         expected = [int(kind) for kind in [_JOINT.mjJNT_SLIDE] * len(moves) + turning]
         if kinds != expected:
-            words = (
-                f"{len(moves)} slides" + {0: "", 1: " and a hinge", 3: " and a ball"}[len(turns)]
+            also = {0: "", 1: " and a hinge", 3: " and a ball"}[len(turns)]
+            raise JointError(
+                f"body {name!r} must have {len(moves)} slides{also}, in this order; {_REMEDY}"
             )
-            raise JointError(f"body {name!r} must have {words}, in this order; {_REMEDY}")
         for joint in joints:
             dof = int(model.jnt_dofadr[joint])
             forces = {
@@ -135,7 +134,22 @@ class MujocoJoint(Joint):
                     f"a joint of body {name!r} has {present[0]}, which would add to the part's "
                     "own: remove it (a default class may set it)"
                 )
-        self._axes = self._frame(joints, name)
+        # The interface frame's axes in the tip's body; of a part with locked freedoms the body's.
+        axis_of = {
+            int(at): axis for at, axis in zip(self.free, model.jnt_axis[joints], strict=False)
+        }
+        straight = [axis_of[at] for at in range(3) if at in axis_of]
+        left, _, right = np.linalg.svd(np.array(straight).T if len(straight) == 3 else np.eye(3))
+        self._axes = left @ right
+        hinges = [] if len(turns) == 3 else turns.tolist()
+        along = [at for at in range(3) if at in axis_of] + hinges
+        off = [np.abs(axis_of[at] - self._axes[:, at % 3]).max() for at in along]
+        if max(off, default=0.0) > _SQUARE or np.linalg.det(self._axes) < 0:
+            raise JointError(
+                f"the joints of body {name!r} must have the interface frame's axes in the order x, "
+                "y, z: unit, orthogonal and right-handed; of a part with locked freedoms these are "
+                f"the body's own; {_REMEDY}"
+            )
         self._slides = np.array(
             [model.jnt_qposadr[joint] for joint in joints[: len(moves)]], dtype=int
         )
@@ -146,32 +160,9 @@ class MujocoJoint(Joint):
         self._units = np.eye(model.nv)[self._dofs]
         self._places = _places(model, np.arange(start, start + count))
         self._diagonal = len(self._places[0]) == count > 1
-        self._turns = bool((self.free >= 3).sum() == 3)
+        self._turns = len(turns) == 3
         self._unturned = np.zeros((FREEDOMS, count))
         self._unturned[self.free, np.arange(count)] = 1.0
-
-    def _frame(self, joints: list[int], name: str) -> Vector:
-        """Return the interface frame's axes in the tip's body, shape (3, 3), as columns.
-
-        Of a part with locked freedoms they are the body's own.
-        """
-        own = {
-            int(at): axis for at, axis in zip(self.free, self._model.jnt_axis[joints], strict=False)
-        }
-        straight = [own[at] for at in range(3) if at in own]
-        given = np.array(straight).T if len(straight) == 3 else np.eye(3)
-        left, _, right = np.linalg.svd(given)
-        axes = left @ right
-        hinges = [] if (self.free >= 3).sum() == 3 else [at for at in own if at >= 3]
-        along = [at for at in range(3) if at in own] + hinges
-        off = [np.abs(own[at] - axes[:, at % 3]).max() for at in along]
-        if max(off, default=0.0) > _SQUARE or np.linalg.det(axes) < 0:
-            raise JointError(
-                f"the joints of body {name!r} must have the interface frame's axes in the order x, "
-                "y, z: unit, orthogonal and right-handed; of a part with locked freedoms these are "
-                f"the body's own; {_REMEDY}"
-            )
-        return axes
 
     def _push(self) -> None:
         """Apply the wrench of this step, as far as the motion before it determines it.
@@ -179,6 +170,7 @@ class MujocoJoint(Joint):
         The rest depends on the velocity after the step, and enters the mass matrix.
         """
         model, data, dofs = self._model, self._data, self._dofs
+        dt = float(model.opt.timestep)
         self._watch_base()
         moved, turned = self._displacement()
         wrench, stiffness = self.state(moved, turned)
@@ -187,16 +179,33 @@ class MujocoJoint(Joint):
         self._map = self._unturned.copy()
         if self._turns:
             self._map[3:, -3:] = rotation_matrix(turned) @ self._axes.T
-        own = self._map.T @ stiffness @ self._map
         solved = np.empty_like(self._units)
         engine.mj_solveM(model, data, solved, self._units)
         inverse_mass = solved[:, dofs]  # accelerations of the freedoms by unit loads on them
-        slope = self._rate(own, inverse_mass, float(model.opt.timestep))
+        slope = self._rate(self._map.T @ stiffness @ self._map, inverse_mass, dt)
         self._law = wrench @ self._map, slope
         data.qfrc_applied[dofs] = 0.0
-        if self._diagonal:
-            self._law = self._lagged(inverse_mass), np.zeros_like(slope)
+        if self._diagonal:  # nothing can be added to it: the last step's constraint forces stand
+            engine.mj_fwdActuation(model, data)
+            engine.mj_fwdAcceleration(model, data)
+            pushed = np.empty((1, model.nv))
+            engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
+            velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs]
+            implicit = np.eye(len(slope)) + dt * slope @ inverse_mass
+            force = np.linalg.solve(implicit, self._law[0] + slope @ velocity)
+            self._law = force, np.zeros_like(slope)
         data.qfrc_applied[dofs] = -(self._law[0] + self._law[1] @ data.qvel[dofs])
+
+    def _displacement(self) -> tuple[Vector, Vector]:
+        """Return translation, m, and rotation vector, rad, in the undeformed interface frame."""
+        position, moved, turned = self._data.qpos, np.zeros(3), np.zeros(3)
+        moved[self.free[self.free < 3]] = position[self._slides]
+        if self._turns:
+            engine.mju_quat2Vel(turned, position[self._turn : self._turn + 4], 1.0)
+            turned = turned @ self._axes
+        elif self._turn >= 0:
+            turned[self.free[-1] - 3] = position[self._turn]
+        return moved, turned
 
     def _watch_base(self) -> None:
         """Warn once that the base has been put elsewhere by a body without velocity."""
@@ -218,34 +227,6 @@ class MujocoJoint(Joint):
             JointWarning,
         )
 
-    def _lagged(self, inverse_mass: Vector) -> Vector:
-        """Return the whole wrench of this step, shape (n,), with the last step's constraint forces.
-
-        For a mass matrix that MuJoCo stores as a diagonal, to which nothing can be added.
-        """
-        model, data, (force, slope) = self._model, self._data, self._law
-        engine.mj_fwdActuation(model, data)
-        engine.mj_fwdAcceleration(model, data)
-        pushed = np.empty((1, model.nv))
-        engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
-        dt = float(model.opt.timestep)
-        velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[self._dofs]
-        implicit = np.eye(len(slope)) + dt * slope @ inverse_mass
-        return np.linalg.solve(implicit, force + slope @ velocity)
-
-    def _displacement(self) -> tuple[Vector, Vector]:
-        """Return translation, m, and rotation vector, rad, in the undeformed interface frame."""
-        position, moved, turned = self._data.qpos, np.zeros(3), np.zeros(3)
-        slides = self.free[self.free < 3]
-        moved[slides] = position[self._slides]
-        turns = self.free[self.free >= 3] - 3
-        if len(turns) == 1:
-            turned[turns] = position[self._turn]
-        elif len(turns):
-            engine.mju_quat2Vel(turned, position[self._turn : self._turn + 4], 1.0)
-            turned = turned @ self._axes
-        return moved, turned
-
 
 def step_joints(*joints: MujocoJoint) -> None:
     """Advance a scene with one joint or more by a time step, in the place of ``mj_step``.
@@ -261,30 +242,11 @@ def step_joints(*joints: MujocoJoint) -> None:
     JointRangeError
         See `Joint.step`; the scene is where it was.
     """
-    _require_one_scene(joints)
-    model, data = joints[0]._model, joints[0]._data
-    engine.mj_step1(model, data)
-    for joint in joints:
-        joint._push()
-    for joint in joints:
-        # What the velocity after the step changes.
-        rows, columns, at = joint._places
-        data.M[at] += float(model.opt.timestep) * joint._law[1][rows, columns]
-    engine.mj_factorM(model, data)
-    if model.opt.solver == engine.mjtSolver.mjSOL_PGS or model.opt.noslip_iterations:
-        engine.mj_projectConstraint(model, data)
-    engine.mj_step2(model, data)
-    for joint in joints:
-        force, slope = joint._law
-        joint.wrench = joint._map @ (force + slope @ data.qvel[joint._dofs])
-
-
-def _require_one_scene(joints: Sequence[MujocoJoint]) -> None:
-    if not joints or any(one._data is not joints[0]._data for one in joints):
+    if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    if len({one._dofs.start for one in joints}) < len(joints):
-        raise JointError("two joints have one tip, which would feel one of them: leave one out")
     data, stepped = joints[0]._data, {joint._dofs.start for joint in joints}
+    if len(stepped) < len(joints):
+        raise JointError("two joints have one tip, which would feel one of them: leave one out")
     every = [joint for joint in _JOINTS.get(data, {}).values() if joint._data is data]
     missing = [repr(joint._tip) for joint in every if joint._dofs.start not in stepped]
     if missing:
@@ -294,9 +256,24 @@ def _require_one_scene(joints: Sequence[MujocoJoint]) -> None:
             "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
             "wrenchbook once with all of them, in the place of a.step(); b.step()"
         )
-    step = joints[0]._model.opt.timestep
+    model = joints[0]._model
+    step = float(model.opt.timestep)
     if not step > 0:
         raise JointError(f"the scene's time step is {step} s: set it above 0")
+    engine.mj_step1(model, data)
+    for joint in joints:
+        joint._push()
+    for joint in joints:
+        # What the velocity after the step changes.
+        rows, columns, at = joint._places
+        data.M[at] += step * joint._law[1][rows, columns]
+    engine.mj_factorM(model, data)
+    if model.opt.solver == engine.mjtSolver.mjSOL_PGS or model.opt.noslip_iterations:
+        engine.mj_projectConstraint(model, data)
+    engine.mj_step2(model, data)
+    for joint in joints:
+        force, slope = joint._law
+        joint.wrench = joint._map @ (force + slope @ data.qvel[joint._dofs])
 
 
 def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:

@@ -69,101 +69,9 @@ def scene_with_springs(
     ``implicitfast`` if the scene names Euler.
     """
     spec = _with_freedoms(scene, base, tip, springs.freedoms, site, mass, ball=False)
-    _add_springs(spec, tip, springs, damping)
-    _compiled(lambda: spec, scene)
-    return str(spec.to_xml()).replace(">", f">\n  <!-- {springs.error} -->", 1)
-
-
-def _with_freedoms(
-    scene: str | Path,
-    base: str,
-    tip: str,
-    free: Sequence[str],
-    site: str | None,
-    mass: ArrayLike | None,
-    *,
-    ball: bool,
-) -> Spec:
-    """Return a scene with the joints of a part's free displacements, and the part's mass."""
-    spec = _compiled(lambda: engine.MjSpec.from_file(str(scene)), scene)
-    body = _child(spec, base, tip)
-    at, axes = _interface(spec, body, site)
-    _add_joints(body, tip, at, axes, free, ball)
-    inner = body.add_body(name=f"{tip}_part", pos=at, quat=_quaternion(axes))
-    if mass is not None:
-        _add_mass(inner, np.asarray(mass, dtype=float))
-    return _compiled(lambda: spec, scene)
-
-
-def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
-    """Return a scene that MuJoCo compiles."""
-    try:
-        spec = read()
-        spec.compile()
-    except (ValueError, OSError) as error:
-        raise JointError(f"{scene} is no scene that MuJoCo reads: {error}") from None
-    return spec
-
-
-def _child(spec: Spec, base: str, tip: str) -> Spec:
-    """Return the tip's body, if it hangs on the base without joints."""
-    body = spec.body(tip)
-    if body is None or spec.body(base) is None:
-        names = ", ".join(repr(one.name) for one in spec.bodies if one.name) or "none with a name"
-        missing = tip if body is None else base
-        raise JointError(f"the scene has no body {missing!r}; it has {names}")
-    if body.parent.name != base:
-        raise JointError(f"body {tip!r} must be a child of body {base!r}")
-    if body.joints:
-        raise JointError(
-            f"body {tip!r} has joints: put what they move into a child of it, since the part holds "
-            "the tip"
-        )
-    return body
-
-
-def _interface(spec: Spec, body: Spec, site: str | None) -> tuple[Vector, Vector]:
-    """Return the interface point, m, and axes, as columns, in the tip's body."""
-    if site is None:
-        return np.zeros(3), np.eye(3)
-    if site not in [one.name for one in body.sites]:
-        names = ", ".join(repr(one.name) for one in body.sites if one.name) or "none with a name"
-        raise JointError(f"body {body.name!r} has no site {site!r}; it has {names}")
-    model = spec.compile()
-    number = engine.mj_name2id(model, engine.mjtObj.mjOBJ_SITE, site)
-    axes = np.zeros(9)
-    engine.mju_quat2Mat(axes, model.site_quat[number])
-    return model.site_pos[number].copy(), axes.reshape(3, 3)
-
-
-def _add_joints(
-    body: Spec, tip: str, at: Vector, axes: Vector, free: Sequence[str], ball: bool
-) -> None:
-    """Add a slide a free translation, then a ball or a hinge a free rotation."""
-    kinds = engine.mjtJoint
-    bare = {"stiffness": 0, "damping": 0, "frictionloss": 0, "armature": 0, "limited": 0}
-
-    def add(name: str, kind: int, axis: list[float]) -> None:
-        joint = body.add_joint(name=name, type=kind, pos=at, axis=axis)
-        for word, value in bare.items():
-            field = getattr(joint, word)
-            setattr(joint, word, value if np.ndim(field) == 0 else np.full(np.shape(field), value))
-
-    one_ball = ball and all(name in free for name in OUTPUTS[3:])
-    for place, name in enumerate(OUTPUTS[: 3 if one_ball else FREEDOMS]):
-        if name in free:
-            kind = kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE
-            add(f"{tip}_{name}", kind, axes[:, place % 3].tolist())
-    if one_ball:
-        add(f"{tip}_r", kinds.mjJNT_BALL, [0, 0, 1])
-
-
-def _add_springs(spec: Spec, tip: str, springs: LinearPart, damping: float) -> None:
-    """Add a tendon a mode: its length is the mode's coordinate times the root of the mass, kg.
-
-    Of the modes p of the stiffness K against the effective mass M, with p M p = 1, a tendon has the
-    coefficients M p, the stiffness omega^2 and the damping p C p, with C of the joint's law.
-    """
+    # A tendon's length is the mode's coordinate times the root of the mass, kg. Of the modes p of
+    # the stiffness K against the effective mass M, with p M p = 1, it has the coefficients M p, the
+    # stiffness omega^2 and the damping p C p, with C of the joint's law.
     if spec.option.integrator == engine.mjtIntegrator.mjINT_EULER:
         spec.option.integrator = engine.mjtIntegrator.mjINT_IMPLICITFAST
     model = spec.compile()
@@ -185,6 +93,69 @@ def _add_springs(spec: Spec, tip: str, springs: LinearPart, damping: float) -> N
         for name, coefficient in zip(names, lengths[:, k], strict=True):
             if coefficient != 0.0:
                 tendon.wrap_joint(name, coefficient)
+    _compiled(lambda: spec, scene)
+    return str(spec.to_xml()).replace(">", f">\n  <!-- {springs.error} -->", 1)
+
+
+def _with_freedoms(
+    scene: str | Path,
+    base: str,
+    tip: str,
+    free: Sequence[str],
+    site: str | None,
+    mass: ArrayLike | None,
+    *,
+    ball: bool,
+) -> Spec:
+    """Return a scene with the joints of a part's free displacements, and the part's mass."""
+    spec = _compiled(lambda: engine.MjSpec.from_file(str(scene)), scene)
+    body = spec.body(tip)
+    if body is None or spec.body(base) is None:
+        missing = tip if body is None else base
+        raise JointError(f"the scene has no body {missing!r}; it has {_names(spec.bodies)}")
+    if body.parent.name != base:
+        raise JointError(f"body {tip!r} must be a child of body {base!r}")
+    if body.joints:
+        raise JointError(
+            f"body {tip!r} has joints: put what they move into a child of it, since the part holds "
+            "the tip"
+        )
+    at, axes = np.zeros(3), np.eye(3)  # the interface in the tip's body
+    if site is not None:
+        if site not in [item.name for item in body.sites]:
+            names = _names(body.sites)
+            raise JointError(f"body {tip!r} has no site {site!r}; it has {names}")
+        model, matrix = spec.compile(), np.zeros(9)
+        number = engine.mj_name2id(model, engine.mjtObj.mjOBJ_SITE, site)
+        engine.mju_quat2Mat(matrix, model.site_quat[number])
+        at, axes = model.site_pos[number].copy(), matrix.reshape(3, 3)
+    kinds = engine.mjtJoint
+    joints = [  # a slide a free translation, then a ball or a hinge a free rotation
+        (name, kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE, axes[:, place % 3].tolist())
+        for place, name in enumerate(OUTPUTS)
+        if name in free
+    ]
+    if ball and len(joints) >= 3 and all(name in free for name in OUTPUTS[3:]):
+        joints[-3:] = [("r", kinds.mjJNT_BALL, [0, 0, 1])]
+    for name, kind, axis in joints:
+        joint = body.add_joint(name=f"{tip}_{name}", type=kind, pos=at, axis=axis)
+        # Without what a default class of the scene may set.
+        for word in ("stiffness", "damping", "frictionloss", "armature", "limited"):
+            setattr(joint, word, np.zeros_like(getattr(joint, word)))
+    inner = body.add_body(name=f"{tip}_part", pos=at, quat=_quaternion(axes))
+    if mass is not None:
+        _add_mass(inner, np.asarray(mass, dtype=float))
+    return _compiled(lambda: spec, scene)
+
+
+def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
+    """Return a scene that MuJoCo compiles."""
+    try:
+        spec = read()
+        spec.compile()
+    except (ValueError, OSError) as error:
+        raise JointError(f"{scene} is no scene that MuJoCo reads: {error}") from None
+    return spec
 
 
 def _add_mass(body: Spec, mass: Vector) -> None:
@@ -211,7 +182,11 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     body.iquat, body.explicitinertial = _quaternion(axes), 1
 
 
+def _names(items: list[Spec]) -> str:
+    return ", ".join(repr(item.name) for item in items if item.name) or "none with a name"
+
+
 def _quaternion(axes: Vector) -> Vector:
-    found = np.zeros(4)
-    engine.mju_mat2Quat(found, np.ascontiguousarray(axes).ravel())
-    return found
+    quaternion = np.zeros(4)
+    engine.mju_mat2Quat(quaternion, np.ascontiguousarray(axes).ravel())
+    return quaternion

@@ -4,10 +4,8 @@ The MuJoCo mount is in `mujoco_mount`, which alone imports mujoco.
 """
 
 from ..errors import CouplingDiverged, DisplacementUnknown, MountError, MountWarning, SensorError
-from .mount import Coverage, Mount
-from .reading import require_weight
-from .relaxation import spectral_radius, stable_factor
-from .settling import Settled
+from .coupling import Settled, spectral_radius, stable_factor
+from .mount import Coverage, Mount, require_weight
 
 __all__ = [
     "CouplingDiverged",

@@ -3,42 +3,58 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...contract import OUTPUTS
-from ..errors import DisplacementUnknown, InvalidArgument, MountWarning, warn
+from ..errors import (
+    DisplacementUnknown,
+    InvalidArgument,
+    MountWarning,
+    SensorError,
+    ServerTimeout,
+    SourceError,
+    warn,
+)
 from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement
 from ..rotation import rotation_matrix
-from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, tolerance_body
-from . import reading
-from .frequency import warn_if_ringing
-from .relaxation import (
+from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, one_wrench, tolerance_body
+from .coupling import (
     BEYOND,
     CycleWatch,
+    Loop,
     Relaxation,
     Scale,
+    Settled,
+    by_newton,
+    by_relaxation,
     require_within_limit,
     stable_factor,
     within_limit,
 )
-from .settling import Loop, Settled, by_newton, by_relaxation
-from .source import Ask, from_server, from_solves, from_table, is_table, require_server
 
 if TYPE_CHECKING:
     from .. import Client, Table
 
 Pose = tuple[Vector, Vector]
+Limit = dict[str, float]
+Ask = Callable[[Vector, bool], Displacement]
+
+LONGEST_CALL_S = 20.0  # proxies end calls that take longer
+GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, z up
+CONTRADICTS = 0.5  # of the weight: a reading this far off is not noise nor a slow motion
+# Periods of the first natural frequency that a load takes to build up: with fewer, the component
+# rings, and an answer at rest misses it, by a factor of 2 and more either way.
+QUASI_STATIC = 8.0
 
 MODES = ("table", "solve", "record", "envelope")
-RELAXATIONS = ("aitken", "newton", "off")
 _MEANS = {
     "thin": "the table is too thin here: answers are estimates, with wider error bars",
     "outside": "the wrench is outside the table or the load range: answers are flagged estimates",
@@ -98,15 +114,9 @@ class Coverage:
             )
 
     def __str__(self) -> str:
-        lines = [
-            f"{self.answers} answers: {self.covered} covered, {self.thin} thin, "
-            f"{self.outside} outside, {self.unknown} unknown"
-        ]
-        lines += [
-            f"  first {kind}: answer {first.step}, {first.reason}"
-            for kind, first in self.first.items()
-        ]
-        return "\n".join(lines)
+        counts = ", ".join(f"{getattr(self, k)} {k}" for k in ("covered", *_MEANS))
+        first = [f"\n  first {k}: answer {a.step}, {a.reason}" for k, a in self.first.items()]
+        return f"{self.answers} answers: {counts}{''.join(first)}"
 
 
 class Mount:
@@ -198,7 +208,7 @@ class Mount:
         _require_word("unmeasured", unmeasured, ("refuse", "rigid"))
         self.component, self.mode = component, mode
         self._unmeasured, self._newton = unmeasured, relaxation == "newton"
-        self._relaxation = Relaxation(_fixed_factor(relaxation))
+        self._relaxation = Relaxation(relaxation)
         self._stepped = self._warned = self._primed = False
         self._stiffness = None if stiffness is None else np.array(stiffness, dtype=float)
         if self._stiffness is not None and not (
@@ -210,18 +220,19 @@ class Mount:
         limit = None if tolerance is None else tolerance_body(tolerance)
         self.recorder: Recorder | None = None
         self._ask: Ask | None = None
-        if mode in ("record", "envelope"):
-            server = require_server(source, mode)
-            kind = "recording" if mode == "record" else "envelope"
-            self.recorder = Recorder(server, component, kind, block)
-        elif mode == "solve":
-            server = require_server(source, mode)
-            limit, self._ask = from_solves(server, component, limit, solve_timeout, beyond_range)
-        elif is_table(source):
-            limit, self._ask = from_table(source, component, limit, method)
+        if mode == "table" and hasattr(source, "answer"):
+            limit, self._ask = from_table(cast("Table", source), component, limit, method)
         else:
             server = require_server(source, mode)
-            limit, self._ask = from_server(server, component, limit, method, on_thin)
+            if mode == "solve":
+                limit, self._ask = from_solves(
+                    server, component, limit, solve_timeout, beyond_range
+                )
+            elif mode == "table":
+                limit, self._ask = from_server(server, component, limit, method, on_thin)
+            else:
+                kind = "recording" if mode == "record" else "envelope"
+                self.recorder = Recorder(server, component, kind, block)
         self._scale = Scale(limit)
         self.restart()
         warn_if_ringing(source, component, natural_frequency, ramp_time, carried)
@@ -240,7 +251,7 @@ class Mount:
         ValueError
             If it is no pose; the mount is then where it was.
         """
-        pose = reading.checked_pose(R0, p0)
+        pose = checked_pose(R0, p0)
         if (
             self._stepped
             and not self._warned
@@ -296,9 +307,10 @@ class Mount:
         The interface stands in `pose`: as `step` or `place` has left it, and within `settle` as
         the scene is called with it. Read the sensor in that pose.
         """
-        vectors = [np.asarray(one, dtype=float).reshape(3) for one in (force, moment, point)]
-        present = self._undeformed[0], self.pose[1]
-        return reading.from_world(vectors[0], vectors[1], vectors[2], present)
+        force, moment, point = (
+            np.asarray(vector, dtype=float).reshape(3) for vector in (force, moment, point)
+        )
+        return from_world(force, moment, point, (self._undeformed[0], self.pose[1]))
 
     def step(self, force: ArrayLike, moment: ArrayLike | None = None) -> Pose:
         """Return the pose of the interface under one wrench; a simulation's sync step.
@@ -327,14 +339,27 @@ class Mount:
             See `Client.displacement` and `Client.solve`. After any error the mount is as before,
             and the step can be made again.
         """
-        wrench = reading.checked_reading(force, moment)
+        wrench = checked_reading(force, moment)
         if self.recorder is not None:
             self.recorder.add(wrench)
             return self.pose
         answer, target = self._answer(wrench)
         if target is not None:
             self._scale.see(target)
-            moved = within_limit(self._followed(answer, target))
+            residual, product = target - self.displacement, None
+            if self._newton:
+                if self._stiffness is None or answer.derivative is None:
+                    raise InvalidArgument(
+                        "relaxation='newton' needs the scene's stiffness= in step, and a "
+                        "derivative of the answer: give it, settle() instead, or step with "
+                        "relaxation='aitken'"
+                    )
+                product = np.nan_to_num(answer.derivative) @ self._stiffness
+            factor = self._relaxation.follow(self._scale.measure(residual), driven=True)
+            change = factor * residual
+            if product is not None:
+                change = np.linalg.solve(np.eye(6) - product, residual)
+            moved = within_limit(self.displacement + change)
             self._cycles.see(self._scale.measure(target))
             self._beyond = 0 if within_limit(target) is target else self._beyond + 1
             if self._beyond > BEYOND:
@@ -389,7 +414,7 @@ class Mount:
             finally:
                 self.displacement = before
             pair = wrench if isinstance(wrench, tuple) and len(wrench) == 2 else (wrench, None)
-            return reading.checked_reading(*pair)
+            return checked_reading(*pair)
 
         def ask(wrench: Vector) -> tuple[Displacement, Vector]:
             answer, target = self._answer(wrench)
@@ -459,35 +484,281 @@ class Mount:
             self._primed = True
         return answer, target
 
-    def _followed(self, answer: Displacement, target: Vector) -> Vector:
-        """Return where the pose goes, shape (6,), m and rad, on its way to the answer."""
-        residual = target - self.displacement
-        if not self._newton:
-            factor = self._relaxation.follow(self._scale.measure(residual), driven=True)
-            return self.displacement + factor * residual
-        if self._stiffness is None or answer.derivative is None:
-            raise InvalidArgument(
-                "relaxation='newton' needs the scene's stiffness= in step, and a derivative of the "
-                "answer: give it, settle() instead, or step with relaxation='aitken'"
-            )
-        self._relaxation.follow(self._scale.measure(residual), driven=True)
-        product = np.nan_to_num(answer.derivative) @ self._stiffness
-        return self.displacement + np.linalg.solve(np.eye(6) - product, residual)
-
 
 def _require_word(name: str, word: str, words: tuple[str, ...]) -> None:
     if word not in words:
         raise InvalidArgument(f"{name} must be one of {', '.join(words)}, not {word!r}")
 
 
-def _fixed_factor(relaxation: str | float) -> float | None:
-    """Return the fixed factor of a relaxation, or None for Aitken's."""
-    if isinstance(relaxation, str):
-        _require_word("relaxation", relaxation, RELAXATIONS)
-        return None if relaxation == "aitken" else 1.0
-    if not isinstance(relaxation, Real) or not 0.0 < relaxation <= 1.0:
-        raise InvalidArgument(
-            f"relaxation must be one of {', '.join(RELAXATIONS)}, or a fixed factor over 0 and at "
-            f"most 1, not {relaxation!r}"
+def from_table(
+    table: Table, component: str, tolerance: Limit | None, method: str | None
+) -> tuple[Limit | None, Ask]:
+    """Answer from a downloaded table: in microseconds, without a server."""
+    name = getattr(table, "name", component)
+    if name != component:
+        raise InvalidArgument(f"the table is of component {name!r}, not of {component!r}")
+    if method is not None:  # an unknown one is refused here, not in the loop
+        table.answer(np.zeros(6), tolerance=tolerance, method=method)
+
+    def ask(wrench: Vector, derivatives: bool) -> Displacement:
+        return table.answer(wrench, tolerance=tolerance, method=method, derivatives=derivatives)
+
+    default = getattr(table, "tolerance", None)
+    return tolerance or (None if default is None else tolerance_body(default)), ask
+
+
+def from_server(
+    client: Client,
+    component: str,
+    tolerance: Limit | None,
+    method: str | None,
+    on_thin: OnThin,
+) -> tuple[Limit | None, Ask]:
+    """Answer from the server's table; what it does not cover is queued, where it can be solved."""
+    facts = client.component(component)
+    # A measured table is never solved: to queue would be refused in the middle of the loop.
+    thin: OnThin = on_thin if facts.get("has_fea", True) else "estimate"
+    if method is not None:  # an unknown one is refused here, not in the loop
+        client.displacement(component, np.zeros(6), on_thin="estimate", method=method)
+
+    def ask(wrench: Vector, derivatives: bool) -> Displacement:
+        return client.displacement(
+            component,
+            wrench,
+            on_thin=thin,
+            tolerance=tolerance,
+            method=method,
+            derivatives=derivatives,
         )
-    return float(relaxation)
+
+    return tolerance or facts.get("tolerance"), ask
+
+
+def from_solves(
+    client: Client, component: str, tolerance: Limit | None, timeout: float, beyond_range: bool
+) -> tuple[Limit | None, Ask]:
+    """Solve each wrench, and wait for it at most `timeout` seconds (DirectFEA)."""
+
+    def ask(wrench: Vector, derivatives: bool) -> Displacement:
+        deadline = time.monotonic() + timeout
+        while True:
+            remaining = max(deadline - time.monotonic(), 0.0)
+            answer = client.solve(
+                component,
+                wrench,
+                wait_s=min(remaining, LONGEST_CALL_S),
+                beyond_range=beyond_range,
+            )
+            if answer.covered:
+                break
+            if remaining == 0.0:
+                job = f"job {answer.job.id}" if answer.job else "its solve"
+                raise ServerTimeout(
+                    f"{job} of {component} has not ended within {timeout:g} s; it goes on in the "
+                    "server: step again, or make the mount with a longer solve_timeout"
+                )
+        if not derivatives:
+            return answer
+        # The solve's row brings its tangent with it.
+        row = client.displacement(component, wrench, on_thin="estimate", derivatives=True)
+        return row if row.covered else answer
+
+    return tolerance or client.component(component).get("tolerance"), ask
+
+
+def require_server(source: Table | Client, mode: str) -> Client:
+    """Return a source that is a server's client; SourceError if the mode needs one."""
+    if hasattr(source, "__aenter__"):
+        raise SourceError("a mount's steps block: give a Client in the place of the AsyncClient")
+    if hasattr(source, "displacement") and hasattr(source, "solve"):
+        return cast("Client", source)
+    what = "a Client" if mode != "table" else "a Client, or a Table from client.download(...)"
+    raise SourceError(f"mode {mode!r} asks {what}, not {type(source).__name__}")
+
+
+def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
+    """Return a reading as a wrench (6,), N and N·m; SensorError if a number is not finite."""
+    try:
+        return one_wrench(force, moment)
+    except ValueError as error:
+        if "not finite" not in str(error):
+            raise
+        raise SensorError(
+            f"the reading is no wrench: {error}. The simulation has diverged before this step; "
+            "no displacement was requested and no pose was set. Go back to a state before it, "
+            "with a smaller time step."
+        ) from error
+
+
+def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
+    """Return a pose, axes as columns (3, 3) and point (3,), m; InvalidArgument if it is none."""
+    axes, point = np.array(R0, dtype=float), np.array(p0, dtype=float)
+    if axes.shape != (3, 3) or point.shape != (3,):
+        raise InvalidArgument(
+            f"R0 must have shape (3, 3) and p0 (3,), not {axes.shape} and {point.shape}"
+        )
+    if not (np.isfinite(axes).all() and np.isfinite(point).all()):
+        raise InvalidArgument("R0 and p0 must be finite")
+    # 1e-6 rad is a pose in single precision; the displacement is exact to the square of it.
+    if not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0.0:
+        raise InvalidArgument(
+            "R0 must be a rotation: the undeformed interface frame's axes as columns, orthogonal "
+            "and right-handed"
+        )
+    return axes, point
+
+
+def from_world(force: Vector, moment: Vector, point: Vector, pose: tuple[Vector, Vector]) -> Vector:
+    """Return a wrench (6,), N and N·m, about the interface point in the undeformed frame's axes.
+
+    Force and moment (3,) act ON the component at a point (3,), m, where it is now, all in the
+    world. `pose` is R0 (3, 3) of the undeformed frame, and p (3,), m, the interface point where it
+    is now: F = R0^T f and M = R0^T (m + (point - p) x f).
+    """
+    axes, origin = pose
+    x, y, z = (point - origin).tolist()
+    fx, fy, fz = force.tolist()
+    lever = np.array([y * fz - z * fy, z * fx - x * fz, x * fy - y * fx])
+    turned = np.array([force, moment + lever]) @ axes  # rows times R0: R0^T of each
+    return turned.reshape(6) + 0.0  # no negative zeros
+
+
+def require_weight(
+    force: ArrayLike, mass: float, gravity: ArrayLike = GRAVITY, axes: ArrayLike | None = None
+) -> None:
+    """Refuse a reading that a scene at rest contradicts: its component carries its weight.
+
+    Parameters
+    ----------
+    force : array_like
+        Shape (3,), N, on the component, in the undeformed interface frame, of a scene at rest that
+        nothing else holds.
+    mass : float
+        Of all that hangs on the mount, kg.
+    gravity : array_like
+        Shape (3,), m/s^2, in the world.
+    axes : array_like, optional
+        R0, shape (3, 3); the world's axes if not given.
+
+    Raises
+    ------
+    SensorError
+        If the force along gravity is turned round, missing, or off by more than half the weight.
+    """
+    pull = float(mass) * np.asarray(gravity, dtype=float)
+    weight = float(np.linalg.norm(pull))
+    if weight == 0.0:
+        return
+    local = np.asarray(force, dtype=float)
+    world = local if axes is None else np.asarray(axes, dtype=float) @ local
+    along = float(world @ pull) / weight**2  # 1 is right
+    if abs(along - 1.0) <= CONTRADICTS:
+        return
+    what = f"at rest {mass:.6g} kg weigh {weight:.6g} N, the reading has {along * weight:.6g} N"
+    if abs(along + 1.0) <= CONTRADICTS:
+        raise SensorError(
+            f"the sign of the wrench is turned round: {what} along gravity. It must act ON the "
+            "component; sensors report what the parent does to the child: see conventions "
+            "(from_mujoco, from_pybullet, from_drake with component='parent')"
+        )
+    if abs(along) <= CONTRADICTS:
+        raise SensorError(
+            f"the reading does not carry the scene: {what} along gravity. A base with a free joint "
+            "reads 0, and so does a sensor that was not evaluated; hang the system as a child "
+            "without joint, and evaluate the sensors first"
+        )
+    raise SensorError(
+        f"the reading contradicts the scene's weight: {what} along gravity. Look at the sensor's "
+        "place and axes, at what else holds the scene, and at the units"
+    )
+
+
+def first_frequency(
+    alone: float | None, compliance: Vector | None, carried: Vector | None
+) -> float:
+    """Return a lower bound of the first natural frequency, Hz; infinite where nothing has mass.
+
+    It is that of the component alone, Hz (None: weightless), lowered by a carried rigid system's
+    mass matrix about the interface point (6, 6), kg to kg·m^2, on a compliance du/dw (6, 6), SI.
+
+    Dunkerley (1894): 1/f^2 = 1/f_alone^2 + 1/f_carried^2, with 1/(2 pi f_carried)^2 the largest
+    eigenvalue of compliance times mass: exact where one of the two masses is nothing.
+    """
+    square = 0.0 if alone is None else 1.0 / alone**2
+    if compliance is not None and carried is not None:
+        largest = float(np.linalg.eigvals(compliance @ carried).real.max())
+        square += (2.0 * math.pi) ** 2 * max(largest, 0.0)
+    return math.inf if square == 0.0 else square**-0.5
+
+
+def warn_if_ringing(
+    source: Table | Client,
+    component: str,
+    frequency: float | None,
+    ramp_time: float | None,
+    carried: float | ArrayLike | None,
+) -> None:
+    """Warn where loads build up, in `ramp_time`, s, too fast for answers at rest.
+
+    A server tells the first natural frequency, Hz, if it is not given. InvalidArgument if one is
+    given without the other, or `carried`, kg or a mass matrix (6, 6), is of no use.
+    """
+    if frequency is None and ramp_time is not None and hasattr(source, "compliance"):
+        frequency = _known_frequency(cast("Client", source), component, carried)
+        if frequency is None:
+            return
+    elif carried is not None:
+        raise InvalidArgument("carried= needs a Client, ramp_time= and no natural_frequency=")
+    elif frequency is None and ramp_time is None:
+        return
+    if frequency is None or ramp_time is None:
+        raise InvalidArgument(
+            "natural_frequency, Hz, and ramp_time, s, are given together; ramp_time alone where "
+            "the source is a Client, whose server tells the frequency"
+        )
+    if not (frequency > 0.0 and ramp_time > 0.0):
+        raise InvalidArgument("natural_frequency and ramp_time must be over 0")
+    periods = frequency * ramp_time
+    if periods < QUASI_STATIC:
+        warn(
+            f"{component} rings: its loads build up in {ramp_time:g} s, {periods:.3g} periods of "
+            f"its first natural frequency, {frequency:g} Hz. Below about {QUASI_STATIC:g} answers "
+            "at rest miss the ringing, by a factor of 2 and more either way: slower ramps, or a "
+            "stiffer component",
+            MountWarning,
+        )
+
+
+def _known_frequency(
+    client: Client, component: str, carried: float | ArrayLike | None
+) -> float | None:
+    """Return the first natural frequency, Hz, by a server's facts; None and a warning without."""
+    alone = (client.component(component).get("vibration") or {}).get("first_frequency")
+    unknown = f"{component}: whether loads build up slowly enough cannot be told."
+    matrix, compliance = None, None
+    if carried is not None:
+        mass = np.asarray(carried, dtype=float)
+        matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if mass.ndim == 0 else mass
+        if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0.0).any():
+            raise InvalidArgument(
+                "carried is a mass, kg, or a mass matrix, shape (6, 6), none negative"
+            )
+        facts = client.compliance(component)
+        # At zero load, where there is one: a part that stiffens under load swings slower there.
+        compliance = np.array(facts.get("tangent") or facts["matrix"], dtype=float)
+        if not np.isfinite(compliance).all():
+            compliance = None
+            warn(
+                f"{unknown} its table holds too few rows for a compliance, so that what it carries "
+                "is left out: fill it first",
+                MountWarning,
+            )
+    frequency = first_frequency(alone, compliance, matrix)
+    if math.isfinite(frequency):
+        return frequency
+    warn(
+        f"{unknown} its bundle tells no density, and no mass that it carries is known: give "
+        "natural_frequency=, Hz, or carried=, kg",
+        MountWarning,
+    )
+    return None

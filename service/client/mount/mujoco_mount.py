@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InvalidArgument, MountWarning, SensorError, required, warn
 from ..wrenches import Vector
-from .mount import Mount
-from .reading import from_world, require_weight
-from .settling import Settled
+from .coupling import Settled
+from .mount import Mount, from_world, require_weight
 
 if TYPE_CHECKING:
     from .. import Client, Table
@@ -130,7 +129,20 @@ class MujocoMount:
         self._offset = R0_.T @ axes, R0_.T @ (point - p0_)
         self._interface = axes.T @ (p0_ - point)
         self._floating = _floating(model, cut, gravcomp)
-        _require_weighed(model, data, cut, R0_)
+        # At rest the sensors read the weight of what hangs on the mount: evaluated aside, at the
+        # scene's present position, without contacts.
+        aside, flags = engine.MjData(model), model.opt.disableflags
+        aside.qpos[:], aside.mocap_pos[:] = data.qpos, data.mocap_pos
+        aside.mocap_quat[:] = data.mocap_quat
+        try:
+            model.opt.disableflags |= _DISABLE.mjDSBL_CONSTRAINT
+            engine.mj_inverse(model, aside)
+        finally:
+            model.opt.disableflags = flags
+        if not flags & _DISABLE.mjDSBL_GRAVITY:
+            reaction = aside.site_xmat[cut.site].reshape(3, 3) @ aside.sensordata[cut.force]
+            mass = float(model.body_subtreemass[cut.mounted])
+            require_weight(-reaction @ R0_, mass, model.opt.gravity, R0_)
         self._begin(float(data.time))
 
     def step(self) -> bool:
@@ -250,11 +262,7 @@ class _Division:
 
 
 def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
-    """Return where a scene is cut; SensorError if its sensors mislead there.
-
-    That is if a name is not there, a sensor is of another kind, filtered or switched off, or the
-    rigid system does not hang on the mocap body as it must.
-    """
+    """Return where a scene is cut; SensorError if its sensors mislead there."""
     body = _named(model, _OBJECT.mjOBJ_BODY, mocap, "body")
     number = int(model.body_mocapid[body])
     if number < 0:
@@ -267,34 +275,31 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
     if model.opt.disableflags & _DISABLE.mjDSBL_SENSOR:
         raise SensorError('sensors are switched off: remove <flag sensor="disable"/>')
     mounted = int(model.site_bodyid[site])
-    division = _Division(number, body, mounted, site, forces, torques)
-    _require_hanging(model, division)
-    _require_no_weld(model, division)
-    _warn_of_unfelt(model, division)
-    return division
-
-
-def _require_weighed(model: Model, data: Data, division: _Division, axes: Vector) -> None:
-    """Refuse sensors that at rest do not read the weight of what hangs on the mount.
-
-    The scene is evaluated aside, at its present position, at rest, without contacts. `axes` is R0.
-    """
-    aside, flags = engine.MjData(model), model.opt.disableflags
-    aside.qpos[:], aside.mocap_pos[:], aside.mocap_quat[:] = (
-        data.qpos,
-        data.mocap_pos,
-        data.mocap_quat,
-    )
-    try:
-        model.opt.disableflags |= _DISABLE.mjDSBL_CONSTRAINT
-        engine.mj_inverse(model, aside)
-    finally:
-        model.opt.disableflags = flags
-    if flags & _DISABLE.mjDSBL_GRAVITY:
-        return
-    reaction = aside.site_xmat[division.site].reshape(3, 3) @ aside.sensordata[division.force]
-    mass = float(model.body_subtreemass[division.mounted])
-    require_weight(-reaction @ axes, mass, model.opt.gravity, axes)
+    if mounted != body:  # on the mocap body sensors read all that hangs on it, and its own mass
+        name, first = _name(model, mounted), model.body_jntadr[mounted]
+        kinds = model.jnt_type[first : first + model.body_jntnum[mounted]]
+        if (kinds == engine.mjtJoint.mjJNT_FREE).any():
+            raise SensorError(
+                f"body {name!r} has a free joint: nothing holds it, and its sensors read 0; "
+                f"{_REMEDY}"
+            )
+        if model.body_parentid[mounted] != body or len(kinds):
+            raise SensorError(
+                f"body {name!r}, where the sensors are, must be a child of the mocap body "
+                f"{mocap!r} without a joint; {_REMEDY}"
+            )
+        children = (model.body_parentid == body) & (model.body_subtreemass > 0.0)
+        children[mounted] = False
+        if children.any():
+            names = ", ".join(
+                repr(_name(model, child)) for child in np.flatnonzero(children).tolist()
+            )
+            raise SensorError(
+                f"{names} hang next to {name!r} on the mocap body, and its sensors do not feel "
+                "them: put all into one child, or the site on the mocap body itself"
+            )
+    _check_forces(model, body, mounted)
+    return _Division(number, body, mounted, site, forces, torques)
 
 
 def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector | None:
@@ -323,55 +328,19 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
     return taken
 
 
-def _require_hanging(model: Model, division: _Division) -> None:
-    """Refuse a mounted body that is not the mocap body, nor its one child, without joint."""
-    body, mounted = division.body, division.mounted
-    if mounted == body:
-        return  # the sensors read all that hangs on the mocap body, and its own mass
-    name = _name(model, mounted)
-    joints = range(
-        model.body_jntadr[mounted], model.body_jntadr[mounted] + model.body_jntnum[mounted]
-    )
-    if any(model.jnt_type[joint] == engine.mjtJoint.mjJNT_FREE for joint in joints):
-        raise SensorError(
-            f"body {name!r} has a free joint: nothing holds it, and its sensors read 0; {_REMEDY}"
-        )
-    if model.body_parentid[mounted] != body or model.body_jntnum[mounted]:
-        raise SensorError(
-            f"body {name!r}, where the sensors are, must be a child of the mocap body "
-            f"{_name(model, body)!r} without a joint; {_REMEDY}"
-        )
-    neighbours = [
-        repr(_name(model, child))
-        for child in np.flatnonzero(model.body_parentid == body).tolist()
-        if child != mounted and model.body_subtreemass[child] > 0.0
-    ]
-    if neighbours:
-        raise SensorError(
-            f"{', '.join(neighbours)} hang next to {name!r} on the mocap body, and its sensors do "
-            "not feel them: put all into one child, or the site on the mocap body itself"
-        )
-
-
-def _require_no_weld(model: Model, division: _Division) -> None:
-    """Refuse an equality constraint between the mocap body and what moves."""
-    kinds = (engine.mjtEq.mjEQ_WELD, engine.mjtEq.mjEQ_CONNECT)
-    for number in range(model.neq):
-        if not any(model.eq_type[number] == kind for kind in kinds):
-            continue
+def _check_forces(model: Model, body: int, mounted: int) -> None:
+    """Refuse equality constraints at the mocap body; warn of forces that no sensor reads."""
+    kinds = [int(kind) for kind in (engine.mjtEq.mjEQ_WELD, engine.mjtEq.mjEQ_CONNECT)]
+    for number in np.flatnonzero(np.isin(model.eq_type, kinds)).tolist():
         ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
         if model.eq_objtype[number] == _OBJECT.mjOBJ_SITE:
             ends = [int(model.site_bodyid[end]) for end in ends]
-        if division.body in ends:
+        if body in ends:
             raise SensorError(
                 "an equality constraint holds the scene to the mocap body: it gives, and what it "
                 f"carries is off by several per cent and more; {_REMEDY}"
             )
-
-
-def _warn_of_unfelt(model: Model, division: _Division) -> None:
-    """Warn of forces on the scene that MuJoCo leaves out of its force sensors."""
-    hanging, unfelt = _hangs_on(model, division.mounted), []
+    hanging, unfelt = _hangs_on(model, mounted), []
     for number in range(model.nu):
         kind, target = model.actuator_trntype[number], model.actuator_trnid[number]
         at_site = kind == engine.mjtTrn.mjTRN_SITE and target[1] < 0
@@ -402,13 +371,9 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
     if model.sensor_type[number] != kind:
         raise SensorError(f"sensor {name!r} is no {word} sensor; {_REMEDY}")
     filters = [
-        label
-        for label, field in (
-            ("cutoff", "sensor_cutoff"),
-            ("delay", "sensor_delay"),
-            ("interval", "sensor_interval"),
-        )
-        if np.any(getattr(model, field, np.zeros(number + 1))[number] > 0.0)
+        word
+        for word in ("cutoff", "delay", "interval")
+        if np.any(getattr(model, f"sensor_{word}", np.zeros(number + 1))[number] > 0.0)
     ]
     if filters:
         raise SensorError(

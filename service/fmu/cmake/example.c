@@ -3,8 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 static const char *COVERAGE[] = {"covered", "thin", "outside"};
-static const char *METHOD[] = {"griddata", "additive", "tangent", "kriging", "linear", "nearest",
-                               "row", "estimate"};
+static const char *METHOD[] = {"griddata", "additive", "kriging", "linear", "row", "estimate"};
 int main(int count, char **words) {
     char why[256] = "give a table and its loads";
     double loads[WB_MOST];

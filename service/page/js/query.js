@@ -12,9 +12,9 @@ import { curlOf, pythonOf, snippet } from "./snippet.js";
 import { wrenchForm } from "./wrench_form.js";
 
 const ON_THIN = [["queue", "queue a solve"], ["estimate", "estimate only"], ["reject", "reject"]];
-const METHODS = [["", "default of the table"], ["kriging", "kriging"], ["griddata", "griddata"], ["additive", "additive"], ["linear", "linear"], ["tangent", "tangent"], ["nearest", "nearest"]];
+const METHODS = [["", "default of the table"], ["kriging", "kriging"], ["griddata", "griddata"], ["additive", "additive"], ["linear", "linear"]];
 
-const BY_AXES = ["griddata", "additive", "tangent"]; // for one wrench at one interface alone
+const BY_AXES = ["griddata", "additive"]; // for one wrench at one interface alone
 
 export async function show(root, about, signal) {
   const answer = el("section", { class: "stack", "aria-live": "polite" },

@@ -3,8 +3,7 @@
 import { Problem, get, of, send, trouble } from "./api.js";
 import { el, field, note, put, save, table } from "./dom.js";
 import { empty, emptyTable } from "./empty.js";
-import { count, percent, quantity, seconds } from "./format.js";
-import { PLOTS, lookup, nameOf, show as plot, took, worst } from "./report_plots.js";
+import { PLOTS, show as plot } from "./report_plots.js";
 
 const LOOK_MS = 1000; // between looks at how far it is
 
@@ -37,17 +36,17 @@ function order(about, state, body, signal) {
 async function follow(about, state, signal) {
   let now = await get(`${of(about.name)}/report?format=state`, signal);
   const ran = now.state === "running";
-  const bar = el("progress", { max: "1", "aria-label": "The report" }), words = el("span", { class: "muted small" });
+  const bar = el("progress", { max: "1", "aria-label": "The report" }), message = el("span", { class: "muted small" });
   const cancel = el("button", { type: "button", class: "small", id: "cancel-report", onclick: async () => {
     cancel.disabled = true;
     await send("DELETE", `${of(about.name)}/report`, { signal });
   } }, "Cancel");
   const make = state.parentElement.querySelector("form button");
   make.disabled = ran;
-  if (ran) put(state, bar, el("div", { class: "line ends" }, words, cancel));
+  if (ran) put(state, bar, el("div", { class: "line ends" }, message, cancel));
   while (now.state === "running") {
     bar.value = now.fraction;
-    words.textContent = cancel.disabled ? "cancelling" : now.message;
+    message.textContent = cancel.disabled ? "cancelling" : now.message;
     await new Promise((done) => setTimeout(done, LOOK_MS));
     if (signal.aborted) return false;
     now = await get(`${of(about.name)}/report?format=state`, signal);
@@ -68,30 +67,24 @@ async function latest(body, about, signal) {
   }
 }
 
-function page(body, about, told) {
-  if (!told.tables) { // the first one is being made
+function page(body, about, report) {
+  if (!report.tables) { // the first one is being made
     put(body, el("p", { class: "empty" }, "The first report is being made."));
     return;
   }
-  const entries = [...told.tables, ...told.fea.slice(0, -1)];
-  const lines = entries.map((entry) => [
-    nameOf(entry) + (told.pareto.includes(nameOf(entry)) ? " ★" : ""), percent(worst(entry)), entry.method ? percent(lookup(entry)) : "–", timeOf(took(entry)),
-    entry.method ? percent(entry.covered, 3) : "–",
-    least(entry.inside_error_bar || []),
-  ]);
+  if (!report.sections) {
+    put(body, el("p", { class: "empty" }, "An earlier version of the program made the latest report: save it, or make a new one."), files(about));
+    return;
+  }
   const places = Object.entries(PLOTS).map(([name, [title]]) => [name, title, el("div", { id: `plot-${name}` })]);
+  const card = (title, ...content) => el("section", { class: "card" }, el("h2", {}, title), content);
   put(body,
-    el("section", { class: "card" }, told.advice ? el("p", {}, el("strong", {}, told.advice)) : null,
-      el("p", { class: "muted small" }, `${told.wrenches.compared} of ${told.wrenches.asked} random wrenches, none of them in the table, which has ${count(told.rows)} rows. Errors are RMS over the range of the worst output, all against the finest mesh.`)),
-    places.map(([, title, place]) => el("section", { class: "card" }, el("h2", {}, title), place)),
-    el("section", { class: "card" }, el("h2", {}, "Figures"),
-      table(["", "#error", "#of it interpolation", "#one answer", "#covered", "#inside the error bar"], lines, { scrolls: true }),
-      el("div", { class: "line" }, el("span", { class: "muted small" }, "★ nothing else is both better and faster"), files(about))));
-  for (const [name, , place] of places) plot(place, name, told);
+    el("section", { class: "card" }, el("p", {}, el("strong", {}, report.advice)), el("p", { class: "muted small" }, report.summary), files(about)),
+    places.map(([, title, place]) => card(title, place)),
+    report.sections.map(({ title, note: text, head, lines }) => card(title, el("p", { class: "muted small" }, text),
+      lines.length ? table(head.map((name, place) => (place ? `#${name}` : name)), lines, { scrolls: true }) : null)));
+  for (const [name, , place] of places) plot(place, name, report);
 }
-
-const least = (shares) => (shares.some((one) => one !== null) ? percent(Math.min(...shares.filter((one) => one !== null)), 3) : "–");
-const timeOf = (value) => (value < 1 ? quantity(value, "s") : seconds(value));
 
 function files(about) {
   const take = (format, ending) => async () => {

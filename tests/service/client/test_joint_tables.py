@@ -103,11 +103,6 @@ def test_a_step_of_a_freedom_of_no_compliance_is_refused_by_name():
         joint.state([0.0, 0.0, 1e-3], np.zeros(3))
 
 
-def test_the_nearest_row_gives_no_stiffness_and_is_refused_by_name():
-    with pytest.raises(InvalidArgument, match=r"no rows that give a stiffness.*method='nearest'"):
-        Joint(linear_table(), method="nearest")
-
-
 def mocap_scene():
     """A mass on the bar, whose base is a mocap body."""
     model = mujoco.MjModel.from_xml_string(

@@ -19,7 +19,7 @@ from wrenchbook.service.client.mount import (
     SensorError,
     require_weight,
 )
-from wrenchbook.service.client.mount.reading import from_world
+from wrenchbook.service.client.mount.mount import from_world
 
 TURNED = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
 POINT = np.array([0.4, -0.2, 1.5])

@@ -7,7 +7,7 @@ import pytest
 
 from tests.service.client.answers import TOLERANCE, bar_compliance, client_with
 from wrenchbook.service.client.mount import Mount, MountWarning
-from wrenchbook.service.client.mount.frequency import first_frequency
+from wrenchbook.service.client.mount.mount import first_frequency
 
 
 def told(frequency):

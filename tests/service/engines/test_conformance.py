@@ -10,6 +10,7 @@ from wrenchbook.service.jobs.attempt import (
     ALIVE,
     OUTCOME,
     EngineError,
+    Outcome,
     last_words,
     read_progress,
     solver_began,
@@ -24,7 +25,7 @@ def test_a_submitted_attempt_ends_finished_with_its_answer(bench):
     engine.submit(attempt)
     assert engine.poll(attempt) in (*ALIVE, "finished")
     assert bench.end(engine, attempt) == "finished"
-    assert bench.outcome(attempt)["displacement"] == [1e-6, 2e-6, 3e-6, 0, 0, 0]
+    assert bench.outcome(attempt).displacement == [1e-6, 2e-6, 3e-6, 0, 0, 0]
 
 
 def test_an_attempt_that_a_solver_is_at_is_running(bench):
@@ -49,7 +50,7 @@ def test_a_solve_that_fails_is_finished_and_says_why(bench):
     engine, attempt = bench.engine(), bench.attempt("diverges")
     engine.submit(attempt)
     assert bench.end(engine, attempt) == "finished"
-    error = bench.outcome(attempt)["error"]
+    error = bench.outcome(attempt).error
     assert (error["kind"], error["remedy"]) == ("not_converged", "use smaller load steps")
 
 
@@ -72,7 +73,7 @@ def test_the_solver_finds_the_files_of_its_component(bench):
     engine, attempt = bench.engine(), bench.attempt("reads_its_bundle")
     engine.submit(attempt)
     bench.end(engine, attempt)
-    assert bench.outcome(attempt)["seen"] == {
+    assert bench.outcome(attempt).further["seen"] == {
         "component.toml": 'name = "part"',
         "part.msh": "a mesh",
     }
@@ -85,7 +86,7 @@ def test_a_component_that_was_edited_is_solved_as_it_is_now(bench):
         attempt = bench.attempt("reads_its_bundle")
         engine.submit(attempt)
         bench.end(engine, attempt)
-        assert bench.outcome(attempt)["seen"]["part.msh"] == text
+        assert bench.outcome(attempt).further["seen"]["part.msh"] == text
 
 
 def test_a_solver_that_dies_is_lost_for_good(bench):
@@ -106,7 +107,7 @@ def test_a_cancelled_solver_ends(bench):
     engine.cancel(attempt)  # as often as one likes
     bench.end(engine, attempt)
     until(lambda: bench.pid(attempt) is None)
-    assert bench.outcome(attempt) == {"status": "cancelled"}
+    assert bench.outcome(attempt) == Outcome("cancelled")
 
 
 def test_a_cancelled_solver_ends_though_the_dispatcher_stops_at_once(bench):
@@ -125,7 +126,7 @@ def test_a_solver_that_does_not_hear_ends_all_the_same(bench):
     engine.cancel(attempt)
     bench.end(engine, attempt)
     until(lambda: bench.pid(attempt) is None)
-    assert bench.outcome(attempt) in (None, {"status": "cancelled"})
+    assert bench.outcome(attempt) in (None, Outcome("cancelled"))
 
 
 def test_an_attempt_cancelled_before_it_begins_ends(bench):
@@ -140,7 +141,7 @@ def test_a_solver_past_its_deadline_fails_by_that_name(bench):
     engine = bench.engine()
     attempt = bench.started("endless", engine, deadline=0.5)
     assert bench.end(engine, attempt) == "finished"
-    assert bench.outcome(attempt)["error"]["kind"] == "deadline"
+    assert bench.outcome(attempt).error["kind"] == "deadline"
     assert bench.pid(attempt) is None
 
 
@@ -172,7 +173,7 @@ def test_another_dispatcher_goes_on_beside_one_that_hangs(bench):
     second.attach(attempt)
     assert bench.end(second, attempt) == "finished"
     assert bench.starts(attempt) == 1
-    assert bench.outcome(attempt)["displacement"] == [1e-6, 2e-6, 3e-6, 0, 0, 0]
+    assert bench.outcome(attempt).displacement == [1e-6, 2e-6, 3e-6, 0, 0, 0]
 
 
 def test_another_dispatcher_can_cancel_what_it_took_over(bench):
@@ -201,12 +202,12 @@ def test_an_attempt_that_ended_while_nobody_looked_is_found_ended(bench):
     after = bench.engine()
     after.attach(attempt)
     assert bench.end(after, attempt) == "finished"
-    assert bench.outcome(attempt)["status"] == "done"
+    assert bench.outcome(attempt).status == "done"
 
 
 def test_an_outcome_that_is_there_already_is_not_asked_for_again(bench):
     engine, attempt = bench.engine(), bench.attempt("counted")
-    write_outcome(attempt, {"status": "done"})
+    write_outcome(attempt, Outcome("done"))
     engine.attach(attempt)
     assert engine.poll(attempt) == "finished"
 

@@ -47,7 +47,7 @@ def test_a_task_that_dask_gives_up_for_its_dead_workers_is_ordered_again(own, cl
     own.go(attempt)
     cluster.start_worker()
     assert own.end(engine, attempt) == "finished"
-    assert own.outcome(attempt)["status"] == "done"
+    assert own.outcome(attempt).status == "done"
 
 
 def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
@@ -80,7 +80,7 @@ def test_a_connection_that_is_lost_and_comes_back_finds_the_same_task(own, clust
     cluster.cut_connection()
     own.go(attempt)
     assert own.end(engine, attempt) == "finished"
-    assert own.outcome(attempt)["status"] == "done"
+    assert own.outcome(attempt).status == "done"
     assert own.starts(attempt) == 1
 
 
@@ -128,7 +128,7 @@ def test_a_higher_priority_goes_first_of_what_no_worker_has_yet(own, cluster):
     own.go(busy)
     for one in (busy, *low, high):
         assert own.end(engine, one) == "finished"
-    begun = sorted((*low, high), key=lambda one: own.outcome(one)["seen"]["at"])
+    begun = sorted((*low, high), key=lambda one: own.outcome(one).further["seen"]["at"])
     assert high in begun[:2]
 
 

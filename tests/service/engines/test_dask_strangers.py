@@ -97,7 +97,7 @@ def test_files_of_100_mb_stay_behind_and_are_named(own, cluster):
     assert log.endswith("the last line\n")
     assert len(log) < 1_100_000
     assert not (attempt.folder / "huge.bin").exists()
-    assert own.outcome(attempt)["status"] == "done"
+    assert own.outcome(attempt).status == "done"
 
 
 def test_an_answer_of_100_mb_fails_by_name(own, cluster):
@@ -106,4 +106,4 @@ def test_an_answer_of_100_mb_fails_by_name(own, cluster):
     engine, attempt = own.engine(), own.attempt("answers_100_mb")
     engine.submit(attempt)
     assert own.end(engine, attempt) == "finished"
-    assert own.outcome(attempt)["error"]["kind"] == "answer_too_large"
+    assert own.outcome(attempt).error["kind"] == "answer_too_large"

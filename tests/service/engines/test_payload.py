@@ -12,7 +12,7 @@ import pytest
 
 from tests.until import until
 from wrenchbook.service.jobs import dask as worker_files
-from wrenchbook.service.jobs.attempt import Attempt, prepare, write_outcome
+from wrenchbook.service.jobs.attempt import Attempt, Outcome, prepare, write_outcome
 from wrenchbook.service.jobs.dask import (
     BadPayloadError,
     digest,
@@ -135,7 +135,7 @@ def test_a_task_key_that_names_no_folder_is_refused(on_a_worker, task):
 def test_an_attempt_that_has_ended_is_answered_from_the_disk(on_a_worker):
     folder = on_a_worker / "attempts" / "t-1-1"
     prepare(replace(SPEC, folder=folder))
-    write_outcome(replace(SPEC, folder=folder), {"status": "done", "displacement": [0.0] * 6})
+    write_outcome(replace(SPEC, folder=folder), Outcome("done", displacement=[0.0] * 6))
     payload = run()
     assert payload["unfit"] is None
     assert b'"done"' in payload["outcome"]

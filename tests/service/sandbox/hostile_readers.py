@@ -1,6 +1,7 @@
 """Functions that behave in the sandbox as a hostile file makes its reader behave."""
 
 import os
+import resource
 import signal
 import stat
 import sys
@@ -29,6 +30,16 @@ def endless(path):
 def asleep(path):
     time.sleep(1000)
     yield Part()
+
+
+def timers(path):
+    yield Part(
+        {
+            "processor": signal.getitimer(signal.ITIMER_PROF)[0],
+            "hard": resource.getrlimit(resource.RLIMIT_CPU)[1],
+            "elapsed": signal.getitimer(signal.ITIMER_REAL)[0],
+        }
+    )
 
 
 def disarming(path):

@@ -105,14 +105,17 @@ def test_what_is_no_wrench_or_method_is_refused():
             packed.answer(wrong)
     with pytest.raises(ValueError, match="finite"):
         packed.batch([[np.inf] * 6])
-    with pytest.raises(UnknownMethodError, match="griddata"):
-        packed.answer([0.0] * 6, None, "cubic")
+    for method in ("cubic", "tangent", "nearest"):
+        with pytest.raises(UnknownMethodError, match="one of griddata, additive, kriging, linear"):
+            packed.answer([0.0] * 6, None, method)
     assert packed.batch(np.empty((0, 6))).outputs.shape == (0, 6)
 
 
-def test_without_a_kriging_the_bent_axes_answer_and_are_named():
+def test_without_a_kriging_the_default_method_answers_and_is_named():
     packed = packed_of("linear, two loads unknown")
-    assert packed.answer([1.0] * 6, None, "kriging").method == "tangent"
+    default = packed.answer([1.0] * 6)
+    assert default.method == packed.answers_by("kriging") == "griddata"
+    assert packed.answer([1.0] * 6, None, "kriging") == default
 
 
 @pytest.mark.parametrize(

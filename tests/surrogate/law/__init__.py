@@ -237,7 +237,7 @@ class GroupLaw:
             unknown = None if isfinite(sum(error)) else self._why_unknown(wrench)
             state, reason = THIN, unknown or over_tolerance(error, allowed)
         bars = error if isfinite(sum(error)) else None
-        answered = "tangent" if name == "kriging" and self.kriging is None else name
+        answered = self.default if name == "kriging" and self.kriging is None else name
         answer = Answer(displacement, bars, NAMES[state], reason, answered)
         return answer if state == COVERED else self.by_row.instead_of(wrench, answer, allowed)
 

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from wrenchbook.surrogate.answer import COVERED, METHODS, OUTSIDE, THIN, UnknownMethodError
 from wrenchbook.surrogate.composition.composition import OFF_HULL, Composed, Composition
@@ -14,7 +13,7 @@ from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.axes import CLEAN
 from wrenchbook.surrogate.table.compliance import ComplianceFit
-from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, why_beyond
+from wrenchbook.surrogate.table.rows import Floats, LoadRange, why_beyond
 from wrenchbook.surrogate.table.space import LOADS
 
 from .reasons import why_not
@@ -117,8 +116,8 @@ class StraightDirection(Method):
     ----------
     composition : Composition
     reference : Reference
-    name : {"griddata", "additive", "tangent"}
-        Translations of their own axis alone; all six outputs composed; `griddata` with its bends.
+    name : {"griddata", "additive"}
+        Translations of their own axis alone; all six outputs composed.
     """
 
     def __init__(self, composition: Composition, reference: Reference, name: str) -> None:
@@ -128,8 +127,6 @@ class StraightDirection(Method):
         """Answer wrenches, shape (n, 6), N and N·m."""
         composed = self.composition.evaluate(wrenches)
         displacement = composed.additive if self.name == "additive" else composed.griddata
-        if self.name == "tangent":
-            displacement = composed.griddata + composed.bend
         best, error = self.reference.against(wrenches, composed)
         error = np.abs(displacement - best) + error
         off = (composed.state >= OFF_HULL)[:, None]
@@ -235,34 +232,6 @@ class Linear(Method):
         return ~self.fit.known & (np.abs(wrenches) > CLEAN * self.load_range.scale)
 
 
-class Nearest(Method):
-    """The nearest row's displacement; its derivative is zero, as that of any step function."""
-
-    name = "nearest"
-
-    def __init__(self, rows: Rows, load_range: LoadRange, reference: Reference) -> None:
-        """Index the rows, at least one."""
-        self.rows, self.load_range, self.reference = rows, load_range, reference
-        self._tree = KDTree(rows.wrench / load_range.scale)
-
-    def estimate(self, wrenches: Floats) -> Estimates:
-        """Answer wrenches, shape (n, 6), N and N·m."""
-        near = np.asarray(self._tree.query(wrenches / self.load_range.scale)[1], dtype=np.intp)
-        displacement = self.rows.displacement[near]
-        best, bars = self.reference.estimate(wrenches)
-        outside = ~self.load_range.holds(wrenches)
-        state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
-        return Estimates(displacement, np.abs(displacement - best) + bars, state)
-
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return zeros, shape (n, 6, 6), SI, for wrenches (n, 6)."""
-        return np.zeros((len(wrenches), 6, 6))
-
-    def reason(self, wrench: Floats) -> str:
-        """Return which load of a wrench (6,), N and N·m, lies outside the load range."""
-        return why_beyond(self.load_range, wrench)
-
-
 def method_of(table: Any, name: str) -> Method:
     """Return a method of a group of outputs, a `GroupLaw`.
 
@@ -276,8 +245,6 @@ def method_of(table: Any, name: str) -> Method:
         return _gaussian(table)
     if name == "linear":
         return _linear(table)
-    if name == "nearest":
-        return Nearest(table.used, table.load_range, table.reference)
     return _straight(table, name)
 
 
@@ -300,7 +267,7 @@ def _straight(table: Any, name: str) -> Method:
 
 def _gaussian(table: Any) -> Method:
     if table.kriging is None:  # too few rows, or rows that contradict each other
-        return _straight(table, "tangent")
+        return method_of(table, table.default)
     own = table.default == "kriging"
     return GaussianProcess(table.kriging, table.load_range, None if own else table.reference)
 

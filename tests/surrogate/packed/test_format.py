@@ -107,10 +107,10 @@ def test_a_truncated_or_a_longer_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "words"), [(4, "use a newer wrenchbook"), (0, "write it again")]
+    ("number", "words"), [(5, "use a newer wrenchbook"), (3, "download it again")]
 )
 def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch):
-    monkeypatch.setattr(packed_format, "OLDEST_FORMAT", number)
+    monkeypatch.setattr(packed_format, "FORMAT", number)
     content = b"".join(pack(table_of("linear")))
     monkeypatch.undo()
     (tmp_path / "plate.wbt").write_bytes(content)
@@ -124,17 +124,9 @@ def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch)
             opens(source)
 
 
-@pytest.mark.parametrize(
-    ("kind", "number"), [("solved", 1), ("second derivatives of some", 2), ("own length scales", 3)]
-)
-def test_only_second_derivatives_need_the_newest_format(kind, number):
-    """Programs of version 0.2, which read format 1, read the tables that they can answer from."""
-    assert int.from_bytes(content_of(kind)[8:12], "little") == number
-
-
 OPTIONAL = re.compile(  # words are made of these, or there is no such part without them
     r"/(row/source|fit/rows|axes/member_first|axes/members|axes/span|cut\d\d/state|axes/vertex)$"
-    r"|near/|space/range|(kriging|missed)/(x|span_loads)$"
+    r"|space/range|(kriging|missed)/(x|span_loads)$"
 )
 
 
@@ -162,7 +154,7 @@ def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
             try:
                 packed = PackedTable.from_bytes(changed)
                 packed.batch(asked)
-                for method in (None, "tangent"):
+                for method in (None, "griddata"):
                     packed.derivatives(asked[:10], None, method)
             except (PackedTableError, UnknownMethodError):
                 continue
@@ -184,9 +176,9 @@ def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it(kind):
                 packed = PackedTable.from_bytes(changed)
             except PackedTableError:
                 continue
-            for method in ("additive", "tangent", "kriging", "nearest"):
+            for method in ("griddata", "additive", "kriging", "linear"):
                 packed.batch(asked, None, method)
-            for method in ("kriging", "tangent"):
+            for method in ("kriging", "griddata"):
                 packed.derivatives(asked[:50], None, method)
             packed.axis(0, 0, asked[0].tolist())
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from tests.service.ledger_rows import stored
-from wrenchbook.service.jobs.attempt import Attempt, prepare, write_outcome
-from wrenchbook.service.jobs.dispatcher import settle
+from wrenchbook.service.jobs.attempt import Attempt, Outcome, prepare, write_outcome
+from wrenchbook.service.jobs.dispatcher import record
 from wrenchbook.service.ledger import Ledger, StaleAttemptError
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -25,8 +25,8 @@ def ended(ledger, folder, outcome=None):
     attempt = Attempt.of(job, folder)
     prepare(attempt)
     if outcome is not None:
-        write_outcome(replace(attempt, bundle="/anywhere"), outcome)
-    settle(ledger, attempt, ledger.lose)
+        write_outcome(replace(attempt, bundle="/anywhere"), Outcome.of(outcome))
+    record(ledger, attempt, ledger.lose)
     return ledger.job(job.id)
 
 
@@ -48,13 +48,13 @@ def test_a_solved_row_names_the_code_that_solved_it_where_its_outcome_does(
     assert ledger.row(done.row).origin == origin
 
 
-def test_settling_twice_makes_one_row(ledger, tmp_path):
+def test_recording_twice_makes_one_row(ledger, tmp_path):
     job = ledger.claim("me")
     attempt = Attempt.of(job, tmp_path / "a")
     prepare(attempt)
-    write_outcome(attempt, {"status": "done", "displacement": [1e-6] * 6})
+    write_outcome(attempt, Outcome("done", displacement=[1e-6] * 6))
     for _ in range(2):
-        settle(ledger, attempt, ledger.lose)
+        record(ledger, attempt, ledger.lose)
     assert len(stored(ledger, "bar")) == 1
 
 
@@ -85,7 +85,7 @@ def test_an_attempt_nobody_says_has_died_is_given_back(ledger, tmp_path):
     job = ledger.claim("me")
     attempt = Attempt.of(job, tmp_path / "a")
     prepare(attempt)
-    settle(ledger, attempt)
+    record(ledger, attempt)
     waiting = ledger.job(job.id)
     assert (waiting.status, waiting.lost) == ("waiting", 0)
 
@@ -99,8 +99,8 @@ def test_an_attempt_the_job_has_left_behind_is_refused(ledger, tmp_path):
     job = ledger.claim("me")
     attempt = Attempt.of(job, tmp_path / "a")
     prepare(attempt)
-    write_outcome(attempt, {"status": "done", "displacement": [0] * 6})
+    write_outcome(attempt, Outcome("done", displacement=[0] * 6))
     ledger.cancel(job.id)
     with pytest.raises(StaleAttemptError):
-        settle(ledger, attempt, ledger.lose)
+        record(ledger, attempt, ledger.lose)
     assert stored(ledger, "bar") == []

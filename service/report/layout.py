@@ -1,0 +1,226 @@
+"""A report laid out: its figures as sections, and these as Markdown and as one HTML page."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+STYLE = (
+    "body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;"
+    "color:#1b1f24}h1{font-size:1.6rem}h2{font-size:1.2rem;margin-top:2rem}"
+    ".wide{overflow-x:auto}table{border-collapse:collapse;font-size:13px;white-space:nowrap}"
+    "th,td{padding:.25rem .6rem;text-align:right;border-bottom:1px solid #d0d7de}"
+    "th:first-child,td:first-child{text-align:left;white-space:normal;min-width:11rem}"
+)
+# Colours that remain apart for the colour-blind (Okabe and Ito 2008).
+_COLOURS: Final = (
+    ":root{--accent:#0072b2;--outside:#d55e00;--query:#e69f00;--covered:#009e73;--thin:#cc79a7;"
+    "--muted:#57606a;--ink:#000;--line:#d0d7de;--card:#fff}"
+    ".key-of-marks{display:flex;flex-wrap:wrap;gap:.3rem 1.2rem;list-style:none;padding:0}"
+)
+_PLOTS: Final = Path(__file__).parents[1] / "page" / "js" / "report_plots.js"
+_DRAW: Final = """
+const report = JSON.parse(document.getElementById("report").textContent);
+const plots = document.getElementById("plots");
+for (const [name, [title]] of Object.entries(PLOTS)) {
+  const heading = document.createElement("h2"), place = document.createElement("div");
+  heading.textContent = title;
+  plots.append(heading, place);
+  show(place, name, report);
+}
+"""
+STAR = " ★"  # behind the name of an entry that no other beats in both error and run time
+
+
+@dataclass(frozen=True)
+class ReportSection:
+    """A heading, a note on the figures below it, and a table of them, which may be empty."""
+
+    title: str
+    note: str
+    head: tuple[str, ...] = ()
+    lines: tuple[tuple[str, ...], ...] = ()
+
+
+def summary_of(report: dict[str, Any]) -> str:
+    """Return what was compared with what."""
+    wrenches = report["wrenches"]
+    return (
+        f"{wrenches['compared']} of {wrenches['asked']} random full wrenches (seed "
+        f"{wrenches['seed']}), none of them in the table, which has {report['rows']} rows. Errors "
+        "are RMS over the range of each output. The plots show all errors against the finest mesh."
+    )
+
+
+def advice_of(report: dict[str, Any]) -> str:
+    """Return advice on the table in one sentence."""
+    name, rows, mesh = report["default"]["method"], report["rows"], report["mesh_error"]
+    table = next(e for e in report["tables"] if e["method"] == name and e["rows"] == rows)
+    error = table["largest_interpolation_error"]
+    sentence = f"the table ({table['name']}) does not answer all outputs"
+    if error is not None:
+        sentence = f"the table ({table['name']}) errs by {100 * error:.2g} % of the range"
+    if None not in (mesh, error) and error <= mesh:
+        return (
+            f"The mesh decides: {sentence}, its mesh by {100 * mesh:.2g} %, so that more rows "
+            "change nothing; if that is too much, refine the mesh."
+        )
+    p95 = zip(table["lookup_error"]["p95"], report["tolerance"] or (), strict=False)
+    over = [k for k, (value, limit) in enumerate(p95) if value is None or value > limit]
+    if over:
+        return (
+            f"More rows help: {sentence}, and {report['outputs'][over[0]]} exceeds the tolerance; "
+            f"wrenchbook fill {report['component']}."
+        )
+    mesh_part = f", its mesh by {100 * mesh:.2g} %" if mesh is not None else ""
+    within = "; its interpolation error is within the tolerance: it needs no more rows"
+    return f"The table decides: {sentence}{mesh_part}{within * bool(report['tolerance'])}."
+
+
+def sections_of(report: dict[str, Any]) -> list[ReportSection]:
+    """Return a report's figures."""
+    default, outputs, meshes = report["default"], tuple(report["outputs"]), report["fea"]
+    complete = [entry for entry in report["tables"] if entry["rows"] == report["rows"]]
+    star = dict.fromkeys(report["pareto"], STAR)
+    left_out = tuple((name, f"{error:.2e}") for name, error in default["errors_left_out"].items())
+    fea = tuple(
+        (
+            entry["level"] + " (reference)" * (entry is meshes[-1]) + star.get(entry["name"], ""),
+            f"{entry['unknowns']:,}",
+            f"{entry['setup_s']:.2f}",
+            *_each((entry["seconds_p50"], entry["seconds_p95"]), ".3f"),
+            *_each(entry["error"]["rms_relative"], ".2%"),
+        )
+        for entry in meshes
+    )
+    by_error = sorted(
+        report["tables"],
+        key=lambda e: (e["rows"], e["largest_interpolation_error"] or float("inf")),
+    )
+    tables = tuple(
+        (
+            entry["method"] + star.get(entry["name"], ""),
+            str(entry["rows"]),
+            f"{entry['fea_s']:.0f}",
+            f"{entry['build_s']:.2f}",
+            f"{entry['query_us_p50']:.0f}",
+            f"{entry['query_us_p99']:.0f}",
+            f"{entry['memory_bytes'] / 1e6:.1f}",
+            *_each(entry["lookup_error"]["rms_relative"], ".2%"),
+            f"{entry['covered']:.0%}",
+        )
+        for entry in by_error
+    )
+    of_tables = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB")
+    measured = [(entry, entry["lookup_error"]) for entry in complete]
+    measured += [(entry, entry["error"]) for entry in meshes[:-1]]
+    tolerance = report["tolerance"] and ("tolerance", *_each(report["tolerance"], ".2e"))
+    absolute = tuple(
+        (f"{entry['name']}, {word}", *_each(errors[key], ".2e"))
+        for entry, errors in measured
+        for key, word in (("rms", "RMS"), ("p95", "95 %"), ("max", "largest"))
+    )
+    inside = tuple(
+        (
+            entry["name"],
+            *(
+                share if ratio == "-" else f"{share}, {ratio}x"
+                for share, ratio in zip(
+                    _each(entry["inside_error_bar"], ".0%"),
+                    _each(entry["bar_over_error"], ".1f"),
+                    strict=True,
+                )
+            ),
+        )
+        for entry in complete
+    )
+    return [
+        ReportSection(
+            "Which method answers, and why",
+            f"Without a choice of method {default['method']} answers: {default['reason']}. "
+            f"{default['full_wrench_rows']} rows load more than one axis.",
+            ("at rows left out", "RMS error / range") if left_out else (),
+            left_out,
+        ),
+        ReportSection(
+            "Finite elements",
+            f"Direct solves, one thread; processor times.{STAR}: no other entry is both better and "
+            "faster.",
+            ("mesh", "unknowns", "set-up, s", "solve p50, s", "p95, s", *outputs),
+            fea,
+        ),
+        ReportSection(
+            "Tables",
+            f"Errors against solves on the table's own mesh.{STAR}: no other entry is both better, "
+            "against the finest mesh, and faster.",
+            (*of_tables, *outputs, "covered"),
+            tables,
+        ),
+        ReportSection(
+            "Absolute errors against the tolerance",
+            "m and rad; a table's against its own mesh, a mesh's against the finest. An output "
+            "whose range is below a thousandth of the largest of its kind counts as near zero: its "
+            "relative error is taken over that floor.",
+            ("", *outputs),
+            (tolerance, *absolute) if tolerance else absolute,
+        ),
+        ReportSection(
+            "Error bars",
+            "Share of true errors within the error bar (against the table's own mesh), and the "
+            "median error bar over the median error.",
+            ("method", *outputs),
+            inside,
+        ),
+    ]
+
+
+def _each(values: Iterable[float | None], form: str) -> tuple[str, ...]:
+    return tuple("-" if value is None else format(value, form) for value in values)
+
+
+def as_markdown(report: dict[str, Any]) -> str:
+    """Lay out a report's figures as Markdown tables."""
+    parts = [f"# {report['title']}: error against run time", report["summary"]]
+    parts.append(f"**{report['advice']}**")
+    for section in sections_of(report):
+        parts += [f"## {section.title}", section.note]
+        if section.lines:
+            rule = ("---", *["---:"] * (len(section.head) - 1))
+            cells = (section.head, rule, *section.lines)
+            parts.append("\n".join("| " + " | ".join(line) + " |" for line in cells))
+    return "\n\n".join(parts) + "\n"
+
+
+def as_page(report: dict[str, Any]) -> str:
+    """Lay out a report as an HTML page of its own, drawn by the script of the server's page."""
+    figures = {name: value for name, value in report.items() if name != "sections"}
+    heading = html.escape(f"{report['title']}: error against run time")
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{heading}</title>'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<style>{STYLE}{_COLOURS}</style></head><body><h1>{heading}</h1>"
+        f"<p>{html.escape(report['summary'])}</p>"
+        f"<p><strong>{html.escape(report['advice'])}</strong></p>"
+        f'<div id="plots"></div>{"".join(map(section_html, sections_of(report)))}'
+        '<script type="application/json" id="report">'
+        f"{json.dumps(figures).replace('<', chr(92) + 'u003c')}</script>"
+        f'<script type="module">{_PLOTS.read_text(encoding="utf-8")}{_DRAW}</script></body></html>'
+    )
+
+
+def section_html(section: ReportSection) -> str:
+    """Lay out a section as HTML: heading, note, table."""
+    rows = [("th", section.head)] if section.head else []
+    rows += [("td", line) for line in section.lines]
+    lines = (
+        "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+        for tag, cells in rows
+    )
+    return (
+        f"<h2>{html.escape(section.title)}</h2><p>{html.escape(section.note)}</p>"
+        f'<div class="wide"><table>{"".join(lines)}</table></div>'
+    )
