@@ -52,7 +52,7 @@ class Connection(sqlite3.Connection):
         super().__init__(*arguments, **options)
         self.jobs: dict[int, JobRecord] = {}
         self.rows = 0  # added, withdrawn or restored
-        self.damaged: dict[int, str] = {}  # rows, with their component: the ledger's own dict
+        self.damaged: dict[int, str] = {}  # rows, with their component: the ledger's dict
 
 
 def can_be_read_frozen(path: Path) -> bool:

@@ -45,7 +45,7 @@ _PARTS = "FROM import_parts JOIN imports ON imports.id = import WHERE"
 
 @dataclass(frozen=True)
 class About:
-    """The origin of an import's rows, in the words of its sender."""
+    """The origin of an import's rows, as its sender states it."""
 
     who: str = ""  # the key, or the user
     filename: str = ""
@@ -77,7 +77,7 @@ def import_rows(
 ) -> tuple[int, int, int | None]:
     """Insert the rows of a file, all or none.
 
-    They are hidden first, in file order and without their keys; the keys follow in their own order,
+    They are hidden first, in file order and without their keys; the keys follow, sorted,
     so that each page of the index is written once. If the process is killed in between, no row is
     seen, and the next import or start deletes them. Returns how many rows were new and how many
     known, and the number of the import, None if nothing was new. Raises ImportRunningError if

@@ -270,17 +270,6 @@ def _known(column: np.ndarray, needed: Callable[..., np.ndarray]) -> bytes | Non
     return _plain(np.where(known[:, None], flat, _NAN)).tobytes() if known.any() else None
 
 
-def _plain(numbers: np.ndarray) -> np.ndarray:
-    """Return numbers (n, k) as float64 in C order, with one NaN and no minus zero."""
-    return np.where(np.isnan(numbers), _NAN, np.asarray(numbers) + 0.0).astype("<f8", "C")
-
-
-def _bytes(lines: np.ndarray) -> np.ndarray:
-    """Return the lines of an array in C order as opaque bytes, shape (n,)."""
-    size = lines.dtype.itemsize * math.prod(lines.shape[1:])
-    return lines.view(f"V{size}").reshape(len(lines)) if size else np.zeros(len(lines), "V1")
-
-
 def _part(content: bytes) -> bytes:
     return _length(len(content)) + content
 
