@@ -13,7 +13,6 @@ from tests.service.ledger_rows import NewRow, insert, stored
 from tests.surrogate.law import Law
 from tests.until import until
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
-from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.component import BrokenComponentError
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build as builds
@@ -21,6 +20,7 @@ from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import CoordinatorState
 from wrenchbook.service.tables.mapped import MappedTables, TableBehindError
 from wrenchbook.service.tables.store import TableStore, drop_least_used
+from wrenchbook.service.workspace import Watcher
 from wrenchbook.surrogate.table.hdf5 import read_table, write_table
 
 RANGE = [[-10.0, 10.0]] * 3
