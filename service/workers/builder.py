@@ -25,6 +25,7 @@ from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.service.tables.store import TableStore
 from wrenchbook.service.workers.supervisor import IN_USE
 
 log = logging.getLogger(__name__)
@@ -167,11 +168,9 @@ def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Itera
     ledger, library, errors = parts
     dispatcher: Dispatcher | None = None
     tables = TableBuilder(
-        ledger,
+        TableStore(settings.data / "tables", ledger, errors),
         library,
-        settings.data / "tables",
         state,
-        errors,
         settings.table_memory,
         trouble=lambda: dispatcher and dispatcher.trouble,
     )
