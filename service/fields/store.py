@@ -28,7 +28,7 @@ from wrenchbook.service.fields.record import (
     read_meta,
     read_row,
 )
-from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.files.durable import sync
 
 # Of one component, some thousand rows of 1,000 vertices; later rows have no fields.
 MOST_BYTES = 1 << 30
@@ -74,7 +74,7 @@ class FieldStore:
                 return False
             geometry.replace(place / f"{digest_of(geometry.read_bytes())}.geometry")
             row.replace(place / f"{_LINEAR if linear else key_of(wrench)}.fields")
-            sync_folder(place)
+            sync(place)
         except (OSError, DamagedFieldsError) as error:
             _log.warning("%s: a row's fields were not kept: %s", component, error)
             return False
