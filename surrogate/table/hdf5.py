@@ -71,17 +71,7 @@ def write_table(
     try:
         with h5py.File(draft, "w", userblock_size=USER_BLOCK) as file:
             _write_meta(file, meta)
-            group = file.create_group("rows")
-            _write_column(group, "seq", rows.seq)
-            for name, units in _UNITS.items():
-                column = getattr(rows, name)
-                if name != "curvature" or column.size:  # as in files of versions without it
-                    _write_column(group, name, column).attrs["units"] = units
-            for name in ("source", "fingerprint"):
-                # Of one length, so that the checksum is over the words and not over where they are.
-                words = np.char.encode(getattr(rows, name).astype(str), "utf-8")
-                kind = h5py.string_dtype("utf-8", max(words.dtype.itemsize, 1))
-                _write_column(group, name, words.astype(kind))
+            _write_rows(file, rows)
             if any(notes):
                 _write_notes(file, notes)
         write_digest(draft)
@@ -166,6 +156,20 @@ def _write_edits(group: h5py.Group, edits: Sequence[tuple[str, bool, float]]) ->
     _write_column(group, "key", np.array([key.encode() for key, _, _ in edits], dtype=kind))
     _write_column(group, "withdrawn", np.array([gone for _, gone, _ in edits], dtype=bool))
     _write_column(group, "seconds", np.array([when for _, _, when in edits], dtype=float))
+
+
+def _write_rows(file: h5py.File, rows: Rows) -> None:
+    group = file.create_group("rows")
+    _write_column(group, "seq", rows.seq)
+    for name, units in _UNITS.items():
+        column = getattr(rows, name)
+        if name != "curvature" or column.size:  # as in files of versions without it
+            _write_column(group, name, column).attrs["units"] = units
+    for name in ("source", "fingerprint"):
+        # Of one length, so that the checksum is over the words and not over where they are.
+        words = np.char.encode(getattr(rows, name).astype(str), "utf-8")
+        kind = h5py.string_dtype("utf-8", max(words.dtype.itemsize, 1))
+        _write_column(group, name, words.astype(kind))
 
 
 def _write_notes(file: h5py.File, notes: Sequence[str]) -> None:
@@ -358,24 +362,7 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
         raise TableFileError("points to data in other files; copy them into one file")
     try:
         with h5py.File(path, "r") as file:
-            group: h5py.Group = file
-            # "#..." are MATLAB's references.
-            inside = [one for name, one in file.items() if not name.startswith("#")]
-            if len(inside) == 1 and isinstance(inside[0], h5py.Group):
-                group = inside[0]
-            columns: list[NamedColumn] = []
-            room = MOST_FOREIGN_BYTES
-            for name, one in group.items():
-                if not isinstance(one, h5py.Dataset) or one.ndim == 0:
-                    continue
-                room -= one.nbytes
-                chunk = np.prod(one.chunks or (0,), dtype=float) * one.dtype.itemsize
-                if room < 0 or chunk > MOST_CHUNK_BYTES:
-                    raise TableFileError(
-                        f"unpacks to more than {MOST_FOREIGN_BYTES >> 20} MiB, or has chunks of "
-                        f"more than {MOST_CHUNK_BYTES >> 20} MiB; send the table in parts"
-                    )
-                columns += _columns_of(name, one)
+            columns = _named_columns(file)
             lengths = {len(one) for _, one, _ in columns}
             if len(lengths) != 1:
                 sizes = ", ".join(f"{name}: {len(one)}" for name, one, _ in columns[:8])
@@ -405,6 +392,27 @@ class _Vector:
 
     def __getitem__(self, some: slice) -> np.ndarray:
         return np.asarray(self._one[0, some] if self._one.shape[0] == 1 else self._one[some, 0])
+
+
+def _named_columns(file: h5py.File) -> list[NamedColumn]:
+    group: h5py.Group = file
+    inside = [one for name, one in file.items() if not name.startswith("#")]  # MATLAB's references
+    if len(inside) == 1 and isinstance(inside[0], h5py.Group):
+        group = inside[0]
+    columns: list[NamedColumn] = []
+    room = MOST_FOREIGN_BYTES
+    for name, one in group.items():
+        if not isinstance(one, h5py.Dataset) or one.ndim == 0:
+            continue
+        room -= one.nbytes
+        chunk = np.prod(one.chunks or (0,), dtype=float) * one.dtype.itemsize
+        if room < 0 or chunk > MOST_CHUNK_BYTES:
+            raise TableFileError(
+                f"unpacks to more than {MOST_FOREIGN_BYTES >> 20} MiB, or has chunks of more than "
+                f"{MOST_CHUNK_BYTES >> 20} MiB; send the table in parts"
+            )
+        columns += _columns_of(name, one)
+    return columns
 
 
 def _columns_of(name: str, one: h5py.Dataset) -> list[NamedColumn]:
