@@ -37,33 +37,13 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
         The scene plan that the file carries, JSON-able.
     """
     arrays = {name: array for name, array in whole.arrays.items() if name[0] != "g"}
-    read = [
-        bool(whole.arrays[f"g{group}/outputs"][list(need.outputs)].any())
-        for group in range(len(whole.words["groups"]))
-    ]
+    read = [_is_read(whole, group, need) for group in range(len(whole.words["groups"]))]
     groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
     slopes = np.ones(whole.inputs, dtype=bool)
     for number, group in enumerate(groups):
-        own = _cut_group(
-            _named(whole, f"g{group}/"), need, bool(whole.arrays["solver/flags"][0]), slopes
-        )
+        own = _cut_group(_named(whole, f"g{group}/"), need, _asks_tangent(whole), slopes)
         arrays |= {f"g{number}/{name}": array for name, array in own.items()}
-    ends = np.stack((need.span.low, need.span.high))
-    sizes = whole.arrays["space/sizes"].copy()
-    sizes[2] = len(groups)
-    locked = whole.arrays["space/locked"].copy()
-    locked[list(need.idle)] = 1
-    found = {
-        "space/sizes": sizes,
-        "space/locked": locked,
-        "scene/range": ends,
-        "scene/ends": ends + np.stack((-need.slack, need.slack)),
-        "scene/varying": need.varying.astype(np.int32),
-        "scene/slopes": slopes.astype(np.int32),
-    }
-    if need.tolerance is not None:
-        found["space/tolerance"] = np.array(allowed_by(need.tolerance, need.span.space))
-    arrays |= found
+    arrays |= _scene_arrays(whole, need, len(groups), slopes)
     words = {
         **whole.words,
         "groups": [whole.words["groups"][group] for group in groups],
@@ -77,6 +57,34 @@ def _named(whole: PackedTable, prefix: str) -> Arrays:
     return {name[size:]: one for name, one in whole.arrays.items() if name.startswith(prefix)}
 
 
+def _is_read(whole: PackedTable, group: int, need: Need) -> bool:
+    return bool(whole.arrays[f"g{group}/outputs"][list(need.outputs)].any())
+
+
+def _asks_tangent(whole: PackedTable) -> bool:
+    """Return whether the solver's error needs the derivative by all loads: all axes stay then."""
+    return bool(whole.arrays["solver/flags"][0])
+
+
+def _scene_arrays(whole: PackedTable, need: Need, groups: int, slopes: Mask) -> Arrays:
+    ends = np.stack((need.span.low, need.span.high))
+    sizes = whole.arrays["space/sizes"].copy()
+    sizes[2] = groups
+    locked = whole.arrays["space/locked"].copy()
+    locked[list(need.idle)] = 1
+    found = {
+        "space/sizes": sizes,
+        "space/locked": locked,
+        "scene/range": ends,
+        "scene/ends": ends + np.stack((-need.slack, need.slack)),
+        "scene/varying": need.varying.astype(np.int32),
+        "scene/slopes": slopes.astype(np.int32),
+    }
+    if need.tolerance is not None:
+        found["space/tolerance"] = np.array(allowed_by(need.tolerance, need.span.space))
+    return found
+
+
 def _cut_group(own: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arrays:
     """Return a group's arrays; in `slopes` (n,) the loads without derivatives are crossed out."""
     flags = own["flags"]
@@ -85,17 +93,7 @@ def _cut_group(own: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arr
     kept = {name: array for name, array in own.items() if "/" not in name or name[:4] == "fit/"}
     is_read = np.isin(np.arange(len(own["outputs"])), need.outputs)
     kept["outputs"] = np.where(is_read, own["outputs"], 0).astype(np.int32)
-    # The rows whose loads can occur.
-    kept = ~(need.beyond(own["row/wrench"]) & ~need.varying).any(axis=1)
-    found = {name: own[name] for name in ("row/rates", "row/steepest")}
-    for name in ("key", "number", "seq", "wrench", "moved", "bar", "source"):
-        found[f"row/{name}"] = own[f"row/{name}"][kept]
-    found["row/bucket"], found["row/start"] = buckets_of(found["row/key"])
-    tangent = own["row/tangent_of"][kept]
-    has_one = tangent >= 0
-    found["row/tangent"] = own["row/tangent"][tangent[has_one]]
-    found["row/tangent_of"] = np.where(has_one, np.cumsum(has_one) - 1, -1).astype(np.int32)
-    kept |= found
+    kept |= _cut_rows(own, need)
     if need.tolerance is not None:
         kept["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if flags[_REFERENCE] & _BY_KRIGING:
@@ -111,6 +109,20 @@ def _cut_group(own: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arr
     if alone and not by_kriging:
         kept["flags"][_REFERENCE] = 0
     return kept
+
+
+def _cut_rows(own: Arrays, need: Need) -> Arrays:
+    """Return the rows whose loads can occur."""
+    kept = ~(need.beyond(own["row/wrench"]) & ~need.varying).any(axis=1)
+    found = {name: own[name] for name in ("row/rates", "row/steepest")}
+    for name in ("key", "number", "seq", "wrench", "moved", "bar", "source"):
+        found[f"row/{name}"] = own[f"row/{name}"][kept]
+    found["row/bucket"], found["row/start"] = buckets_of(found["row/key"])
+    tangent = own["row/tangent_of"][kept]
+    has_one = tangent >= 0
+    found["row/tangent"] = own["row/tangent"][tangent[has_one]]
+    found["row/tangent_of"] = np.where(has_one, np.cumsum(has_one) - 1, -1).astype(np.int32)
+    return found
 
 
 def _cut_kriging(own: Arrays, name: str, need: Need) -> Arrays:
