@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from wrenchbook.surrogate.kernel.replies import Floats, Reply
     from wrenchbook.surrogate.table.space import Input, Output, Space
 
-_WHOLE = len(LOADS)  # loads, or outputs, of one interface
+_PER_INTERFACE = len(LOADS)  # loads, or outputs, of one interface
 _ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
 
 
@@ -183,17 +183,21 @@ class Table:
         if slope is not None:
             slope.flags.writeable = False
             slope = None if np.isnan(slope).all() else slope
-        if packed.outputs == _WHOLE:
+        if packed.outputs == _PER_INTERFACE:
             wrench = next(iter(wrenches.values()))
             return self._displacement(wrench, reply, 0, elapsed_us, slope)
         parts = {
             name: self._displacement(
-                wrenches.get(name, np.zeros(_WHOLE)), reply, _WHOLE * k, elapsed_us, slope
+                wrenches.get(name, np.zeros(_PER_INTERFACE)),
+                reply,
+                _PER_INTERFACE * k,
+                elapsed_us,
+                slope,
             )
             for k, name in enumerate(packed.space.interfaces)
         }
-        whole = np.concatenate([part.wrench for part in parts.values()])
-        return self._displacement(whole, reply, None, elapsed_us, slope, parts)
+        wrench = np.concatenate([part.wrench for part in parts.values()])
+        return self._displacement(wrench, reply, None, elapsed_us, slope, parts)
 
     def _displacement(
         self,
@@ -243,7 +247,12 @@ class Table:
         Negative zeros become zeros, as the server reads them.
         """
         packed = self.packed
-        if force is not None and loads is None and inputs is None and packed.inputs == _WHOLE:
+        if (
+            force is not None
+            and loads is None
+            and inputs is None
+            and packed.inputs == _PER_INTERFACE
+        ):
             wrench = one_wrench(force, moment)
             return (wrench + 0.0).tolist(), {"": wrench}
         body, space = loads_body(force, moment, loads, inputs), packed.space
@@ -257,7 +266,7 @@ class Table:
             values = space.vector(six, body.get("inputs", {}))
         except ValueError as error:
             raise InvalidArgument(f"{self.name}: {error}") from None
-        return [value + 0.0 for value in values], wrenches or {"": np.zeros(_WHOLE)}
+        return [value + 0.0 for value in values], wrenches or {"": np.zeros(_PER_INTERFACE)}
 
     def allowed_errors(self, tolerance: Tolerance | None) -> tuple[float, ...] | None:
         """Return the largest error of each output, shape (m,), m and rad; None for its own."""
@@ -265,7 +274,7 @@ class Table:
             return None
         pair = tolerance_body(tolerance)
         kinds = (pair["translation"],) * 3 + (pair["rotation"],) * 3
-        return kinds * (self.packed.outputs // _WHOLE)
+        return kinds * (self.packed.outputs // _PER_INTERFACE)
 
     def batch(
         self,

@@ -308,8 +308,8 @@ def universal(slices: Sequence[bytes]) -> bytes:
 def _source_paths() -> list[Path]:
     """Return the files that an FMU is compiled from: C sources and headers."""
     folder = Path(__file__).parent / "c"
-    own = [name for name in SOURCES if name.startswith("fmu_")]
-    return [*(folder / name for name in (*own, *_HEADERS)), *_KERNEL]
+    sources = [name for name in SOURCES if name.startswith("fmu_")]
+    return [*(folder / name for name in (*sources, *_HEADERS)), *_KERNEL]
 
 
 @cache  # what differs between FMUs is their table: the library is the same

@@ -213,6 +213,8 @@ def test_a_scene_beyond_the_range_is_not_downloaded(client: Client):
     with pytest.raises(ProblemError, match="fx must lie within") as caught:
         client.download("rig", scene=Scene({"rig": {"force": [101, 0, 0], "moment": [0, 0, 0]}}))
     assert caught.value.status == 422
+    with pytest.raises(InvalidArgument, match="plan takes a Client or an AsyncClient"):
+        Scene(ON_RIG).plan(client.url)
     for wrong in ("rig", {"rig": {}}, [1]):
         with pytest.raises(InvalidArgument, match="takes a Scene, such as"):
             client.download("rig", scene=wrong)
