@@ -253,8 +253,9 @@ def make_fmu(
         raise UnknownMethodError(method)
     if not table.words["provenance"]["rows"]:
         raise NotExportableError("the table has no rows: fill or import it first, then export it")
-    groups = range(len(table.words["groups"]))
-    if not all(len(table.arrays[f"g{number}/near/moved"]) for number in groups):
+    low, high = table.arrays["space/ends"]
+    rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.words["groups"]))]
+    if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
         raise NotExportableError(
             "all rows of the table are outside its load range: nothing answers within it"
         )
