@@ -15,7 +15,7 @@ import typer
 from annotated_types import Ge, Le
 from rich.table import Table
 
-from wrenchbook.service.cli.connect import AsJson
+from wrenchbook.service.cli.connect import AsJson, in_folder
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.files.program import run_child, usable_cores
 from wrenchbook.service.keys import MEGABYTES, RATE, Keyring
@@ -176,7 +176,9 @@ def run_program(ctx: typer.Context) -> None:
 
 
 def backup(
-    file: Annotated[Path, typer.Argument(help="the backup to write", dir_okay=False)],
+    file: Annotated[
+        Path, typer.Argument(help="the backup to write", dir_okay=False, callback=in_folder)
+    ],
     as_json: AsJson = False,
     data: Folder = DEFAULT_DATA,
 ) -> None:

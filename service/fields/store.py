@@ -30,9 +30,8 @@ from wrenchbook.service.fields.record import (
 )
 from wrenchbook.service.files.durable import sync_folder
 
+# Of one component, some thousand rows of 1,000 vertices; later rows have no fields.
 MOST_BYTES = 1 << 30
-"""Kept of one component, some thousand rows of 1,000 vertices; later rows have no fields."""
-
 _LINEAR = "linear"
 _HEADER_BYTES = 1 << 20  # what is read for a file's header, which is far shorter
 
@@ -66,7 +65,11 @@ class FieldStore:
             place = self._place(component, fingerprint)
             place.mkdir(parents=True, exist_ok=True)
             size = row.stat().st_size + geometry.stat().st_size
-            if not self._has_room(component, fingerprint, size):
+            if self._bytes_of(component) + size > self._most_bytes:  # older set-ups make room
+                for old in self._folder.joinpath(component).iterdir():
+                    if old.name != fingerprint:
+                        shutil.rmtree(old, ignore_errors=True)
+            if self._bytes_of(component) + size > self._most_bytes:
                 _log.warning("%s: no room for more fields; this row has none", component)
                 return False
             geometry.replace(place / f"{digest_of(geometry.read_bytes())}.geometry")
@@ -122,15 +125,6 @@ class FieldStore:
 
     def _place(self, component: str, fingerprint: str) -> Path:
         return self._folder / component / fingerprint
-
-    def _has_room(self, component: str, fingerprint: str, size: int) -> bool:
-        """Return whether so many bytes more may be kept, after older set-ups have made room."""
-        if self._bytes_of(component) + size <= self._most_bytes:
-            return True
-        for old in self._folder.joinpath(component).iterdir():
-            if old.name != fingerprint:
-                shutil.rmtree(old, ignore_errors=True)
-        return self._bytes_of(component) + size <= self._most_bytes
 
     def _bytes_of(self, component: str) -> int:
         size = 0

@@ -100,7 +100,10 @@ def back_up(folder: Path, target: Path) -> Manifest:
         draft.replace(target)
         sync_folder(target.parent)
     except OSError as error:
-        raise BackupError(f"{target} cannot be written: {error}. No backup was made") from error
+        path, what = Path(str(error.filename)), f"{target} cannot be written: {error}"
+        if path.is_relative_to(folder) and _HELD.fullmatch(path.relative_to(folder).as_posix()):
+            what = f"{path} cannot be read: {error.strerror}"
+        raise BackupError(f"{what}. No backup was made") from error
     except LedgerError as error:
         raise BackupError(f"no backup was made: {error}") from error
     finally:

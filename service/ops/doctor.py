@@ -73,6 +73,9 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
         findings += _losses(ledger, repair=repair)
     except LedgerError as error:
         findings.append(DataFinding("fault", str(error)))
+    except OSError as error:  # a full disk, while something is written anew
+        remedy = "make room, or make the directory writable, and repeat the command"
+        findings.append(DataFinding("fault", f"the check could not be completed: {error}", remedy))
     finally:
         ledger.close()
     return findings
@@ -98,7 +101,11 @@ def _opened(folder: Path, *, repair: bool) -> tuple[Ledger | None, list[DataFind
         return Ledger(path), findings
     except LedgerDamagedError as error:
         if repair and not in_use(folder):
-            findings += _rebuilt(folder, str(error))
+            try:
+                findings += _rebuilt(folder, str(error))
+            except OSError as failure:
+                remedy = f"no new one could be written: {failure}. Nothing was changed; make room"
+                return None, [*findings, DataFinding("fault", str(error), remedy)]
             ledger, more = _opened(folder, repair=False)
             return ledger, findings + more
         remedy = f"stop the server and restore a backup, or {REPAIR}"

@@ -1,5 +1,6 @@
 """The doctor tells what is wrong in clear words, and mends from whichever copy is whole."""
 
+import errno
 import random
 import shutil
 import sqlite3
@@ -378,3 +379,24 @@ def test_a_damaged_file_beside_the_ledger_is_told(folder, name, said):
 def test_a_file_that_a_kill_left_half_written_is_told(folder):
     (folder / f".keys.json.{2**31}.7").touch()
     assert f".keys.json.{2**31}.7" in words(examine(folder))
+
+
+@pytest.mark.parametrize("damaged", ["ledger.sqlite", "tables/rig.h5"])
+def test_a_repair_on_a_full_disk_says_so_and_loses_nothing(folder, monkeypatch, damaged):
+    """It ended by the bare error of the system, without a word on what had been repaired."""
+    before = content(folder)
+    path = folder / damaged
+    overwrite(path, 4096 if damaged == "ledger.sqlite" else 2000, 4000)
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("wrenchbook.service.ops.doctor.shutil.copyfile", full)
+        patched.setattr("wrenchbook.service.tables.store.write_table", full)
+        found = examine(folder, repair=True)
+    assert "fault" in kinds(found)
+    assert "No space left on device" in words(found)
+    assert "make room" in words(found)
+    assert "fault" not in kinds(examine(folder, repair=True))
+    assert content(folder) == before
