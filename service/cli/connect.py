@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -29,7 +27,7 @@ def component_names(ctx: typer.Context, incomplete: str) -> list[str]:
         else:
             with Client(ctx.params.get("server") or DEFAULT_SERVER, timeout=COMPLETION_S) as client:
                 client.retry_s = 0.0
-                known = {one["name"] for one in client.components()}
+                known = {component["name"] for component in client.components()}
     except Exception:  # a shell that completes a word has no place for a message
         return []
     return sorted(name for name in known if name.startswith(incomplete))
@@ -72,36 +70,25 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
         yield client
 
 
-def print_json(reply: Any) -> None:
-    """Print a reply as JSON; paths are texts."""
-    sys.stdout.write(json.dumps(reply, indent=2, default=str) + "\n")
-
-
-def further_inputs(given: list[str] | None) -> dict[str, float] | None:
+def further_inputs(options: list[str] | None) -> dict[str, float] | None:
     """Return the further inputs of ``--input NAME=NUMBER``; None without."""
-    return {name: number(text) for name, text in by_name("--input", given)} if given else None
+    return {name: number(text) for name, text in by_name("--input", options)} if options else None
 
 
-def by_name(option: str, given: list[str] | None) -> list[tuple[str, str]]:
-    """Return the name and the rest of each value NAME=...
+def by_name(option: str, values: list[str] | None) -> list[tuple[str, str]]:
+    """Return the name and the rest of each value NAME=... of an option.
 
-    Raises
-    ------
-    InvalidArgument
-        If one has no name or no ``=``, or a name is given twice.
+    Raises InvalidArgument if one has no name or no ``=``, or a name is repeated.
     """
-    found = [_pair(text) for text in given or ()]
-    names = [name for name, _ in found]
-    if repeated := sorted({name for name in names if names.count(name) > 1}):
-        raise InvalidArgument(f"{option} {repeated[0]} is given twice")
-    return found
-
-
-def _pair(text: str) -> tuple[str, str]:
-    name, equals, rest = text.partition("=")
-    if not (name and equals):
-        raise InvalidArgument(f"{text!r}: write a name, = and numbers")
-    return name, rest
+    pairs: dict[str, str] = {}
+    for text in values or ():
+        name, equals, rest = text.partition("=")
+        if not (name and equals):
+            raise InvalidArgument(f"{text!r}: write a name, = and numbers")
+        if name in pairs:
+            raise InvalidArgument(f"{option} {name} is given twice")
+        pairs[name] = rest
+    return list(pairs.items())
 
 
 def number(text: str) -> float:

@@ -18,26 +18,18 @@ from wrenchbook.service.cli.connect import (
     Server,
     connected,
     further_inputs,
-    print_json,
 )
-from wrenchbook.service.cli.render import matrix_table
-from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.cli.render import matrix_table, print_json, show
 from wrenchbook.service.client import Client
 from wrenchbook.service.client.joint import LinearPart
 from wrenchbook.service.client.joint.joint import FREEDOMS
 
 Three = tuple[float, float, float]
-_About = Annotated[
+_Force = Annotated[
     Three, typer.Option(help="force about which the part is linear, N", metavar="FX FY FZ")
 ]
-_AboutMoment = Annotated[
+_Moment = Annotated[
     Three, typer.Option(help="moment about which the part is linear, N·m", metavar="MX MY MZ")
-]
-_Linear = Annotated[
-    bool, typer.Option("--linear", help="bend by springs in the scene, without MujocoJoint")
-]
-_Damping = Annotated[
-    float, typer.Option(min=0.0, help="of --linear: share of critical damping of each mode")
 ]
 ZERO: Three = (0.0, 0.0, 0.0)
 
@@ -54,10 +46,14 @@ def joint(
     massless: Annotated[
         bool, typer.Option("--massless", help="do not add the part's own mass to the tip")
     ] = False,
-    linear: _Linear = False,
-    damping: _Damping = 0.02,
-    force: _About = ZERO,
-    moment: _AboutMoment = ZERO,
+    linear: Annotated[
+        bool, typer.Option("--linear", help="bend by springs in the scene, without MujocoJoint")
+    ] = False,
+    damping: Annotated[
+        float, typer.Option(min=0.0, help="of --linear: share of critical damping of each mode")
+    ] = 0.02,
+    force: _Force = ZERO,
+    moment: _Moment = ZERO,
     further: FurtherInput = None,
     out: Annotated[Path | None, typer.Option(help="write to this file, not to stdout")] = None,
     as_json: AsJson = False,
@@ -77,8 +73,14 @@ def joint(
     else:
         text = scene_with_springs(scene, base, tip, springs, damping=damping, site=site, mass=mass)
         sys.stderr.write(f"{springs.error}\n")
-    if not massless:
-        _tell_mass(name, facts)
+    if mass is not None:
+        total, moving = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
+        sys.stderr.write(
+            f"{moving:.4g} kg of the part's {total:.4g} kg move with the tip; give the base the "
+            "rest\n"
+        )
+    elif not massless:
+        sys.stderr.write(f"{name} has no known mass: give its materials a density\n")
     if out is not None:
         out.write_text(text, encoding="utf-8")
     if as_json:
@@ -99,30 +101,18 @@ def _mass_of(facts: dict[str, Any]) -> list[list[float]] | None:
 
     Of several interfaces that of the last one that is not held.
     """
-    whole = (facts.get("vibration") or {}).get("condensed_mass") or []
-    for last in range(len(whole), 0, -FREEDOMS):
-        own = slice(last - FREEDOMS, last)
-        if any(whole[k][k] for k in range(own.start, last)):
-            return [row[own] for row in whole[own]]
+    matrix = (facts.get("vibration") or {}).get("condensed_mass") or []
+    for last in range(len(matrix), 0, -FREEDOMS):
+        block = slice(last - FREEDOMS, last)
+        if any(matrix[k][k] for k in range(block.start, last)):
+            return [row[block] for row in matrix[block]]
     return None
-
-
-def _tell_mass(name: str, facts: dict[str, Any]) -> None:
-    """Print how much of the part's mass moves with the tip."""
-    mass = _mass_of(facts)
-    if mass is None:
-        sys.stderr.write(f"{name} has no known mass: give its materials a density\n")
-        return
-    whole, own = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
-    sys.stderr.write(
-        f"{own:.4g} kg of the part's {whole:.4g} kg move with the tip; give the base the rest\n"
-    )
 
 
 def stiffness(
     name: Name,
-    force: _About = ZERO,
-    moment: _AboutMoment = ZERO,
+    force: _Force = ZERO,
+    moment: _Moment = ZERO,
     further: FurtherInput = None,
     out: Annotated[Path | None, typer.Option(help="write JSON to this file")] = None,
     as_json: AsJson = False,
@@ -133,15 +123,12 @@ def stiffness(
     with connected(server, data) as client:
         facts = client.component(name)
         part = _springs(client, name, (*force, *moment), further)
-    found = part.to_dict(_mass_of(facts))
+    body = part.to_dict(_mass_of(facts))
     if out is not None:
-        out.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-    if as_json:
-        print_json(found)
-        return
-    for title, key, names in (
-        ("stiffness, N/m to N·m/rad", "stiffness", found["loads"]),
-        ("condensed mass, kg to kg·m^2", "mass", part.freedoms),
-    ):
-        Screen().print(matrix_table(title, names, part.freedoms, found[key]))
-    sys.stdout.write(f"{part.error}\n")
+        out.write_text(json.dumps(body, indent=2) + "\n", encoding="utf-8")
+    matrices = (
+        ("stiffness, N/m to N·m/rad", body["loads"], body["stiffness"]),
+        ("condensed mass, kg to kg·m^2", part.freedoms, body["mass"]),
+    )
+    tables = [matrix_table(title, rows, part.freedoms, lines) for title, rows, lines in matrices]
+    show(body, as_json, lambda: [*tables, part.error])

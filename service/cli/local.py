@@ -1,44 +1,29 @@
-"""Commands that need no running server."""
+"""Commands on a data directory, which need no running server: serve, keys, backup, doctor, ..."""
 
 from __future__ import annotations
 
 import inspect
 import json
 import os
+import shlex
+import time
 from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import typer
 from annotated_types import Ge, Le
-from rich.text import Text
+from rich.table import Table
 
-from wrenchbook.service.cli.connect import AsJson, print_json
-from wrenchbook.service.cli.keys import make_first_key
-from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.cli.connect import AsJson
+from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.files.program import run_child, usable_cores
+from wrenchbook.service.keys import MEGABYTES, RATE, Keyring
 from wrenchbook.service.settings import Settings, SettingsError, as_file, read_settings
 
 CORES = usable_cores()
 DEFAULT_DATA = Settings.data
 Folder = Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")]
-
-
-def _option(name: str, hint: Any) -> inspect.Parameter:
-    """Return the parameter of a command that stands for a field of `Settings`."""
-    kind, *notes = get_args(hint)
-    bounds = {type(note): note for note in notes if not isinstance(note, str)}
-    default = next(one for one in fields(Settings) if one.name == name).default
-    option = typer.Option(
-        f"--{name.replace('_', '-')}",
-        help=next(note for note in notes if isinstance(note, str)),
-        min=bounds[Ge].ge if Ge in bounds else None,
-        max=bounds[Le].le if Le in bounds else None,
-        show_default=False if default in (None, False, MISSING) else str(default),
-    )
-    annotation = Annotated[kind | None, option]
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(name, keyword, default=None, annotation=annotation)
 
 
 def serve(
@@ -52,40 +37,22 @@ def serve(
     **options: Any,
 ) -> None:
     """Serve the API and solve what is queued."""
-    given = {name: value for name, value in options.items() if value is not None}
-    try:
-        settings, origins = read_settings(given, config)
-    except SettingsError as error:
-        raise typer.BadParameter(str(error)) from error
-    if show_settings and as_json:
-        shown = {"value": lambda name: getattr(settings, name), "origin": origins.get}
-        print_json({n: {key: of(n) for key, of in shown.items()} for n in origins})
-    elif show_settings:
-        typer.echo(as_file(settings, origins), nl=False)
-    else:
-        _serve(settings, as_json)
-
-
-serve.__annotations__ = get_type_hints(serve, include_extras=True)
-_own = list(inspect.signature(serve).parameters.values())[:-1]
-_hints = get_type_hints(Settings, include_extras=True)
-serve.__signature__ = inspect.Signature(  # pyright: ignore[reportFunctionMemberAccess]
-    [
-        *(one.replace(annotation=serve.__annotations__[one.name]) for one in _own),
-        *(_option(name, hint) for name, hint in _hints.items()),
-    ]
-)
-
-
-def _serve(settings: Settings, as_json: bool) -> None:
-    """Serve by the settings found."""
     from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
     from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 
+    chosen = {name: value for name, value in options.items() if value is not None}
     try:
+        settings, origins = read_settings(chosen, config)
+        if show_settings and as_json:
+            values = {name: getattr(settings, name) for name in origins}
+            print_json({n: {"value": values[n], "origin": origins[n]} for n in origins})
+            return
+        if show_settings:
+            typer.echo(as_file(settings, origins), nl=False)
+            return
         check_engine(settings.engine, settings.scheduler)
-    except EngineSettingsError as error:
+    except (SettingsError, EngineSettingsError) as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(settings.data)
     if settings.first_key:
@@ -97,9 +64,36 @@ def _serve(settings: Settings, as_json: bool) -> None:
         raise _refused(str(error)) from error
 
 
+def _with_settings() -> inspect.Signature:
+    """Return the signature of `serve` with an option for each field of `Settings`."""
+    hints = get_type_hints(serve, include_extras=True)
+    serve.__annotations__ = hints
+    parameters = list(inspect.signature(serve).parameters.values())[:-1]
+    parameters = [part.replace(annotation=hints[part.name]) for part in parameters]
+    defaults = {field.name: field.default for field in fields(Settings)}
+    for name, hint in get_type_hints(Settings, include_extras=True).items():
+        kind, *notes = get_args(hint)
+        bounds = {type(note): note for note in notes if not isinstance(note, str)}
+        default = defaults[name]
+        option = typer.Option(
+            f"--{name.replace('_', '-')}",
+            help=next(note for note in notes if isinstance(note, str)),
+            min=bounds[Ge].ge if Ge in bounds else None,
+            max=bounds[Le].le if Le in bounds else None,
+            show_default=False if default in (None, False, MISSING) else str(default),
+        )
+        annotation = Annotated[kind | None, option]
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        parameters.append(inspect.Parameter(name, keyword, default=None, annotation=annotation))
+    return inspect.Signature(parameters)
+
+
+serve.__signature__ = _with_settings()  # pyright: ignore[reportFunctionMemberAccess]
+
+
 def _refused(message: str) -> typer.Exit:
     """Print why nothing is served, on one line, and return the exit with status 2."""
-    Screen(stderr=True).print(Text(message, style="red"), soft_wrap=True)
+    plain(Screen(stderr=True), message, style="red")
     return typer.Exit(2)
 
 
@@ -132,7 +126,6 @@ def work(
     import signal
     import threading
 
-    from wrenchbook.service.settings import Settings
     from wrenchbook.service.workers.builder import opened, solving
 
     stop = threading.Event()
@@ -176,16 +169,139 @@ PROGRAMS = {
 }
 
 
-def add_programs(app: typer.Typer) -> None:
-    """Add the commands of `PROGRAMS`, which get their arguments as they are."""
-    passed_on = {"ignore_unknown_options": True, "allow_extra_args": True}
-    for name, (_, summary) in PROGRAMS.items():
-        app.command(name, help=summary, add_help_option=False, context_settings=passed_on)(_run)
-
-
-def _run(ctx: typer.Context) -> None:
+def run_program(ctx: typer.Context) -> None:
+    """Run a command of `PROGRAMS`, which gets its arguments as they are."""
     module, _ = PROGRAMS[str(ctx.info_name)]
     raise typer.Exit(run_child(f"wrenchbook.fea.check.{module}", *ctx.args))
 
 
-LOCAL_COMMANDS = (serve, work, demo)
+def backup(
+    file: Annotated[Path, typer.Argument(help="the backup to write", dir_okay=False)],
+    as_json: AsJson = False,
+    data: Folder = DEFAULT_DATA,
+) -> None:
+    """Write a data directory into one file; a server may use it meanwhile."""
+    from wrenchbook.service.ops.backup import back_up
+
+    manifest = back_up(data, file)
+    size, count = sum(length for length, _ in manifest.files.values()), len(manifest.files)
+    text = f"{file}: {count} files, {size / 1e6:.1f} MB, read again and complete."
+    show({"file": file, "files": count, "bytes": size}, as_json, text)
+
+
+def restore(
+    file: Annotated[Path, typer.Argument(help="the backup", exists=True, dir_okay=False)],
+    data: Folder = DEFAULT_DATA,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="move existing files of the data directory aside")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Make a data directory from a backup."""
+    from wrenchbook.service.keys import FILE as KEYS
+    from wrenchbook.service.ops.restore import restore as restored
+
+    manifest, former = restored(file, data, overwrite=overwrite)
+    skipped, has_keys, option = manifest.skipped, (data / KEYS).exists(), _data_option(data)
+    text = f"{data}: {len(manifest.files)} files restored. Start it with: wrenchbook serve{option}"
+    texts = [text]
+    if skipped:
+        texts.append(f"Not restored, since backups hold no such files: {', '.join(skipped)}.")
+    if has_keys:
+        texts.append("Its keys stay as they were.")
+    else:
+        add = f"Make one with: wrenchbook keys add NAME{option}"
+        texts.append(f"It has no keys: anybody on this machine may call it. {add}")
+    if former is not None:
+        texts.append(f"The former files are in {former}; remove them once you need them no more.")
+    reply = {"data": data, "files": len(manifest.files), "former": former}
+    show(reply | {"skipped": skipped, "keys": has_keys}, as_json, "\n".join(texts))
+
+
+def doctor(
+    data: Folder = DEFAULT_DATA,
+    repair: Annotated[
+        bool,
+        typer.Option(
+            "--repair", "--mend", help="repair the ledger or a table from the copy that is intact"
+        ),
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check the ledger, tables, files and disk of a data directory; nothing is ever deleted."""
+    from wrenchbook.service.ops.checks import COMMAND
+    from wrenchbook.service.ops.doctor import examine
+
+    findings = examine(data, repair=repair)
+    if as_json:
+        print_json({"findings": [vars(finding) for finding in findings]})
+    else:
+        for finding in findings:
+            colour = {"fault": "red", "repaired": "yellow", "note": None}[finding.kind]
+            plain(Screen(), f"{finding.kind}: {finding.what}", style=colour)
+            if finding.remedy:
+                remedy = finding.remedy.replace(COMMAND, COMMAND + _data_option(data))
+                plain(Screen(), f"  {remedy}")
+    faults = sum(finding.kind == "fault" for finding in findings)
+    if not as_json:
+        text = f"{faults} fault{'s' * (faults != 1)}." if faults else f"{data} is in order."
+        plain(Screen(), text)
+    raise typer.Exit(1 if faults else 0)
+
+
+def _data_option(data: Path) -> str:
+    """Return the option that has another command use the same data directory."""
+    return "" if data == DEFAULT_DATA else f" --data {shlex.quote(str(data))}"
+
+
+keys = typer.Typer(no_args_is_help=True, help="List, add and revoke access keys.")
+
+KeyName = Annotated[str, typer.Argument(help="name of the key's owner")]
+
+
+@keys.command("add")
+def add(
+    name: KeyName,
+    scope: Annotated[
+        Literal["read", "write", "admin"],
+        typer.Option(help="read: GET and queries; write: also changes; admin: also keys and decks"),
+    ] = "write",
+    rate: Annotated[float, typer.Option(help="largest number of requests a second")] = RATE,
+    megabytes: Annotated[int, typer.Option(help="largest body, MiB")] = MEGABYTES,
+    as_json: AsJson = False,
+    data: Folder = DEFAULT_DATA,
+) -> None:
+    """Make a key and print it once."""
+    key = Keyring(data).add(name, scope, rate=rate, megabytes=megabytes)
+    print_json({"name": name, "scope": scope, "key": key}) if as_json else typer.echo(key)
+    typer.echo(f"The key {name} for {scope}; it is not stored and not shown again.", err=True)
+
+
+@keys.command("list")
+def list_(as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
+    """List the keys, without their secrets."""
+    listed = [key.public() for key in Keyring(data).listed()]
+    table = Table("name", "scope", "made", "a second", "MiB")
+    for key in listed:
+        made = time.strftime("%Y-%m-%d", time.gmtime(key["created"]))
+        table.add_row(key["name"], key["scope"], made, f"{key['rate']:g}", str(key["megabytes"]))
+    show(listed, as_json, lambda: [table])
+
+
+@keys.command("revoke")
+def revoke(name: KeyName, as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
+    """Revoke a key; servers refuse it within a second."""
+    Keyring(data).revoke(name)
+    show({"name": name, "revoked": True}, as_json, f"The key {name} is revoked.")
+
+
+def make_first_key(data: Path, *, err: bool = False) -> None:
+    """Make an admin key in a data directory without keys, and print it once, on stderr if `err`."""
+    keyring = Keyring(data)
+    if len(keyring):
+        return
+    secret = keyring.add("first", "admin")
+    typer.echo(f"The first key, for admin, shown this once: {secret}", err=err)
+
+
+LOCAL_COMMANDS = (serve, work, demo, backup, restore, doctor)

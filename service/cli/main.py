@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperCommand
 
 import wrenchbook
-from wrenchbook.service.cli import plan_table, render
+from wrenchbook.service.cli import progress, render
 from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
     AsJson,
@@ -23,19 +23,16 @@ from wrenchbook.service.cli.connect import (
     connected,
     further_inputs,
     number,
-    print_json,
 )
 from wrenchbook.service.cli.jobs import jobs
 from wrenchbook.service.cli.joint import joint, stiffness
-from wrenchbook.service.cli.keys import keys
-from wrenchbook.service.cli.local import LOCAL_COMMANDS, add_programs
-from wrenchbook.service.cli.ops import OPS_COMMANDS
+from wrenchbook.service.cli.local import LOCAL_COMMANDS, PROGRAMS, keys, run_program
 from wrenchbook.service.cli.recording import RECORDING_COMMANDS
-from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.cli.render import Screen, plain, print_answer, print_json, show
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
-from wrenchbook.service.client import Displacement, ProblemError, Scene, ServerUnreachable
+from wrenchbook.service.client import ProblemError, Scene, ServerUnreachable
 from wrenchbook.service.client.client import deformed_format
-from wrenchbook.service.client.errors import InvalidArgument
+from wrenchbook.service.client.errors import InvalidArgument, mistake_line
 from wrenchbook.service.contract import OnThin
 
 app = typer.Typer(
@@ -43,7 +40,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Displacements of deformable components from tables of finite-element results.",
 )
-out = Screen()
 
 
 class NumbersCommand(TyperCommand):
@@ -54,10 +50,9 @@ class NumbersCommand(TyperCommand):
         for option in self.params:
             for name in set(option.opts) & set(args) if option.nargs > 1 else ():
                 place = args.index(name) + 1
-                given = args[place : place + option.nargs]
-                for count, word in enumerate(given):
-                    if word.startswith("--"):
-                        ctx.fail(f"{name} needs {option.nargs} numbers; {word} follows {count}")
+                for count, text in enumerate(args[place : place + option.nargs]):
+                    if text.startswith("--"):
+                        ctx.fail(f"{name} needs {option.nargs} numbers; {text} follows {count}")
         return super().parse_args(ctx, args)
 
 
@@ -78,11 +73,13 @@ def program(
     """Displacements of deformable components from tables of finite-element results."""
 
 
-for named, table_command in TABLE_COMMANDS.items():
-    app.command(named)(table_command)
-for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, *OPS_COMMANDS, jobs):
+for name, table_command in TABLE_COMMANDS.items():
+    app.command(name)(table_command)
+for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, jobs):
     app.command()(command)
-add_programs(app)
+for name, (_, summary) in PROGRAMS.items():
+    passed_on = {"ignore_unknown_options": True, "allow_extra_args": True}
+    app.command(name, help=summary, add_help_option=False, context_settings=passed_on)(run_program)
 for command in (joint, stiffness):
     app.command(cls=NumbersCommand)(command)
 app.add_typer(keys, name="keys")
@@ -90,15 +87,14 @@ app.add_typer(keys, name="keys")
 Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]
 ZERO: Three = (0.0, 0.0, 0.0)
-
-_FORCE = typer.Option(help="force F_x F_y F_z, N", metavar="FX FY FZ")
-_MOMENT = typer.Option(
-    help="moment M_x M_y M_z, N·m, about the interface point where it is now", metavar="MX MY MZ"
-)
-Force = Annotated[Three, _FORCE]
-Moment = Annotated[Three, _MOMENT]
-SomeForce = Annotated[Three | None, _FORCE]
-SomeMoment = Annotated[Three | None, _MOMENT]
+Force = Annotated[Three | None, typer.Option(help="force F_x F_y F_z, N", metavar="FX FY FZ")]
+Moment = Annotated[
+    Three | None,
+    typer.Option(
+        help="moment M_x M_y M_z, N·m, about the interface point where it is now",
+        metavar="MX MY MZ",
+    ),
+]
 AtInterface = Annotated[
     list[str] | None,
     typer.Option(
@@ -106,22 +102,6 @@ AtInterface = Annotated[
         help="load of an interface, of several: force, or force and moment; repeatable",
         metavar="NAME=FX,FY,FZ[,MX,MY,MZ]",
     ),
-]
-Budget = Annotated[int, typer.Option(min=1, help="largest number of solves")]
-WaitS = Annotated[
-    float | None,
-    typer.Option(help="seconds to wait for the solve; implies --on-thin wait, whose default is 30"),
-]
-OnThinWord = Annotated[
-    str | None,
-    typer.Option(
-        help="if the table does not cover the wrench: queue a solve and print the estimate "
-        "(default), wait for the solve, estimate only, or reject (status 1)",
-        metavar="WORD",
-    ),
-]
-Method = Annotated[
-    str | None, typer.Option(help="interpolation, such as griddata; by default the component's")
 ]
 ToleranceTranslation = Annotated[
     float | None,
@@ -133,34 +113,33 @@ ToleranceRotation = Annotated[
 ]
 Former = Annotated[float | None, typer.Option(hidden=True)]  # names of version 0.2
 
-ForceRange = Annotated[
-    Six | None,
-    typer.Option(
-        help="forces to fill, N: lowest and highest of each; by default the load range",
-        metavar="FX FX FY FY FZ FZ",
-    ),
-]
-MomentRange = Annotated[
-    Six | None,
-    typer.Option(
-        help="moments to fill, N·m: lowest and highest of each; by default the load range",
-        metavar="MX MX MY MY MZ MZ",
-    ),
-]
-
 
 @app.command(cls=NumbersCommand)
 def query(
     name: Name,
-    force: SomeForce = None,
-    moment: SomeMoment = None,
+    force: Force = None,
+    moment: Moment = None,
     load: AtInterface = None,
     further: FurtherInput = None,
-    on_thin: OnThinWord = None,
-    wait_s: WaitS = None,
+    on_thin: Annotated[
+        str | None,
+        typer.Option(
+            help="if the table does not cover the wrench: queue a solve and print the estimate "
+            "(default), wait for the solve, estimate only, or reject (status 1)",
+            metavar="WORD",
+        ),
+    ] = None,
+    wait_s: Annotated[
+        float | None,
+        typer.Option(
+            help="seconds to wait for the solve; implies --on-thin wait, whose default is 30"
+        ),
+    ] = None,
     tolerance_translation: ToleranceTranslation = None,
     tolerance_rotation: ToleranceRotation = None,
-    method: Method = None,
+    method: Annotated[
+        str | None, typer.Option(help="interpolation, such as griddata; by default the component's")
+    ] = None,
     detail: Annotated[
         bool, typer.Option("--detail", help="add each axis, with its rows, to what --json prints")
     ] = False,
@@ -173,13 +152,13 @@ def query(
     data: Data = None,
 ) -> None:
     """Print the displacement under a wrench, with its error bar."""
-    word = on_thin or ("queue" if wait_s is None else "wait")
+    on_thin = on_thin or ("queue" if wait_s is None else "wait")
     tolerance = _tolerance(tolerance_translation, tolerance_rotation)
     with connected(server, data) as client:
         answer = client.displacement(
             name,
             **_loads(force, moment, load, further),
-            on_thin=cast(OnThin, word),  # the client refuses other words
+            on_thin=cast(OnThin, on_thin),  # the client refuses other words
             wait_s=wait_s,
             tolerance=tolerance,
             method=method,
@@ -187,14 +166,14 @@ def query(
             derivatives=derivatives,
             beyond_range=beyond_range,
         )
-    _print_answer(answer, as_json, data)
+    print_answer(answer, as_json, data)
 
 
 @app.command(cls=NumbersCommand)
 def solve(
     name: Name,
-    force: SomeForce = None,
-    moment: SomeMoment = None,
+    force: Force = None,
+    moment: Moment = None,
     load: AtInterface = None,
     further: FurtherInput = None,
     wait_s: Annotated[float, typer.Option(help="seconds to wait for the solve")] = 600.0,
@@ -208,17 +187,17 @@ def solve(
         loads = _loads(force, moment, load, further)
         answer = client.solve(name, **loads, beyond_range=beyond_range)
         if answer.job is not None and answer.job.status != "done":
-            render.follow(Screen(stderr=as_json), client, [answer.job], wait_s)
+            progress.follow(Screen(stderr=as_json), client, [answer.job], wait_s)
             answer = client.solve(name, **loads, beyond_range=beyond_range)
-    _print_answer(answer, as_json, data)
+    print_answer(answer, as_json, data)
 
 
 @app.command(cls=NumbersCommand)
 def deformed(
     name: Name,
     file: Annotated[Path, typer.Argument(help="file to write: .glb, .vtu or .json")],
-    force: Force = ZERO,
-    moment: Moment = ZERO,
+    force: Force = None,
+    moment: Moment = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -226,22 +205,32 @@ def deformed(
     """Write the deformed surface under a wrench, for a viewer or a simulator."""
     form = deformed_format(file)
     with connected(server, data) as client:
-        content = client.deformed_file(name, force, moment, form)
+        content = client.deformed_file(name, force or ZERO, moment or ZERO, form)
     file.write_bytes(content)
-    if as_json:
-        print_json({"file": file, "bytes": len(content)})
-    else:
-        typer.echo(f"{file}: {len(content)} bytes")
+    size = len(content)
+    show({"file": file, "bytes": size}, as_json, f"{file}: {size} bytes")
 
 
 @app.command(cls=NumbersCommand)
 def fill(
     name: Name,
-    budget: Budget = 100,
+    budget: Annotated[int, typer.Option(min=1, help="largest number of solves")] = 100,
     tolerance_translation: ToleranceTranslation = None,
     tolerance_rotation: ToleranceRotation = None,
-    force_range: ForceRange = None,
-    moment_range: MomentRange = None,
+    force_range: Annotated[
+        Six | None,
+        typer.Option(
+            help="forces to fill, N: lowest and highest of each; by default the load range",
+            metavar="FX FX FY FY FZ FZ",
+        ),
+    ] = None,
+    moment_range: Annotated[
+        Six | None,
+        typer.Option(
+            help="moments to fill, N·m: lowest and highest of each; by default the load range",
+            metavar="MX MX MY MY MZ MZ",
+        ),
+    ] = None,
     output: Annotated[
         list[str] | None,
         typer.Option(help="an output whose error bar counts, such as uz; repeatable; default all"),
@@ -261,11 +250,12 @@ def fill(
         raise typer.BadParameter("give --force-range and --moment-range together")
     span = None
     if force_range and moment_range:
-        span = {"force": _pairs(force_range), "moment": _pairs(moment_range)}
+        ends = {"force": force_range, "moment": moment_range}
+        span = {load: [list(of[k : k + 2]) for k in (0, 2, 4)] for load, of in ends.items()}
     options = {"tolerance": tolerance, "range": span, "outputs": output or None}
     options["for_joint"] = for_joint
     with connected(server, data) as client:
-        filled = render.fill(Screen(stderr=as_json), client, name, budget, options)
+        filled = progress.fill(Screen(stderr=as_json), client, name, budget, options)
     if as_json:
         print_json(filled)
 
@@ -283,13 +273,11 @@ def plan(
     read = Scene.read(scene)
     with connected(server, data) as client:
         plans = read.plan(client)
-    if as_json:
-        bodies = {name: plan.raw for name, plan in plans.items()}
-        for body in bodies.values():
-            del body["component"]
-        print_json({"components": bodies})
-    else:
-        plan_table.show(out, plans)
+    bodies = {
+        name: {key: value for key, value in plan.raw.items() if key != "component"}
+        for name, plan in plans.items()
+    }
+    show({"components": bodies}, as_json, lambda: render.plan_lines(plans))
 
 
 @app.command()
@@ -306,7 +294,7 @@ def report(
     """Compare error and run time of methods, table sizes and three meshes; takes minutes."""
     with connected(server, data) as client:
         client.make_report(name, wrenches)
-        render.follow_report(Screen(stderr=as_json), client, name)
+        progress.follow_report(Screen(stderr=as_json), client, name)
         if html is not None:
             html.write_bytes(client.report(name, "html"))
         content = client.report(name, "json" if as_json else "md")
@@ -319,23 +307,16 @@ def compliance(
 ) -> None:
     """Show a component's 6x6 compliance: at zero load, and its mean over the load range."""
     with connected(server, data) as client:
-        found = client.compliance(name)
-    if as_json:
-        print_json(found)
-    else:
-        for table in render.compliance_tables(found):
-            out.print(table)
+        body = client.compliance(name)
+    show(body, as_json, lambda: render.compliance_tables(body))
 
 
 @app.command()
 def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None) -> None:
     """List the components."""
     with connected(server, data) as client:
-        found = client.components()
-    if as_json:
-        print_json(found)
-    else:
-        out.print(render.component_table(found))
+        listed = client.components()
+    show(listed, as_json, lambda: [render.component_table(listed)])
 
 
 def main() -> None:
@@ -344,17 +325,18 @@ def main() -> None:
         # Run by its path, the program would show that path in its help.
         app(prog_name="wrenchbook")
     except ProblemError as error:
-        err = Screen(stderr=True)
+        out = Screen(stderr=True)
         if "--json" in sys.argv:
             print_json({"error": error.body or {"title": error.title, "detail": error.detail}})
-        render.plain(err, error.title, style="red")
-        render.plain(err, error.detail)
-        render.body_errors(err, error)
+        plain(out, error.title, style="red")
+        plain(out, error.detail)
+        for cause in error.body.get("causes", error.errors):
+            plain(out, f"  {mistake_line(cause)}")
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:
         if "--json" in sys.argv:
             print_json({"error": {"title": type(error).__name__, "detail": str(error)}})
-        render.plain(Screen(stderr=True), str(error), style="red")
+        plain(Screen(stderr=True), str(error), style="red")
         sys.exit(1)
 
 
@@ -367,39 +349,20 @@ def _tolerance(translation: float | None, rotation: float | None) -> dict[str, f
     return {"translation": translation, "rotation": rotation}
 
 
-def _pairs(ends: Six) -> list[list[float]]:
-    """Return three spans [low, high] from their six ends."""
-    return [list(ends[place : place + 2]) for place in (0, 2, 4)]
-
-
 def _loads(
     force: Three | None, moment: Three | None, load: list[str] | None, further: list[str] | None
 ) -> dict[str, Any]:
     """Return the loads of a call; a component with one interface and no load has the zero one."""
     if load is None and further is None and force is None:
         force = ZERO
-    loads = {name: _of_six(name, text) for name, text in by_name("--load", load)} if load else None
+    loads: dict[str, list[float]] = {}
+    for name, text in by_name("--load", load):
+        numbers = [number(part) for part in text.split(",")]
+        if len(numbers) not in (3, 6):
+            raise InvalidArgument(f"--load {name} needs 3 or 6 numbers with commas between them")
+        loads[name] = numbers + [0.0] * (6 - len(numbers))
     inputs = further_inputs(further)
-    return {"force": force, "moment": moment, "loads": loads, "inputs": inputs}
-
-
-def _of_six(name: str, text: str) -> list[float]:
-    numbers = [number(one) for one in text.split(",")]
-    if len(numbers) not in (3, 6):
-        raise InvalidArgument(f"--load {name} needs 3 or 6 numbers with commas between them")
-    return numbers + [0.0] * (6 - len(numbers))
-
-
-def _print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None:
-    if as_json:
-        print_json(answer.raw)
-        return
-    for name, one in answer.interfaces.items():
-        out.print(render.answer_table(one, name))
-    if not answer.interfaces:
-        out.print(render.answer_table(answer))
-    if line := render.open_job_line(answer, data):
-        render.plain(out, line)
+    return {"force": force, "moment": moment, "loads": loads or None, "inputs": inputs}
 
 
 if __name__ == "__main__":

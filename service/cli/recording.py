@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from wrenchbook.service.cli import render
+from wrenchbook.service.cli import progress
 from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
     AsJson,
@@ -17,10 +16,9 @@ from wrenchbook.service.cli.connect import (
     Name,
     Server,
     connected,
-    print_json,
 )
-from wrenchbook.service.cli.screen import Screen
-from wrenchbook.service.client import Client, Envelope, Recording, Started
+from wrenchbook.service.cli.render import Screen, show
+from wrenchbook.service.client import Client, Started
 from wrenchbook.service.contract import LOADS, OUTPUTS
 
 WAIT_S = 86_400.0  # a start may be thousands of solves
@@ -45,13 +43,18 @@ def recording(
     with connected(server, data) as client:
         if clear:
             count = client.clear_recording(name)
-            _print_cleared(f"{count} wrenches forgotten.", count, as_json)
+            show({"cleared": count}, as_json, f"{count} wrenches forgotten.")
         elif start:
             started = client.start_recording(name, budget, beyond_range=beyond_range)
             _follow(client, started, as_json)
         else:
-            found = client.recording(name)
-            print_json(found.raw) if as_json else _show_recording(Screen(), name, found)
+            recorded = client.recording(name)
+            counts = (
+                f"{recorded.total} wrenches recorded of {name}: {len(recorded)} kept, "
+                f"{recorded.merged} merged, {recorded.thinned} thinned, {recorded.outside} outside "
+                "the load range."
+            )
+            show(recorded.raw, as_json, "\n".join(filter(None, [counts, recorded.raw["reason"]])))
 
 
 def envelope(
@@ -68,12 +71,24 @@ def envelope(
     with connected(server, data) as client:
         if clear:
             count = client.clear_envelope(name)
-            _print_cleared(f"The envelope of {count} wrenches is forgotten.", count, as_json)
-        elif start:
+            show({"cleared": count}, as_json, f"The envelope of {count} wrenches is forgotten.")
+            return
+        if start:
             _follow(client, client.start_envelope(name, beyond_range=beyond_range), as_json)
-        else:
-            found = client.envelope(name)
-            print_json(found.raw) if as_json else _show_envelope(Screen(), found)
+            return
+        envelope = client.envelope(name)
+    box = Table("input", "least", "largest")
+    inputs = envelope.raw.get("inputs", LOADS)
+    for load, low, high in zip(inputs, envelope.min, envelope.max, strict=True):
+        box.add_row(load, f"{low:.6g}", f"{high:.6g}")
+    bounds = Table("output", "largest displacement")
+    outputs = envelope.raw.get("outputs", OUTPUTS)
+    for output, bound in zip(outputs, envelope.displacement_bound, strict=True):
+        bounds.add_row(output, f"{bound:.4g}")
+    verdict = {True: "negligible", False: "not negligible", None: "not known to be negligible"}
+    text = f"{envelope.count} wrenches; {envelope.bound}; {verdict[envelope.negligible]}."
+    shown = [box, bounds, "\n".join(filter(None, [text, envelope.reason]))]
+    show(envelope.raw, as_json, lambda: shown)
 
 
 def resolve(
@@ -94,48 +109,14 @@ def _check(start: bool, clear: bool) -> None:
         raise typer.BadParameter("give --start or --clear, not both")
 
 
-def _print_cleared(message: str, count: int, as_json: bool) -> None:
-    print_json({"cleared": count}) if as_json else Screen().print(message)
-
-
 def _follow(client: Client, started: Started, as_json: bool) -> None:
-    out, jobs = Screen(stderr=as_json), list(started.jobs)
+    jobs = list(started.jobs)
     if jobs:
-        jobs = render.follow(out, client, jobs, WAIT_S)
-    if as_json:
-        print_json({**started.raw, "jobs": [job.raw for job in jobs]})
-        return
+        jobs = progress.follow(Screen(stderr=as_json), client, jobs, WAIT_S)
     done = started.solved + started.covered
-    out.print(f"{len(started.jobs)} solves; {done} wrenches were solved or covered before.")
-    if started.reason:
-        render.plain(out, started.reason)
-
-
-def _show_recording(out: Console, name: str, found: Recording) -> None:
-    out.print(
-        f"{found.total} wrenches recorded of {name}: {len(found)} kept, {found.merged} merged, "
-        f"{found.thinned} thinned, {found.outside} outside the load range."
-    )
-    if found.raw["reason"]:
-        render.plain(out, found.raw["reason"])
-
-
-def _show_envelope(out: Console, found: Envelope) -> None:
-    inputs = found.raw.get("inputs", LOADS)
-    table = Table("input", "least", "largest")
-    for load, low, high in zip(inputs, found.min, found.max, strict=True):
-        table.add_row(load, f"{low:.6g}", f"{high:.6g}")
-    out.print(table)
-    table = Table("output", "largest displacement")
-    for output, bound in zip(
-        found.raw.get("outputs", OUTPUTS), found.displacement_bound, strict=True
-    ):
-        table.add_row(output, f"{bound:.4g}")
-    out.print(table)
-    verdict = {True: "negligible", False: "not negligible", None: "not known to be negligible"}
-    out.print(f"{found.count} wrenches; {found.bound}; {verdict[found.negligible]}.")
-    if found.reason:
-        render.plain(out, found.reason)
+    counts = f"{len(jobs)} solves; {done} wrenches were solved or covered before."
+    reply = {**started.raw, "jobs": [job.raw for job in jobs]}
+    show(reply, as_json, "\n".join(filter(None, [counts, started.reason])))
 
 
 RECORDING_COMMANDS = (recording, envelope, resolve)

@@ -1,115 +1,118 @@
-"""What the command line shows: tables of answers, jobs and components, and progress bars."""
+"""What commands print: tables of answers, jobs, plans and components, and texts as they are."""
 
 from __future__ import annotations
 
+import json
 import math
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import typer
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
-from wrenchbook.service.cli.pace import Pace, error_bars
-from wrenchbook.service.client import Client, Displacement, Job, ProblemError
-from wrenchbook.service.client.errors import mistake_line
+from wrenchbook.service.client import ComponentPlan, Displacement, Job
 from wrenchbook.service.client.wrenches import wrench_of
 from wrenchbook.service.contract import LOADS, OUTPUTS
 
-POLL_S = 0.2
-INTERRUPTED = 130  # exit status of shells: 128 + SIGINT
-
-
-def answer_table(answer: Displacement, interface: str = "") -> Table:
-    """Lay out one answer with its error bar, at a named interface where there are several."""
-    over = [_OVER] if answer.covered and answer.within_tolerance is False else []
-    notes = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
-    table = Table(
-        title=_headline(answer, interface), title_justify="left", caption=escape(notes) or None
-    )
-    for heading in ("", "value", "error bar", "unit"):
-        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
-    for place, name in enumerate(OUTPUTS):
-        table.add_row(
-            name,
-            _number(answer.vector, place),
-            _number(answer.error_vector, place),
-            "m" if place < 3 else "rad",
-        )
-    return table
-
-
+# Control characters but tab and line end: with them a note or a log could move the cursor, rename
+# the window or type into some terminals.
+_CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 _OVER = (
     "The bar is over the tolerance by the solver's own error (its mesh, say), which no more solves "
     "lower: the component's warnings say what to do."
 )
+UNITS = {name: "m" if name[0] == "u" else "rad" for name in OUTPUTS}
 
 
-def open_job_line(answer: Displacement, data: Path | None) -> str:
-    """Return a sentence on the open job of an answer: what it does and how to see its state.
+class Screen(Console):
+    """A console on which texts are letters and nothing else."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Render a text, with a sign in place of each control character."""
+        return super().render_str(_CONTROLS.sub("\N{REPLACEMENT CHARACTER}", text), **options)
+
+
+def print_json(reply: Any) -> None:
+    """Print a reply as JSON; paths are texts."""
+    sys.stdout.write(json.dumps(reply, indent=2, default=str) + "\n")
+
+
+def plain(out: Console, text: str, style: str | None = None) -> None:
+    """Print text as it is: ``Fz [lbf]`` is a column and its unit, not a colour.
+
+    The terminal breaks its lines, so that a command in it can be copied.
+    """
+    out.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def show(reply: Any, as_json: bool, shown: str | Callable[[], Iterable[Table | str]]) -> None:
+    """Print a reply as JSON, or the text, or tables and lines, that show it."""
+    if as_json:
+        print_json(reply)
+        return
+    for part in [shown] if isinstance(shown, str) else shown():
+        plain(Screen(), part) if isinstance(part, str) else Screen().print(part)
+
+
+def answer_table(answer: Displacement, interface: str = "") -> Table:
+    """Lay out one answer with its error bar, at a named interface where there are several."""
+    title = [f"{answer.component} {interface}".strip(), answer.coverage]
+    title += [f"source: {answer.source}"] if answer.source else []
+    title += [f"method: {answer.method}"] if answer.method else []
+    title += [f"{answer.elapsed_us:.0f} µs"] if answer.elapsed_us is not None else []
+    title += [f"job {answer.job.id}: {answer.job.status}"] if answer.job is not None else []
+    over = [_OVER] if answer.covered and answer.within_tolerance is False else []
+    notes = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
+    table = Table(title=" · ".join(title), title_justify="left", caption=escape(notes) or None)
+    for heading in ("", "value", "error bar", "unit"):
+        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
+    for place, (name, unit) in enumerate(UNITS.items()):
+        numbers = (
+            "unknown" if values is None or math.isnan(values[place]) else f"{values[place]:.6e}"
+            for values in (answer.vector, answer.error_vector)
+        )
+        table.add_row(name, *numbers, unit)
+    return table
+
+
+def print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None:
+    """Print an answer, at each interface, and what its open job does and how to see its state.
 
     `data` is the data directory whose private server has ended, if one had been started.
     """
-    if answer.job is None or answer.job.ended:
-        return ""
-    value = "No estimate yet" if answer.vector is None else "The values are an estimate"
-    job = f"{value}: job {answer.job.id} solves this wrench or one close to it."
-    if data is not None:
-        return f"{job} It runs while a server is up: wrenchbook serve --data {data}"
-    return f"{job} Its state: wrenchbook jobs --component {answer.component}"
-
-
-def own_error_lines(component: dict[str, Any]) -> list[str]:
-    """Say what of a component's tolerance its solver does not meet, however thick the table."""
-    return [one["message"] for one in component.get("warnings", ()) if one["where"] == "tolerance"]
-
-
-def _headline(answer: Displacement, interface: str) -> str:
-    place = f"{answer.component} {interface}".strip()
-    words = [place, answer.coverage]
-    if answer.source:
-        words.append(f"source: {answer.source}")
-    if answer.method:
-        words.append(f"method: {answer.method}")
-    if answer.elapsed_us is not None:
-        words.append(f"{answer.elapsed_us:.0f} µs")
-    if answer.job is not None:
-        words.append(f"job {answer.job.id}: {answer.job.status}")
-    return " · ".join(words)
-
-
-def _number(values: Any, place: int) -> str:
-    if values is None or math.isnan(values[place]):
-        return "unknown"
-    return f"{values[place]:.6e}"
-
-
-def method_line(component: dict[str, Any]) -> str:
-    """Say which method answers a component's table, and why."""
-    coverage = component["coverage"]
-    return f"{coverage['method']} answers: {coverage['method_reason']}."
+    interfaces = answer.interfaces or {"": answer}
+    shown: list[Table | str] = [answer_table(at, name) for name, at in interfaces.items()]
+    if answer.job is not None and not answer.job.ended:
+        value = "No estimate yet" if answer.vector is None else "The values are an estimate"
+        state = f"Its state: wrenchbook jobs --component {answer.component}"
+        if data is not None:
+            state = f"It runs while a server is up: wrenchbook serve --data {data}"
+        job = f"job {answer.job.id} solves this wrench or one close to it."
+        shown.append(f"{value}: {job} {state}")
+    show(answer.raw, as_json, lambda: shown)
 
 
 def compliance_tables(body: dict[str, Any]) -> list[Table]:
     """Lay out the compliance at zero load, and the mean over the load range."""
     # Servers before 0.3 name neither columns nor rows.
     inputs = [name.split(" ")[0] for name in body.get("columns", LOADS)]
+    outputs = [name.split(" ")[0] for name in body.get("rows", OUTPUTS)]
     known = [load in body["known_loads"] for load in inputs]
     mean = [
-        [value if tells else None for value, tells in zip(line, known, strict=True)]
+        [value if is_known else None for value, is_known in zip(line, known, strict=True)]
         for line in body["matrix"]
     ]
-    matrices = (
-        (f"tangent at zero load ({body['tangent_origin']})", body["tangent"]),
-        (f"mean over the load range ({body['origin']})", mean),
-    )
-    outputs = [name.split(" ")[0] for name in body.get("rows", OUTPUTS)]
-    return [matrix_table(title, outputs, inputs, lines) for title, lines in matrices]
+    at_zero = f"tangent at zero load ({body['tangent_origin']})"
+    return [
+        matrix_table(at_zero, outputs, inputs, body["tangent"]),
+        matrix_table(f"mean over the load range ({body['origin']})", outputs, inputs, mean),
+    ]
 
 
 def matrix_table(
@@ -131,205 +134,79 @@ def matrix_table(
 def component_table(components: Sequence[dict[str, Any]]) -> Table:
     """Lay out the library."""
     table = Table("name", "title", "rows", "analysis", "largest force, N", "largest moment, N·m")
-    for one in components:
-        kind = "table only" if not one["has_fea"] else "linear" if one["linear"] else "nonlinear"
-        spans = one["range"].get("loads") or {"": one["range"]}
+    for component in components:
+        kind = "linear" if component["linear"] else "nonlinear"
+        spans = component["range"].get("loads") or {"": component["range"]}
         force, moment = (
             "; ".join(
-                " ".join(filter(None, (name, *(f"{max(map(abs, ends)):g}" for ends in own[word]))))
-                for name, own in spans.items()
+                " ".join(filter(None, (name, *(f"{max(map(abs, ends)):g}" for ends in span[word]))))
+                for name, span in spans.items()
             )
             for word in ("force", "moment")
         )
-        rows, others = str(one["rows"]), one.get("another_setup", {}).get("rows")
+        rows, others = str(component["rows"]), component.get("another_setup", {}).get("rows")
         if others:
             rows += f" (and {others} of another setup)"
-        if pending := one.get("pending_rows"):  # servers before 0.3 have none
+        if pending := component.get("pending_rows"):  # servers before 0.3 have none
             rows += f" ({pending} more are being built)"
-        table.add_row(one["name"], escape(one["title"]), rows, kind, force, moment)
+        kind = kind if component["has_fea"] else "table only"
+        table.add_row(component["name"], escape(component["title"]), rows, kind, force, moment)
     return table
 
 
 def job_table(jobs: Sequence[Job]) -> Table:
-    """Lay out jobs, with how far they are or why they failed."""
+    """Lay out jobs, with their inputs, and how far they are or why they failed."""
     table = Table("id", "component", "status", "attempt", "wrench, N and N·m", "")
     for job in jobs:
-        wrench = _inputs(job.raw)
-        table.add_row(
-            str(job.id),
-            job.component,
-            job.status,
-            str(job.raw["attempt"]),
-            wrench,
-            escape(_state(job)),
-        )
+        loads = job.raw.get("loads") or {"": job.raw}
+        inputs = [
+            " ".join(filter(None, (name, *(f"{load:g}" for load in wrench_of(wrench)))))
+            for name, wrench in loads.items()
+        ]
+        inputs += [f"{name} {value:g}" for name, value in job.raw.get("inputs", {}).items()]
+        attempt, state = str(job.raw["attempt"]), escape(job_state(job))
+        table.add_row(str(job.id), job.component, job.status, attempt, ", ".join(inputs), state)
     return table
 
 
-def _state(job: Job) -> str:
+def job_state(job: Job) -> str:
+    """Return why a job failed, or how far it is."""
     if job.raw.get("error"):
         return f"{job.raw['error']['kind']}: {job.raw['error']['message']}"
     progress = job.raw.get("progress") or {}
     return f"{progress.get('fraction', 0):.0%} {progress.get('message', '')}" if progress else ""
 
 
-def _inputs(raw: Mapping[str, Any]) -> str:
-    """Return the inputs of a job in words: its loads, by interface, and further ones by name."""
-    loads = raw.get("loads") or {"": raw}
-    words = [
-        " ".join(filter(None, (name, *(f"{load:g}" for load in wrench_of(one)))))
-        for name, one in loads.items()
-    ]
-    words += [f"{name} {value:g}" for name, value in raw.get("inputs", {}).items()]
-    return ", ".join(words)
-
-
-def row_errors(out: Console, reply: dict[str, Any]) -> None:
-    """Print the mistakes of a table file, one cause a line."""
-    for cause in reply.get("causes", reply["errors"]):  # servers before 0.3 have no causes
-        plain(out, mistake_line(cause))
-
-
-def body_errors(out: Console, error: ProblemError) -> None:
-    """Print the mistakes a problem answer lists, one cause a line."""
-    for one in error.body.get("causes", error.errors):
-        plain(out, f"  {mistake_line(one)}")
-
-
-def plain(out: Console, text: str, style: str | None = None) -> None:
-    """Print text as it is: ``Fz [lbf]`` is a column and its unit, not a colour."""
-    out.print(text, style=style, markup=False, highlight=False)
-
-
-def bar(out: Console) -> Progress:
-    """Make a progress bar over solves."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total}"),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[note]}"),
-        console=out,
-    )
-
-
-@contextmanager
-def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None]:
-    """Cancel the open jobs that this command queued if Ctrl-C ends the wait for them."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        own = [job for job in jobs if job.raw.get("new")]
-        count = 0
-        for job in own:
-            with suppress(ProblemError):  # 409: it has ended
-                count += client.cancel(job).status == "cancelled"
-        others = len(jobs) - len(own)
-        rest = f"; {others} that were queued before go on" if others else ""
-        plain(
-            Console(stderr=True), f"Interrupted: {count} solve(s) of this command cancelled{rest}."
-        )
-        raise typer.Exit(INTERRUPTED) from None
-
-
-def follow(
-    out: Console, client: Client, jobs: Sequence[Job], seconds: float, pace: Pace | None = None
-) -> list[Job]:
-    """Show a bar until all jobs have ended, and return them as they are then.
-
-    A pace has it say how fast they go.
-
-    Raises
-    ------
-    RuntimeError
-        If they have not ended after ``seconds``.
-    """
-    deadline = time.monotonic() + seconds
-    done: dict[int, Job] = {}
-    with cancelled_on_interrupt(client, jobs), bar(out) as progress:
-        task = progress.add_task("solving", total=len(jobs), note="")
-        while len(done) < len(jobs):
-            for job in jobs:
-                if job.id in done:
-                    continue
-                now = client.job(job.id, wait_s=POLL_S)
-                if now.ended:
-                    done[job.id] = now
-                so_far = len(done) + now.progress % 1
-                note = " · ".join(filter(None, (pace.note(so_far) if pace else "", _state(now))))
-                progress.update(task, completed=so_far, note=note)
-                if not now.ended:
-                    break
-            if time.monotonic() > deadline:
-                raise RuntimeError(
-                    f"{len(jobs) - len(done)} solves have not ended after {seconds:g} s; they go "
-                    "on in the server. Look with: wrenchbook jobs"
-                )
-    return list(done.values())
-
-
-def follow_report(out: Console, client: Client, name: str) -> None:
-    """Show a bar until a report is made.
-
-    Raises
-    ------
-    RuntimeError
-        If it could not be made.
-    """
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, TextColumn("{task.fields[note]}"), console=out) as progress:
-        task = progress.add_task("reporting", total=1.0, note="")
-        while True:
-            state = client.report_state(name)
-            progress.update(task, completed=state["fraction"], note=state["message"])
-            if state["state"] == "failed":
-                raise RuntimeError(f"the report could not be made: {state['message']}")
-            if state["state"] != "running":
-                return
-            time.sleep(POLL_S)
-
-
-def fill(
-    out: Console,
-    client: Client,
-    name: str,
-    budget: int,
-    options: dict[str, Any],
-    round_size: int = 24,
-    seconds: float = 3600.0,
-) -> dict[str, Any]:
-    """Fill a table round by round, with a bar each; `options` are those of `Client.fill`.
-
-    Returns the solves ``spent`` and ``failed``, ``rows``, and the last ``stage`` and ``reason``.
-
-    Raises
-    ------
-    RuntimeError
-        If a round does not end in time.
-    """
-    spent, failures, pace, order = 0, 0, Pace(budget), None
-    plain(out, f"choosing wrenches for {name}")
-    while spent < budget:
-        order = client.fill(name, budget=min(round_size, budget - spent), **options)
-        with cancelled_on_interrupt(client, order.jobs):
-            plain(out, f"{order.stage}: {order.reason}")
-            if not order.jobs:
-                break
-            ended = follow(out, client, order.jobs, seconds, pace)
-        pace.ended = spent = spent + len(ended)
-        now = client.component(name)
-        parts = f"{spent} solves", pace.note(), f"{now['rows']} rows", error_bars(now["coverage"])
-        plain(out, "; ".join(filter(None, parts)))
-        failed = [job for job in ended if job.status == "failed"]
-        failures += len(failed)
-        for job in failed:
-            plain(out, f"job {job.id} failed: {_state(job)}", style="red")
-        if len(failed) == len(ended):
-            raise RuntimeError("every solve of this round failed: wrenchbook jobs --status failed")
-    now = client.component(name)
-    out.print(f"{spent} solves; {name} has {now['rows']} rows.")
-    for line in own_error_lines(now):
-        plain(out, f"warning: {line}", style="yellow")
-    assert order is not None  # a budget is positive
-    about = {"component": name, "stage": order.stage, "reason": order.reason}
-    return {**about, "spent": spent, "failed": failures, "rows": now["rows"]}
+def plan_lines(plans: Mapping[str, ComponentPlan]) -> Iterator[Table | str]:
+    """Yield a scene's plan, one line a component, then reasons and where the numbers come from."""
+    table = Table()
+    for heading in ("component", "decision", "axes: loads", "moves at most", "solves", "saves"):
+        table.add_column(heading, no_wrap=True)
+    for name, plan in plans.items():
+        axes = [
+            f"{axis}: {' '.join(part['inputs'])}, {part['dimensions']}-D"
+            for axis, part in plan.axes.items()
+        ]
+        bounds = [
+            f"{output} {bound:.2g} {UNITS[output]}" if np.isfinite(bound) else f"{output} unknown"
+            for output, bound in zip(OUTPUTS, plan.displacement_bound, strict=True)
+            if output in plan.outputs
+        ]
+        saves = plan.saves
+        saved = ["not known yet"]
+        if saves["build_s"] is not None:
+            saved = [
+                f"{saves['build_s']:.2g} s building",
+                f"{saves['memory_bytes'] / 1e6:.2g} MB",
+                f"{saves['us_per_answer']:.2g} µs an answer",
+            ]
+        solves = f"{plan.solves['scene']} of {plan.solves['whole']}"
+        cells = (axes or ["none"]), bounds, [solves], saved
+        table.add_row(escape(name), plan.decision, *map("\n".join, cells))
+    yield table
+    for name, plan in plans.items():
+        yield f"{name}: {plan.reason}."
+        numbers_of: dict[str, list[str]] = {}
+        for number, origin in plan.saves_from.items():
+            numbers_of.setdefault(origin, []).append(number)
+        yield from (f"  {', '.join(numbers)}: {origin}." for origin, numbers in numbers_of.items())

@@ -1,19 +1,12 @@
-"""Table files: CSV, XLSX, Parquet, JSON, HDF5 and MAT to rows in SI with named mistakes, and back.
+"""CSV, XLSX, Parquet, JSON, HDF5 and MAT files to rows in SI with named mistakes, and back."""
 
-No HTTP, no ledger. The columns of a file are described in `header` (CSV, XLSX, Parquet),
-`json` and `arrow`, its units in `units`, the limits of a row in `rows`.
-"""
-
-from wrenchbook.service.formats.arrow import write_parquet
-from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.cells import UnitError, chosen_units, text_problem
+from wrenchbook.service.formats.columnar import write_hdf5, write_parquet
 from wrenchbook.service.formats.columns import Layout, layout
 from wrenchbook.service.formats.csv import csv_text
-from wrenchbook.service.formats.hdf5 import write_hdf5
 from wrenchbook.service.formats.json import json_text
-from wrenchbook.service.formats.options import MAX_ZERO_ROWS, Options
+from wrenchbook.service.formats.options import MAX_ZERO_ROWS, Options, ParsedTable
 from wrenchbook.service.formats.read import MAX_PREVIEW, ReadResult, read_untrusted
-from wrenchbook.service.formats.rows import ParsedTable
-from wrenchbook.service.formats.units import UnitError, chosen_units
 from wrenchbook.service.formats.xlsx import SheetFullError, write_xlsx
 
 __all__ = [

@@ -1,11 +1,24 @@
-"""Cells of text: numbers with a decimal mark, times of logs, texts that look like formulas."""
+"""Cells and units: numbers with a decimal mark, times of logs, texts, and factors to SI.
+
+Pint knows the units. This module decides which spellings reach it, because pint misreads three:
+``Nm`` is a textile count (hgrecco/pint issue 817), ``N-m`` a subtraction, ``mil`` an angle. Only
+products of letters pass, so a header can hold no arithmetic either.
+"""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from decimal import Context, Decimal, localcontext
+from functools import cache
+from typing import Any
 
+import numpy as np
+
+MAX_TEXT = 131_072  # characters of one text: as the csv module
 _QUOTED = 40  # characters of a cell in a message
 NO_VALUE = "#NO VALUE: "
 """Stands before the place of a formula that a program wrote without its value."""
@@ -48,11 +61,7 @@ _DECIMAL_MARK = re.compile(r"[+-]?\d*([.,])\d*(?:[eE][+-]?\d+)?")
 
 
 def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
-    """Return the text of a number with a decimal point, as `float` reads it; None if it is none.
-
-    Marks between thousands are left out. If the sender declared the mark, 1,234 beside a decimal
-    point is 1234; otherwise it may also be a wrong decimal mark.
-    """
+    """Return a number's text for `float`, or None; with a declared point 1,234 is 1234."""
     grouped, mark = _GROUPED.fullmatch(cell), "," if comma else "."
     # 915.009 has the form of thousands, and the point is the decimal mark.
     if grouped and grouped["gap"] == mark and not (grouped["mark"] or grouped["more"]):
@@ -83,8 +92,8 @@ def decimal_mark(cell: str) -> str | None:
     if grouped := _GROUPED.fullmatch(cell):
         other = {".": ",", ",": "."}.get(grouped["gap"]) if grouped["more"] else None
         return grouped["mark"] or other
-    found = _DECIMAL_MARK.fullmatch(cell)
-    return found[1] if found else None
+    match = _DECIMAL_MARK.fullmatch(cell)
+    return match[1] if match else None
 
 
 def quoted(cell: str) -> str:
@@ -113,6 +122,8 @@ def number_problem(cell: str, comma: bool) -> str:
     if "," in cell or (comma and "." in cell):
         mark, name = (",", "comma") if comma else (".", "point")
         text = number_text(cell, comma, declared=True)
+        if text is None and (text := number_text(cell, not comma)) is not None:
+            mark = "." if comma else ","
         meant = f", or say decimal={mark} (--decimal {mark}) for {text}" if text is not None else ""
         return f"{quoted(cell)}: the file has a decimal {name}; write no other mark{meant}"
     if number_text(cell.split()[0], comma) is not None:
@@ -137,11 +148,7 @@ def time_seconds(cell: str, comma: bool, factor: float | None) -> float:
 
 
 def guard_formula(text: str) -> str:
-    """Return the text with a ``'`` before it if a spreadsheet would run it as a formula.
-
-    A text that begins with ``'`` and a sign of a formula gets one more, so `unguard_formula`
-    restores every text.
-    """
+    """Return the text with a ``'`` before it if a spreadsheet or an import would change it."""
     return f"'{text}" if _FORMULA.match(text) else text
 
 
@@ -159,3 +166,187 @@ def text_problem(text: str) -> str | None:
     except UnicodeEncodeError:
         return "holds half a character (a lone surrogate); remove it"
     return None
+
+
+def cell_text(value: Any) -> str:
+    """Return a stored value as the text of a cell, empty for none."""
+    if value is None or value != value:
+        return ""
+    if isinstance(value, Decimal):
+        return Digits(value)
+    text = value.isoformat() if hasattr(value, "isoformat") else str(value)
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"a text is longer than {MAX_TEXT:,} characters")
+    return text
+
+
+class UnitError(ValueError):
+    """A unit is unknown or measures another quantity; the message has the remedy."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A physical quantity: its name, the unit of arrays, units that messages offer.
+
+    A further input has its spellings as the name of a column, and the factor and the zero of each
+    unit in that of arrays: 1 and 273.15 of degC in K.
+    """
+
+    name: str
+    si: str
+    examples: tuple[str, ...]
+    spellings: tuple[str, ...] = ()
+    scales: tuple[tuple[str, float, float], ...] = ()
+
+
+FORCE = Quantity("force", "N", ("N", "kN", "lbf", "kgf"))
+MOMENT = Quantity("moment", "N*m", ("N*m", "N*mm", "kN*m", "lbf*in", "lbf*ft"))
+TRANSLATION = Quantity("translation", "m", ("m", "mm", "um", "in"))
+ROTATION = Quantity("rotation", "rad", ("rad", "mrad", "deg"))
+TIME = Quantity("time", "s", ("s", "ms", "us"))
+QUANTITIES = (FORCE, MOMENT, TRANSLATION, ROTATION)  # an export has a unit for each
+
+# Units of further inputs, which pint reads as others or not at all: factor and zero.
+_SCALES = {
+    "temperature": (
+        *((unit, 1.0, 273.15) for unit in ("degC", "°C", "C", "celsius")),
+        *((unit, 1.0, 0.0) for unit in ("kelvin", "K")),
+    ),
+    "acceleration": (
+        *((unit, 1.0, 0.0) for unit in ("m/s^2", "m/s2", "m/s²", "m/s**2")),
+        *((unit, 0.001, 0.0) for unit in ("mm/s^2", "mm/s2", "mm/s²")),
+        ("g", 9.80665, 0.0),
+    ),
+}
+_SPELLINGS = {"temperature": ("t", "temp", "temperature", "temperatur")}
+
+# Units that pint reads differently from a test engineer.
+_HINTS = {
+    "lb": "lb is a mass; write lbf",
+    "lbs": "lbs is a mass; write lbf",
+    "kg": "kg is a mass; write kgf",
+    "g": "g is a mass; write gf or N",
+    "oz": "oz is a mass; write ozf",
+    "mil": "mil is an angle to a unit library; write thou or um",
+}
+# Newton metres without a sign between them: Nm, kNm, Nmm, mNm, daNcm.
+_NEWTON_METRE = re.compile(r"((?:k|m|M|d|da|c|u|µ|μ)?N)((?:m|c|d|k)?m)")
+_PRODUCT = re.compile(r"\s*[*·⋅∙×.\-\s]\s*")
+_WORD = re.compile(r"[A-Za-z_µμ°Å]+")
+_LONGEST = 40
+_PINT = Context(prec=50)  # pi as pint writes it
+
+
+@cache
+def si_factor(unit: str, quantity: Quantity) -> float:
+    """Return the factor from a unit such as `lbf` or `N*mm` to that of arrays; UnitError."""
+    parts = _parts(unit)
+    if quantity.scales:
+        known = next((factor for name, factor, _ in quantity.scales if name == unit), None)
+        if known is None:
+            examples = ", ".join(quantity.examples)
+            raise UnitError(f"[{unit[:_LONGEST]}] is not a unit of {quantity.name}: {examples}")
+        return known
+    if parts is None or len(unit) > _LONGEST:
+        raise UnitError(
+            f"[{unit[:_LONGEST]}] is not a unit that can be read; {_offer(quantity, unit)}"
+        )
+    parsed, si = _parsed("*".join(parts)), _parsed(quantity.si)
+    if parsed is None:
+        raise UnitError(f"the unit [{unit}] is not known; {_offer(quantity, unit)}")
+    # Pint's root units keep the radian, so that a percent is not taken for an angle.
+    if parsed.units != si.units:
+        raise UnitError(f"[{unit}] is not a unit of {quantity.name}; {_offer(quantity, unit)}")
+    return float(_PINT.divide(parsed.magnitude, si.magnitude))
+
+
+@cache
+def further_quantity(name: str, unit: str) -> Quantity:
+    """Return the quantity of an input that is no load, whose arrays are in `unit`."""
+    for kind, scales in _SCALES.items():
+        unit_zero = next((zero for scale, _, zero in scales if scale == unit), None)
+        if unit_zero is not None:
+            factor = next(factor for scale, factor, _ in scales if scale == unit)
+            converted = tuple((u, f / factor, (z - unit_zero) / factor) for u, f, z in scales)
+            examples = dict.fromkeys((unit, *(u for u, _, _ in scales[:: len(scales) - 1])))
+            return Quantity(name, unit, tuple(examples), _SPELLINGS.get(kind, ()), converted)
+    return Quantity(name, unit, (unit,), (), ((unit, 1.0, 0.0),))
+
+
+def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, float]]:
+    """Return the unit of each quantity in an export, else SI, and its factor; UnitError."""
+    others = dict(units or {})
+    chosen: dict[Quantity, tuple[str, float]] = {}
+    for quantity in QUANTITIES:
+        unit = others.pop(quantity.name, quantity.si)
+        chosen[quantity] = (unit, si_factor(unit, quantity))
+    if others:
+        names = ", ".join(quantity.name for quantity in QUANTITIES)
+        raise UnitError(f"no unit can be chosen for {', '.join(others)}; there are {names}")
+    return chosen
+
+
+def _parts(unit: str) -> list[str] | None:
+    """Return the factors of a unit; None if it holds more than letters."""
+    parts: list[str] = []
+    for word in _PRODUCT.split(unit.strip()):
+        if not _WORD.fullmatch(word):
+            return None
+        joined = _NEWTON_METRE.fullmatch(word)
+        parts += joined.groups() if joined else [word]
+    return parts
+
+
+def _offer(quantity: Quantity, unit: str) -> str:
+    """Return advice on what to write instead of `unit`."""
+    for word in _parts(unit) or []:
+        if word.lower() in _HINTS:
+            return _HINTS[word.lower()]
+    squeezed = "".join(_parts(unit) or []).lower()
+    for example in quantity.examples:
+        if squeezed == example.replace("*", "").lower():
+            return f"upper and lower case differ: did you mean [{example}]?"
+    return f"a {quantity.name} takes for example {', '.join(quantity.examples)}"
+
+
+def _parsed(text: str) -> Any:
+    """Return a unit in pint's root units, or None if pint does not know it."""
+    registry = _registry()
+    try:
+        with localcontext(_PINT):
+            return registry.Quantity(Decimal(1), registry.parse_units(text)).to_root_units()
+    # Pint raises AssertionError, TypeError, TokenError and its own errors on unknown text.
+    except Exception:
+        return None
+
+
+@cache
+def _registry() -> Any:
+    """Return pint's registry of decimal factors."""
+    # Imported on first use: 0.3 s.
+    import pint
+
+    with localcontext(_PINT):
+        # The annotation of pint is float; its documentation allows Decimal.
+        return pint.UnitRegistry(non_int_type=Decimal)  # pyright: ignore[reportArgumentType]
+
+
+def scaled(values: np.ndarray, factor: float) -> np.ndarray:
+    """Return numbers, shape (n,), times a factor, in one rounding if it is 1 over an integer."""
+    inverse = float(round(1.0 / factor))
+    return values / inverse if inverse and 1.0 / inverse == factor else values * factor
+
+
+def in_unit(value: float, factor: float) -> str:
+    """Return the digits of an SI value in a unit: 15 if they lose only rounding, else 17."""
+    if factor == 1.0:
+        return repr(value)
+    inverse = float(round(1.0 / factor))
+    number = value * inverse if inverse and 1.0 / inverse == factor else value / factor
+    short = f"{number:.15g}"
+    return short if abs(float(short) - number) <= 3e-16 * abs(number) else repr(number)
+
+
+def vanished(text: str) -> bool:
+    """Return whether a text that reads as zero is none: 1e-400."""
+    return any(mark in "123456789" for mark in text.lower().partition("e")[0])

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wrenchbook.service.formats.units import (
+from wrenchbook.service.formats.cells import (
     FORCE,
     MOMENT,
     ROTATION,
@@ -34,6 +34,7 @@ from wrenchbook.surrogate.table.space import DEFAULT, LOADS, OUTPUTS, Space
 
 WRENCH, DISPLACEMENT = LOADS, OUTPUTS
 TEXTS = ("source", "note", "fingerprint")
+ARRAYS = ("wrench", "displacement", "uncertainty", "compliance", "curvature")  # of `Columns`
 TIME_COLUMN = "time"
 MAX_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
 MAX_LABEL = 200  # characters; a longer label is a title, and takes seconds to read
@@ -89,14 +90,14 @@ class Columns:
     """
 
     def __init__(self, space: Space) -> None:
-        scalars = {one.name: one.unit for one in space.inputs if one.kind == "scalar"}
+        scalars = {item.name: item.unit for item in space.inputs if item.kind == "scalar"}
         self.space = space
         self.wrench, self.displacement = space.input_names, space.output_names
         self.loads = tuple(name for name in self.wrench if name not in scalars)
         self.further = tuple(scalars)
         self.uncertainty = tuple(f"{name}_err" for name in self.displacement)
         pairs = product(self.displacement, self.wrench)
-        self._tangents = {f"d{output}/d{one}": (output, one) for output, one in pairs}
+        self._tangents = {f"d{output}/d{item}": (output, item) for output, item in pairs}
         self.compliance = tuple(self._tangents)
         self.numbers = (*self.wrench, *self.displacement, *self.uncertainty, *self.compliance)
         triples = combinations_with_replacement(self.wrench, 3)
@@ -109,7 +110,7 @@ class Columns:
         self._quantities = {name: further_quantity(name, unit) for name, unit in scalars.items()}
         self._quantities[TIME_COLUMN] = TIME
         fronts = sorted(filter(None, space.interfaces), key=len, reverse=True)
-        self._fronts = [(re.compile(re.escape(one) + _GAP.pattern, re.I), one) for one in fronts]
+        self._fronts = [(re.compile(re.escape(item) + _GAP.pattern, re.I), item) for item in fronts]
 
     def quantity(self, name: str) -> Quantity:
         """Return the quantity of an input, displacement or uncertainty column."""
@@ -127,23 +128,23 @@ class Columns:
             yield self._exact[name.lower()], unit, 1.0
             return
         joined = "".join(_GAP.split(name)).lower()
-        for one in self.further:
-            if joined in self.quantity(one).spellings:
-                yield one, unit, 1.0
-        front = next((one for one in self._fronts if one[0].match(name)), (None, ""))
+        for item in self.further:
+            if joined in self.quantity(item).spellings:
+                yield item, unit, 1.0
+        front = next((item for item in self._fronts if item[0].match(name)), (None, ""))
         bare = front[0].sub("", name, 1) if front[0] else name
-        for column, found, factor in _readings(bare, unit):
+        for column, written, factor in _readings(bare, unit):
             if not self._fronts or (column == TIME_COLUMN and not front[1]):
-                yield column, found, factor
+                yield column, written, factor
             elif front[1] and column != TIME_COLUMN:
-                yield f"{front[1]}.{column}", found, factor
+                yield f"{front[1]}.{column}", written, factor
 
     def interface_problem(self, name: str) -> str:
         """Say what is wrong with the interface in the name of a load or output, if anything."""
         if not self._fronts or len(name) > MAX_LABEL:
             return ""
         front, _, rest = name.rpartition(".")
-        column = next((one for one, _, _ in _readings(rest, "") if one != TIME_COLUMN), "")
+        column = next((item for item, _, _ in _readings(rest, "") if item != TIME_COLUMN), "")
         if not column:
             return ""
         which = f"the component has no interface {front!r}" if front else "names no interface"
@@ -171,12 +172,12 @@ class Columns:
 
     def unit_of_curvature(self, name: str) -> str:
         """Return the unit of a column of `curvature`: ``J/(N*N*N*m)``."""
-        return over("J", "*".join(self.quantity(one).si for one in self._curvatures[name]))
+        return over("J", "*".join(self.quantity(item).si for item in self._curvatures[name]))
 
     def zero(self, name: str, unit: str) -> float:
         """Return the zero of a unit in that of the table: 273.15 of degC in K; mostly 0."""
         scales = self.quantity(name).scales if name in self.further else ()
-        return next((zero for one, _, zero in scales if one == unit), 0.0)
+        return next((zero for item, _, zero in scales if item == unit), 0.0)
 
     def examples(self, name: str) -> str:
         """Return the name of a column with units that it may have."""
@@ -199,35 +200,31 @@ def _readings(name: str, unit: str) -> Iterator[tuple[str, str, float]]:
     for end in sorted({len(name), *(gap.start() for gap in _GAP.finditer(name))}, reverse=True):
         # mm_err is the unit mm of an uncertainty.
         rest, last = name[end:].lstrip(" _./,-"), ""
-        words = _GAP.split(rest)
-        if len(words) > 1 and words[-1].lower() in (*_HALF_WIDTH, *_STANDARD):
-            rest, last = rest[: -len(words[-1]) - 1], f"_{words[-1]}"
-        found = sorted(_columns(name[:end] + last))
+        parts = _GAP.split(rest)
+        if len(parts) > 1 and parts[-1].lower() in (*_HALF_WIDTH, *_STANDARD):
+            rest, last = rest[: -len(parts[-1]) - 1], f"_{parts[-1]}"
+        meanings = sorted(_columns(name[:end] + last))
         rest = rest.removeprefix("(").removesuffix(")").replace("_", "*")
-        if not found or (unit and rest):
+        if not meanings or (unit and rest):
             continue
-        yield from ((column, unit or rest, factor) for column, factor in found)
+        yield from ((column, unit or rest, factor) for column, factor in meanings)
 
 
 def _columns(name: str) -> set[tuple[str, float]]:
     """Return the columns that a name without a unit can mean, each with its factor."""
-    words = [word.lower() for word in _GAP.split(name) if word]
-    joined = "".join(words)
+    parts = [word.lower() for word in _GAP.split(name) if word]
+    joined = "".join(parts)
     if joined in _NAMES:
         return {(column, 1.0) for column in _NAMES[joined]}
-    if len(words) < 2 or words[-1] not in (*_HALF_WIDTH, *_STANDARD):
+    if len(parts) < 2 or parts[-1] not in (*_HALF_WIDTH, *_STANDARD):
         return set()
-    factor = 1.0 if words[-1] in _HALF_WIDTH else COVERAGE_FACTOR
-    of = _NAMES.get("".join(words[:-1]), set())
+    factor = 1.0 if parts[-1] in _HALF_WIDTH else COVERAGE_FACTOR
+    of = _NAMES.get("".join(parts[:-1]), set())
     return {(f"{column}_err", factor) for column in of if column in DISPLACEMENT}
 
 
 class WritableRows(Protocol):
-    """Rows that can be written: a `ParsedTable`, the rows of a surrogate, any of this form.
-
-    Arrays are as in `ParsedTable`. ``curvature``, and ``note``, ``fingerprint``, ``seq``, ``when``
-    and ``who`` of each row, are optional.
-    """
+    """Rows to write; also with `curvature`, `note`, `fingerprint`, `seq`, `when`, `who`."""
 
     @property
     def wrench(self) -> np.ndarray: ...  # noqa: D102
@@ -280,7 +277,7 @@ class Layout:
         """Return the header."""
         return [*(column.label for column in self.numbers), *self.texts]
 
-    def words(self, rows: Any) -> list[list[str]]:
+    def text_columns(self, rows: Any) -> list[list[str]]:
         """Return the columns of texts."""
         names = ["seq" if name == "row" else name for name in self.texts]
         return [[str(word) for word in getattr(rows, name)] for name in names]

@@ -1,10 +1,8 @@
 """CSV tables: encodings, delimiters, decimal marks, comments, and mistakes by line and column.
 
 Fields are parted by ``,``, ``;``, tab or ``|``, with the latter three the decimal mark may be a
-comma. Marks between thousands are left out (``1,234.5``, ``1 234``, ``1.234.567``). If all marks in
-the numbers may part thousands (``1,234``), the file is refused: a guess would be wrong by a factor
-of 1000. Lines that begin with ``#`` are comments. Blank lines count in
-the numbers of lines.
+comma. If all marks in the numbers may part thousands (``1,234``), the file is refused: a guess
+would be wrong by a factor of 1000. Blank lines and comments (``#``) count in the numbers of lines.
 """
 
 from __future__ import annotations
@@ -14,7 +12,8 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import BinaryIO
@@ -24,8 +23,7 @@ import numpy as np
 from wrenchbook.service.formats.cells import guard_formula, number_text
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN, Layout, WritableRows
 from wrenchbook.service.formats.header import Header, Preamble, Record, delimiter_in, read_head
-from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
-from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.options import Mistakes, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import (
     BrokenLineError,
     CellFormat,
@@ -77,10 +75,10 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 
     def records(content: BinaryIO) -> Iterator[Record]:
         every = _records(_lines(content, encoding), delimiter)
-        for first in every:
-            if not _is_separator_line(first[1], delimiter):
-                yield first
-            break
+        for line, cells in islice(every, 1):  # spreadsheets put a line sep=; first
+            split_up = cells[0].lower() in ("sep=", '"sep=') and not any(cells[1:])
+            if not (_SEPARATOR_LINE.fullmatch(delimiter.join(cells)) or (split_up and cells[1:])):
+                yield line, cells
         yield from every
 
     cell_format = CellFormat(options.decimal == ",", declared=options.decimal is not None)
@@ -92,128 +90,123 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         header, rest = read_head(until_broken(records(content), report.mistakes), options)
         first = next(rest, None)
     with path.open("rb") as content:
-        body = _Body(content, encoding, delimiter, header, cell_format, options, report.mistakes)
+        mark, inputs = "," if cell_format.comma else ".", options.columns.wrench
+        body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
 
 
+@dataclass(frozen=True)
 class _Body:
     """The rows of a CSV file in pieces: by Arrow, or line by line where Arrow cannot.
 
     Arrow reads blocks of plain rows of numbers in the file's decimal mark. Blocks with blank lines,
     comments, empty or wrong cells are read line by line, for the same messages with the same lines.
-    So is all from the first quotation mark on: a quoted text may go over the end of a block.
+    So is all from the first quotation mark on that is not around a field of one line: a quoted text
+    may go over the end of a block.
     """
 
-    def __init__(
-        self,
-        content: BinaryIO,
-        encoding: str,
-        delimiter: str,
-        header: Header,
-        cell_format: CellFormat,
-        options: Options,
-        mistakes: Mistakes,
-    ) -> None:
-        self._content, self._encoding, self._delimiter = content, encoding, delimiter
-        self._header, self._mistakes = header, mistakes
-        self._mark = "," if cell_format.comma else "."
-        columns = list(header.columns.values())
-        # A time without a unit is that of a clock.
-        texts = [column for column in columns if not column.unit]
-        inputs = [column.index for column in columns if column.name in options.columns.wrench]
-        self._needed = len(inputs)
-        self._numbers = inputs + [
-            column.index for column in columns if column not in texts and column.index not in inputs
-        ]
-        texts += filter(None, (header.status, header.sequence))
-        self._texts = [*(column.index for column in texts), *header.unnamed]
+    content: BinaryIO
+    encoding: str
+    delimiter: str
+    header: Header
+    mark: str  # of decimals
+    inputs: tuple[str, ...]
+    mistakes: Mistakes
 
     def pieces(self, line: int) -> Iterator[Piece]:
         """Yield the rows from a line on."""
-        head = b"".join(self._content.readline(MAX_LINE) for _ in range(line - 1))
-        if self._encoding == "utf-16" or head.count(b"\r") != head.count(b"\r\n"):
-            self._content.seek(0)
-            lines = islice(_lines(self._content, self._encoding), line - 1, None)
+        head = b"".join(self.content.readline(MAX_LINE) for _ in range(line - 1))
+        if self.encoding == "utf-16" or head.count(b"\r") != head.count(b"\r\n"):
+            self.content.seek(0)
+            lines = islice(_lines(self.content, self.encoding), line - 1, None)
             yield from self._by_line(lines, line)
             return
-        while block := self._content.read(_BLOCK):
-            end = self._content.readline(MAX_LINE)
+        mark = re.escape(self.delimiter.encode())
+        quoted = rb'(?:^|[%b\n])"[^"\r\n]*"(?=[%b\r\n])' % (mark, mark)
+        while block := self.content.read(_BLOCK):
+            end = self.content.readline(MAX_LINE)
             block += end
-            if b'"' in block or len(end) == MAX_LINE:
-                self._content.seek(-len(block), io.SEEK_CUR)
-                yield from self._by_line(_lines(self._content, self._encoding, line), line)
+            quotes = block.count(b'"')
+            is_open = quotes and quotes != 2 * len(re.findall(quoted, block + b"\n"))
+            if is_open or len(end) == MAX_LINE:
+                self.content.seek(-len(block), io.SEEK_CUR)
+                yield from self._by_line(_lines(self.content, self.encoding, line), line)
                 return
             block = block if block.endswith(b"\n") else block + b"\n"
             count = block.count(b"\n")
             piece = self._by_arrow(block, line, count)
             if piece is None:
-                yield from self._by_line(_lines(io.BytesIO(block), self._encoding, line), line)
+                yield from self._by_line(_lines(io.BytesIO(block), self.encoding, line), line)
             else:
                 yield piece
             line += count
 
     def _by_line(self, lines: Iterator[str], line: int) -> Iterator[Piece]:
-        def check(cells: list[str], header: Header) -> str:
-            return _record_problem(cells, header, self._delimiter)
-
-        records = until_broken(_records(lines, self._delimiter, line), self._mistakes)
-        yield from text_pieces(records, self._header, self._mistakes, check)
+        records = until_broken(_records(lines, self.delimiter, line), self.mistakes)
+        check = partial(_record_problem, delimiter=self.delimiter)
+        yield from text_pieces(records, self.header, self.mistakes, check)
 
     def _by_arrow(self, block: bytes, line: int, count: int) -> Piece | None:
         """Return a block of whole lines; None if it is more than plain rows of numbers."""
         # Imported on first use: 0.5 s and 60 MB.
         from pyarrow import csv as arrow_csv
 
-        ascii_only = self._encoding == "utf-8-sig" or block.isascii()
+        ascii_only = self.encoding == "utf-8-sig" or block.isascii()
         marked = b"\0" in block or (b"#" in block and b"\n#" in b"\n" + block)
-        if marked or not ascii_only or not self._numbers:
+        marked |= b"\r" in block and block.count(b"\r") != block.count(b"\r\n")
+        columns = self.header.columns.values()
+        # A time without a unit is that of a clock.
+        texts = [column.index for column in columns if not column.unit]
+        texts += [c.index for c in (self.header.status, self.header.sequence) if c]
+        texts += self.header.unnamed
+        needed = [column.index for column in columns if column.name in self.inputs]
+        indices = needed + [c.index for c in columns if c.index not in (*texts, *needed)]
+        if marked or not ascii_only or not indices:
             return None
-        wanted = self._numbers + self._texts
         try:
             table = arrow_csv.read_csv(
                 io.BytesIO(block),
                 arrow_csv.ReadOptions(
                     use_threads=False,
                     block_size=2 * len(block),
-                    column_names=[str(index) for index in range(self._header.width)],
+                    column_names=[str(index) for index in range(self.header.width)],
                 ),
-                arrow_csv.ParseOptions(delimiter=self._delimiter, quote_char=False),
+                arrow_csv.ParseOptions(delimiter=self.delimiter, double_quote=False),
                 arrow_csv.ConvertOptions(
                     column_types={
-                        **dict.fromkeys(map(str, self._numbers), "double"),
-                        **dict.fromkeys(map(str, self._texts), "string"),
+                        **dict.fromkeys(map(str, indices), "double"),
+                        **dict.fromkeys(map(str, texts), "string"),
                     },
-                    include_columns=[str(index) for index in wanted],
+                    include_columns=[str(index) for index in indices + texts],
                     null_values=[""],
                     strings_can_be_null=False,
-                    decimal_point=self._mark,
+                    decimal_point=self.mark,
                 ),
             )
         except (OSError, ValueError):  # Arrow's errors are ValueErrors
             return None
         if table.num_rows != count:  # blank lines, carriage returns
             return None
-        columns: list[Cells] = [()] * self._header.width
-        columns_of_numbers = table.columns[: len(self._numbers)]
+        cells: list[Cells] = [()] * self.header.width
+        columns_of_numbers = table.columns[: len(indices)]
         numbers = np.stack([column.to_numpy() for column in columns_of_numbers])
         if not np.isfinite(numbers).all():
             missing = np.isnan(numbers)
             nulls = sum(column.null_count for column in columns_of_numbers)
             wrong = np.isinf(numbers).any() or missing.sum() != nulls  # "nan" is no empty cell
-            if wrong or missing[: self._needed].any() or missing.all(axis=0).any():
+            if wrong or missing[: len(needed)].any() or missing.all(axis=0).any():
                 return None
         if (numbers == 0.0).any() and _may_vanish(block):
             return None
-        for index, values in zip(self._numbers, numbers, strict=True):
-            columns[index] = values
-        for index, column in zip(self._texts, table.columns[len(self._numbers) :], strict=True):
-            columns[index] = words = column.to_pylist()
-            if len(max(words, key=len)) > MAX_TEXT or (
-                index in self._header.unnamed and any(words)
-            ):
+        for index, values in zip(indices, numbers, strict=True):
+            cells[index] = values
+        for index, column in zip(texts, table.columns[len(indices) :], strict=True):
+            cells[index] = values = column.to_pylist()
+            unnamed = index in self.header.unnamed and any(values)
+            if unnamed or len(max(values, key=len)) > MAX_TEXT:
                 return None
-        return Piece(range(line, line + count), columns, count)
+        return Piece(range(line, line + count), cells, count)
 
 
 def _may_vanish(block: bytes) -> bool:
@@ -230,10 +223,7 @@ def _may_vanish(block: bytes) -> bool:
 def csv_text(
     pieces: Iterable[WritableRows], layout: Layout, comments: Iterable[str] = ()
 ) -> Iterator[str]:
-    """Yield the text of a CSV: comments, header, and the rows of each piece.
-
-    A text that a spreadsheet would run as a formula has a ``'`` before it; an import removes it.
-    """
+    """Yield the text of a CSV: comments, header and rows; formulas get a ``'`` before them."""
     for comment in comments:
         yield "# " + " ".join(comment.split()) + "\n"
     out = _Lines()
@@ -242,7 +232,7 @@ def csv_text(
     yield out.pop_text()
     for piece in pieces:
         numbers = [column.digits(piece) for column in layout.numbers]
-        texts = [map(guard_formula, words) for words in layout.words(piece)]
+        texts = [map(guard_formula, column) for column in layout.text_columns(piece)]
         writer.writerows(zip(*numbers, *texts, strict=True))
         yield out.pop_text()
 
@@ -264,10 +254,7 @@ class _Lines(list[str]):
 
 
 def _encoding(path: Path) -> str:
-    """Return UTF-8 with or without mark, UTF-16 with mark, or Windows-1252.
-
-    UnreadableFileError if the file is a spreadsheet or in another encoding.
-    """
+    """Return utf-8-sig, utf-16 (with a mark) or cp1252; UnreadableFileError."""
     with path.open("rb") as content:
         head = content.read(4)
         if head.startswith(b"PK\x03\x04"):
@@ -335,11 +322,7 @@ def _is_comment(line: str) -> bool:
 
 
 def _records(lines: Iterator[str], delimiter: str, first: int = 1) -> Iterator[Record]:
-    """Yield the line and the cells of each record with text; the lines begin with `first`.
-
-    BrokenLineError if a quotation mark stays open or stands within a quoted field, or a field is
-    longer than 131,072 characters.
-    """
+    """Yield the line, from `first` on, and cells of each record with text; BrokenLineError."""
     fresh, length = True, 0
 
     def uncommented() -> Iterator[str]:
@@ -368,13 +351,6 @@ def _records(lines: Iterator[str], delimiter: str, first: int = 1) -> Iterator[R
         raise BrokenLineError(before + 1, _NO_CSV.format(error)) from error
 
 
-def _is_separator_line(cells: list[str], delimiter: str) -> bool:
-    """Return whether a record is the ``sep=;`` line that spreadsheets put first."""
-    return bool(_SEPARATOR_LINE.fullmatch(delimiter.join(cells))) or (
-        len(cells) > 1 and cells[0].lower() in ("sep=", '"sep=') and not any(cells[1:])
-    )
-
-
 def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
     """Return what is wrong with a record; an empty text if nothing is."""
     width, text = header.width, "".join(cells)
@@ -386,22 +362,15 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
         elif len(cells) > width and delimiter == ",":
             message += "; decimal commas need ; between the fields, a comma in a note needs quotes"
         return message
-    if broken and _holds_rows(cells, header, delimiter):
-        return "a quoted text holds a whole row of the table; is a quotation mark left open?"
-    return ""
-
-
-def _holds_rows(cells: list[str], header: Header, delimiter: str) -> bool:
-    """Return whether two lines of a record are rows: then an open quotation mark joined them.
-
-    A text of several lines leaves at most one such line, which holds the numbers of the row.
-    """
-    numeric = (name for name in header.columns if name not in (*TEXTS, TIME_COLUMN))
-    places = [header.columns[name].index for name in numeric]
+    if not broken:
+        return ""
+    # A text of several lines leaves at most one of them that holds the numbers of the row.
+    numeric = [c.index for name, c in header.columns.items() if name not in (*TEXTS, TIME_COLUMN)]
     rows = 0
     for line in _LINE_END.split(delimiter.join(cells)):
         parts = [part.strip().replace(",", ".") for part in line.split(delimiter)]
-        if len(parts) >= header.width:
-            numbers = [parts[place] for place in places if parts[place]]
-            rows += bool(numbers) and all(number_text(one, False) is not None for one in numbers)
-    return rows > 1
+        numbers = [parts[at] for at in numeric if parts[at]] if len(parts) >= width else []
+        rows += bool(numbers) and all(number_text(text, False) is not None for text in numbers)
+    if rows > 1:
+        return "a quoted text holds a whole row of the table; is a quotation mark left open?"
+    return ""

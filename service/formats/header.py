@@ -1,23 +1,13 @@
-"""The header of a table of columns, the lines above it, and which column is which in which unit.
+"""The header of a table of columns: lines above it, and which column is which in which unit.
 
-Columns, in the spellings of `columns`: ``fx fy fz mx my mz`` (a missing one is a mistake unless the
-sender declares it zero), ``ux uy uz rx ry rz`` (at least one; a missing one, or an empty field, was
-not measured), ``ux_err`` ... ``rz_err`` (95 % half width; ``ux_std`` is half of it), ``dux/dfx
-[m/N]`` ... ``drz/dmz [rad/(N*m)]`` (the 36 tangents of a solve, all or none) and ``source``,
-``note``, ``fingerprint`` (text, no unit; the fingerprint names the setup of a solve). Every number
-column names its unit, in its label, in a row of units below, or in the preamble: a rotation without
-one may be radians or degrees. An unknown column is a mistake unless the sender leaves it out,
-because a misspelt load would count as zero.
+Names and spellings are those of `columns`. A number column names its unit in its label, in a row of
+units below or in the preamble. An unknown column is a mistake unless the sender leaves it out: a
+misspelt load would count as zero. The first of 31 lines that names two columns is the header;
+without one the first line is read as the header, and its mistakes are reported.
 
-ATI's Net F/T demo logs counts: a line each of ``Start Time``, ``RDT Sample Rate``, ``Force Units``,
-``Counts per Unit Force``, ``Torque Units``, ``Counts per Unit Torque`` (two of them on one line in
-some versions), then ``Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time``. A
-value is the counts over the counts per unit; the elapsed time is the RDT sequence over the sample
-rate (ATI manual 9620-05-Ethernet Axia, 7.4, and 9620-05-Net FT, 5).
-
-Titles, dates and names of a rig may stand above the header too. The first of 31 lines that names
-two columns is the header. If no line does, or a row of numbers comes first, the first line is read
-as the header, and its mistakes are reported.
+ATI's Net F/T demo logs counts below lines such as ``Counts per Unit Force``. A value is the counts
+over the counts per unit; the elapsed time is the RDT sequence over the sample rate (ATI manual
+9620-05-Ethernet Axia, 7.4, and 9620-05-Net FT, 5).
 """
 
 from __future__ import annotations
@@ -29,8 +19,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 
-from wrenchbook.service.formats.cells import is_number
+from wrenchbook.service.formats.cells import UnitError, is_number
 from wrenchbook.service.formats.columns import (
+    ARRAYS,
     MAX_LABEL,
     ORIGIN,
     TEXTS,
@@ -39,7 +30,6 @@ from wrenchbook.service.formats.columns import (
     split,
 )
 from wrenchbook.service.formats.options import FileMistake, Options
-from wrenchbook.service.formats.units import UnitError
 
 MAX_TITLES = 30  # lines: a page of a report above its table
 _SEVERAL = 2  # one word of a title may be the name of a column ("Fx test, 3 mm")
@@ -93,11 +83,20 @@ class Preamble:
 
     def add(self, cells: list[str]) -> bool:
         """Read a line if it belongs to a preamble; ValueError if a number is not above zero."""
-        entries = [_ENTRY.fullmatch(entry.strip()) for entry in _entries(cells)]
-        if not entries or None in entries:
+        filled = [cell.strip() for cell in ",".join(cells).split(",") if cell.strip()]
+        if filled and filled[0].lower().startswith("start time"):
+            filled = [" ".join(filled)]  # a date may hold commas
+        entries: list[str] = []
+        for cell in filled:  # a key and the cell of its value are one
+            if entries and not _ENTRY.fullmatch(cell):
+                entries[-1] += " " + cell
+            else:
+                entries.append(cell)
+        matches = [_ENTRY.fullmatch(entry) for entry in entries]
+        if not matches or None in matches:
             return False
         self._any = True
-        for match in filter(None, entries):
+        for match in filter(None, matches):
             key, value = match["key"].lower(), match["value"].strip().strip(":, ")
             quantity = "torque" if "torque" in key else "force"
             if key.startswith("counts"):
@@ -117,20 +116,6 @@ class Preamble:
         return self.units[quantity], self.counts.get(quantity, 1.0)
 
 
-def _entries(cells: list[str]) -> list[str]:
-    """Return the entries of a line; a key and the cell of its value are one."""
-    filled = [cell.strip() for cell in ",".join(cells).split(",") if cell.strip()]
-    if filled and filled[0].lower().startswith("start time"):
-        return [" ".join(filled)]  # a date may hold commas
-    entries: list[str] = []
-    for cell in filled:
-        if entries and not _ENTRY.fullmatch(cell):
-            entries[-1] += " " + cell
-        else:
-            entries.append(cell)
-    return entries
-
-
 def _positive(value: str) -> float:
     try:
         number = float(value)
@@ -144,10 +129,7 @@ def _positive(value: str) -> float:
 def _split_titles(
     first: Record, rest: Iterator[Record], mapping: Mapping[str, str], columns: Columns
 ) -> tuple[list[str], Record, Iterator[Record]]:
-    """Return the titles, the header and the records below it.
-
-    `first` is the first record of the file with text; the keys of `mapping` count as names.
-    """
+    """Return the titles, the header and the records below it; keys of `mapping` count as names."""
 
     def is_row(cells: list[str]) -> bool:
         filled = [cell for cell in cells if cell.strip()]
@@ -231,6 +213,20 @@ class Header:
     preamble: Preamble = field(default_factory=Preamble)
     unnamed: list[int] = field(default_factory=list)
     titles: list[str] = field(default_factory=list)
+    named: bool = True  # by the file, which then has labels and units
+
+
+def array_header(columns: Columns) -> Header:
+    """Return the header of rows as arrays in SI: ``wrench[0]``, ``compliance[1][2]``."""
+    header, inputs = Header(0, named=False), len(columns.wrench)
+    for key in ARRAYS:
+        for at, name in enumerate(getattr(columns, key)):
+            place = f"[{at // inputs}][{at % inputs}]" if key == "compliance" else f"[{at}]"
+            header.columns[name] = HeaderColumn(len(header.columns), f"{key}{place}", name)
+    for name in TEXTS:
+        header.columns[name] = HeaderColumn(len(header.columns), name, name)
+    header.width = len(header.columns)
+    return header
 
 
 def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iterator[Record]]:
@@ -256,7 +252,8 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
             "fx [N], ux [mm] (a line that begins with # is a comment)"
         )
         return _no_header(line, "header", message), records
-    labels = [" ".join(cell.split()) for cell in cells]
+    # Files that were joined have the mark of UTF-8 before a later label too.
+    labels = [" ".join(cell.replace("\ufeff", "").split()) for cell in cells]
     while labels and not labels[-1]:
         labels.pop()  # a spreadsheet's empty columns on the right
     below = next(records, None)
@@ -296,118 +293,99 @@ def _read_labels(
     header: Header, labels: list[str], line: int, options: Options, units: Sequence[str]
 ) -> None:
     """Add the columns of the labels to the header, and all mistakes."""
-    names = _ColumnNames(options, units, header.preamble)
-    for index, label in enumerate(labels):
-        try:
-            _add_column(header, names, index, label, line)
-        except UnitError as error:
-            mistake = FileMistake(line, label or f"column {index + 1}", str(error))
-            header.mistakes.append(mistake)
-    for name in names.missing_from(labels) if options.role == "table" else ():
-        message = (
-            "is named by ignore or mapping (--ignore or --column), and the file has no such column"
-        )
-        header.mistakes.append(FileMistake(line, name, message))
+    ignored = {_key(name) for name in options.ignore}
+    mapping = {_key(name): target for name, target in options.mapping.items()}
+    keys = [(_key(label), _key(_name(label))) for label in labels]
+    for index, (label, names) in enumerate(zip(labels, keys, strict=True)):
+        if not label:
+            if not options.ignore_extra:
+                header.unnamed.append(index)
+        elif ignored.intersection(names) or label.lower() in ORIGIN:
+            header.ignored.append(label)
+        else:
+            target = mapping.get(names[0]) or mapping.get(names[1])
+            unit = units[index].strip() if index < len(units) else ""
+            unit = unit[1:-1].strip() if unit[:1] + unit[-1:] in ("[]", "()") else unit
+            column = HeaderColumn(index, label, label, unit=unit)
+            try:
+                _add_column(header, column, target, options, line)
+            except UnitError as error:
+                header.mistakes.append(FileMistake(line, label, str(error)))
+    there = {key for names in keys for key in names}
+    for name in (*options.ignore, *options.mapping) if options.role == "table" else ():
+        if _key(name) not in there:
+            message = (
+                "is named by ignore or mapping (--ignore or --column), and the file has no such "
+                "column"
+            )
+            header.mistakes.append(FileMistake(line, name, message))
     for message in _missing_columns(header, labels, options):
         header.mistakes.append(FileMistake(line, "header", message))
 
 
-def _add_column(header: Header, names: _ColumnNames, index: int, label: str, line: int) -> None:
-    if not label:
-        if not names.ignores_extra:
-            header.unnamed.append(index)
+def _add_column(
+    header: Header, bare: HeaderColumn, target: str | None, options: Options, line: int
+) -> None:
+    """Add the column of a label, with the unit below it, or of its target in the mapping."""
+    if header.preamble and (kind := _BOOKKEEPING.fullmatch(bare.label)):
+        header.ignored.append(bare.label)
+        if kind[0].lower().startswith("status"):
+            header.status = bare
+        elif kind[0].lower().startswith("rdt"):
+            header.sequence = bare
         return
-    column = None
-    if names.is_ignored(label):
-        pass
-    elif header.preamble and _BOOKKEEPING.fullmatch(label):
-        if label.lower().startswith("status"):
-            header.status = HeaderColumn(index, label, label)
-        elif label.lower().startswith("rdt"):
-            header.sequence = HeaderColumn(index, label, label)
-    else:
-        column = names.column(index, label)
-    if column is None:
-        header.ignored.append(label)
+    columns, text = options.columns, (target or bare.label).strip()
+    sign = -1.0 if target and text.startswith("-") else 1.0
+    text = text.removeprefix("-") if target else text
+    try:
+        name, unit, factor = _reading(text, bare.unit, header.preamble, columns)
+    except _UnknownColumnError:
+        if not options.ignore_extra or target:
+            raise
+        header.ignored.append(bare.label)
         return
-    if column.name in header.columns:
-        message = f"{column.name} stands twice; keep one"
-        header.mistakes.append(FileMistake(line, label, message))
-    header.columns[column.name] = column
+    if sign < 0 and name not in (*columns.loads, *columns.displacement):
+        raise UnitError("a - before a name is for loads and displacements only; leave it out")
+    if name in header.columns:
+        message = f"{name} stands twice; keep one"
+        header.mistakes.append(FileMistake(line, bare.label, message))
+    zero = columns.zero(name, unit)
+    header.columns[name] = HeaderColumn(bare.index, bare.label, name, factor * sign, unit, zero)
 
 
-class _ColumnNames:
-    """Finds the column of a label from options, a row of units and a preamble."""
-
-    def __init__(self, options: Options, units: Sequence[str], preamble: Preamble) -> None:
-        self._options, self._columns = options, options.columns
-        self._units = [_bare(unit) for unit in units]
-        self._preamble = preamble
-        self._ignore = {_key(name) for name in options.ignore}
-        self._mapping = {_key(name): target for name, target in options.mapping.items()}
-        self.ignores_extra = options.ignore_extra
-
-    def is_ignored(self, label: str) -> bool:
-        keys = {_key(label), _key(_name(label))}
-        return bool(keys & self._ignore) or label.lower() in ORIGIN
-
-    def missing_from(self, labels: list[str]) -> list[str]:
-        """Return the names in `ignore` and `mapping` that the file has not."""
-        there = {_key(label) for label in labels} | {_key(_name(label)) for label in labels}
-        named = (*self._options.ignore, *self._options.mapping)
-        return [name for name in named if _key(name) not in there]
-
-    def column(self, index: int, label: str) -> HeaderColumn | None:
-        """Return the column of a label, None if it is left out; raises UnitError."""
-        mapped = self._mapping.get(_key(label)) or self._mapping.get(_key(_name(label)))
-        text = (mapped or label).strip()
-        sign = -1.0 if mapped and text.startswith("-") else 1.0
-        below = self._units[index] if index < len(self._units) else ""
+def _reading(
+    label: str, below: str, preamble: Preamble, columns: Columns
+) -> tuple[str, str, float]:
+    """Return name, unit and factor of a label with a unit below it; UnitError."""
+    problem: UnitError | None = None
+    fits: dict[str, tuple[str, str, float]] = {}
+    meanings = list(columns.readings(label))
+    for name, written, factor in meanings:
+        if name in TEXTS:
+            return name, "", 1.0
+        counted = preamble.unit_of(name) if not (written or below) else None
+        unit, count = counted or (written or below, 1.0)
+        if not unit and name != TIME_COLUMN:
+            example = columns.examples(name)
+            problem = problem or UnitError(f"has no unit; write for example {example}")
+            continue
         try:
-            name, unit, factor = self._read(text.removeprefix("-") if mapped else text, below)
-        except _UnknownColumnError as error:
-            if self.ignores_extra and not mapped:
-                return None
-            raise UnitError(str(error)) from None
-        columns = self._columns
-        if sign < 0 and name not in (*columns.loads, *columns.displacement):
-            raise UnitError("a - before a name is for loads and displacements only; leave it out")
-        return HeaderColumn(index, label, name, factor * sign, unit, columns.zero(name, unit))
-
-    def _read(self, label: str, below: str) -> tuple[str, str, float]:
-        """Return name, unit and factor of a label with a unit below it; raises UnitError."""
-        problem: UnitError | None = None
-        fits: dict[str, tuple[str, str, float]] = {}
-        meanings = list(self._columns.readings(label))
-        for name, own, factor in meanings:
-            counted = self._preamble.unit_of(name) if not (own or below) else None
-            unit, count = counted or (own or below, 1.0)
-            if name in TEXTS:
-                return name, "", 1.0
-            if not unit and name != TIME_COLUMN:
-                example = self._columns.examples(name)
-                problem = problem or UnitError(f"has no unit; write for example {example}")
-                continue
-            try:
-                si = self._columns.factor(name, unit) if unit else 1.0
-            except UnitError as error:
-                problem = problem or error
-                continue
-            fits.setdefault(name, (name, unit, si / count * factor))
-        if len(fits) == 1:
-            return next(iter(fits.values()))
-        if len(fits) > 1:
-            raise UnitError(
-                f"can be {' or '.join(sorted(fits))}; name one with mapping (--column "
-                "'LABEL=fz [N]')"
-            )
-        # With brackets, or as a bare name, the label names a column and its unit is the mistake.
-        if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
-            raise problem
-        name, columns = _name(label), self._columns
-        raise _UnknownColumnError(
-            columns.interface_problem(name) or _unknown(name.lower(), columns)
+            si = columns.factor(name, unit) if unit else 1.0
+        except UnitError as error:
+            problem = problem or error
+            continue
+        fits.setdefault(name, (name, unit, si / count * factor))
+    if len(fits) == 1:
+        return next(iter(fits.values()))
+    if len(fits) > 1:
+        raise UnitError(
+            f"can be {' or '.join(sorted(fits))}; name one with mapping (--column 'LABEL=fz [N]')"
         )
+    # With brackets, or as a bare name, the label names a column and its unit is the mistake.
+    if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
+        raise problem
+    name = _name(label)
+    raise _UnknownColumnError(columns.interface_problem(name) or _unknown(name.lower(), columns))
 
 
 class _UnknownColumnError(UnitError):
@@ -423,13 +401,6 @@ def _name(label: str) -> str:
 
 def _key(label: str) -> str:
     return " ".join(label.split()).lower()
-
-
-def _bare(unit: str) -> str:
-    """Return a unit without the brackets that a row of units may have."""
-    text = unit.strip()
-    inside = text[1:-1] if text[:1] + text[-1:] in ("[]", "()") else text
-    return inside.strip()
 
 
 def _unknown(name: str, columns: Columns) -> str:

@@ -1,15 +1,8 @@
 """JSON tables: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
-A displacement that was not measured is null, but not all six. A row may have ``uncertainty`` (six
-numbers, null where unknown), ``compliance`` (the tangent, six lists of six numbers: a line for each
-of ux uy uz rx ry rz, over fx fy fz mx my mz), ``curvature`` (third derivatives of the complementary
-energy, in the order of `Rows.curvature`), ``source``, ``note`` and ``fingerprint``. Always SI.
-Rows of several interfaces or further inputs have as many numbers as ``inputs`` and ``outputs``
-name; without these two the order is the component's.
-An export also has ``component``, ``table_version`` and the number of each row in the ledger,
-``row``; an import ignores them.
-
-Objects of named columns, a list of them as pandas writes or one a line, are records as of a CSV.
+Rows have the arrays and texts of `Rows` (null where a displacement or an uncertainty is unknown)
+in SI, in the order of ``inputs`` and ``outputs``, else of the component. Objects of named columns,
+a list of them as pandas writes or one a line, are records as of a CSV.
 """
 
 from __future__ import annotations
@@ -17,37 +10,30 @@ from __future__ import annotations
 import json
 import math
 import re
-import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import Digits, text_problem
-from wrenchbook.service.formats.columns import ORIGIN, TEXTS, Columns, WritableRows
-from wrenchbook.service.formats.header import Record
-from wrenchbook.service.formats.options import MAX_LISTED, Options, ReadReport
-from wrenchbook.service.formats.rows import (
-    Array,
-    ParsedTable,
-    good_rows,
-    number_word,
-)
-from wrenchbook.service.formats.text import PIECE, read_records
-from wrenchbook.service.formats.units import vanished
-from wrenchbook.surrogate.table.rows import curvature_column, unknown_column
+from wrenchbook.service.formats.cells import Digits, vanished
+from wrenchbook.service.formats.columns import ARRAYS, ORIGIN, TEXTS, Columns, WritableRows
+from wrenchbook.service.formats.header import Record, array_header
+from wrenchbook.service.formats.options import MAX_MISTAKES, Options, ParsedTable, ReadReport
+from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_pieces, read_records
+from wrenchbook.surrogate.table.space import PER_INTERFACE
 
 MAX_BYTES = 112 * 1024 * 1024
 """Decoded rows take seven times their text: 450,000 rows are 800 MB."""
 
-_MAX_FLOAT = sys.float_info.max
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
-_NUMBERS = ("wrench", "displacement", "uncertainty", "compliance", "curvature")
-_ROW_KEYS = (*_NUMBERS, *TEXTS, *ORIGIN)
+_MAX_UNKNOWN = 10  # keys of a row that are named
+_REQUIRED = ("wrench", "displacement")
+_ROW_KEYS = (*ARRAYS, *TEXTS, *ORIGIN)
 _RECORDS = re.compile(rf'\s*(\[\s*\{{|\{{\s*"(?!({"|".join((*_TABLE_KEYS, *_SPACE_KEYS))})"))')
+_VANISHING = re.compile(r"[eE]-\d{3}|0{290}")  # maybe too small for a float
 _BLANKS = re.compile(r"[ \t\n\r]*")
 
 
@@ -69,23 +55,23 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
         if _RECORDS.match(text):
             # Numbers stay text, so that their digits and units are read as those of a CSV.
-            values = _values(text, Digits, Digits)
-            yield from read_records(_records(values), options, report)
+            yield from read_records(_records(_values(text, Digits)), options, report)
             return
-        values = list(islice(_values(text, _parsed_float, int), 2))
+        # A float takes a third of the memory of its digits, but hides that 1e-400 is not zero.
+        number = Digits if _VANISHING.search(text) else float
+        values = list(islice(_values(text, number), 2))
         if len(values) != 1:
             reason = "there is more behind its end" if values else "it is empty"
             raise JsonError(f"is not JSON: {reason}")
-        yield from _pieces(values[0], options, report)
+        yield from _read_table(values[0], options, report)
     except ValueError as error:
         report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
 
 
-def _values(text: str, parse_float: Any, parse_int: Any) -> Iterator[Any]:
+def _values(text: str, number: Callable[[str], Any]) -> Iterator[Any]:
     """Yield the values of a text, one behind the other; JsonError."""
-    decoder = json.JSONDecoder(
-        parse_float=parse_float, parse_int=parse_int, object_pairs_hook=_unique
-    )
+    numbers = {"parse_float": number, "parse_int": number, "parse_constant": Digits}
+    decoder = json.JSONDecoder(**numbers, object_pairs_hook=_unique)
     at = 0
     while True:
         blanks = _BLANKS.match(text, at)
@@ -138,10 +124,7 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
 
 
 def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the text of a JSON table: the members `about`, then the rows of each piece.
-
-    NaN becomes null. Unknown uncertainties, an unknown tangent and an empty text are left out.
-    """
+    """Yield the text of a JSON table: the members `about`, then the rows without unknown values."""
     head = json.dumps({**about, "units": "SI"}, allow_nan=False)
     yield head[:-1] + ', "rows": ['
     between = ""
@@ -153,28 +136,41 @@ def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Itera
     yield "]}"
 
 
-def _pieces(table: Any, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    columns = options.columns
+def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a table: an object with rows of arrays in SI."""
+    columns, mistakes = options.columns, report.mistakes
     if not isinstance(table, dict) or "rows" not in table:
-        report.mistakes.ruin(0, "rows", _no_table(columns))
+        mistakes.ruin(0, "rows", _no_table(columns))
         return
     for key, value in table.items():
         if problem := _key_problem(key, value, columns):
-            report.mistakes.ruin(0, key, problem)
+            mistakes.ruin(0, key, problem)
             return
-    if not table["rows"]:
-        report.mistakes.ruin(0, "rows", "there is no row")
-    piece = _JsonRows(columns)
-    for value in table["rows"]:
-        report.read += 1
-        piece.add(report.read, value)
-        if report.read % PIECE == 0 or len(piece.mistakes) > MAX_LISTED:
-            yield piece.table(options, report)
-            if report.is_beyond_limits():
-                return
-            piece = _JsonRows(columns)
-    yield piece.table(options, report)
-    report.is_beyond_limits()
+
+    def pieces() -> Iterator[Piece]:
+        rows, end = enumerate(table["rows"], 1), 0
+        while some := list(islice(rows, PIECE)):
+            start, good = end, []
+            cells: list[list[Any]] = []
+            for end, row in some:
+                line, problems = _row_cells(row, columns)
+                for key, message in problems:
+                    mistakes.add(end, key, message)
+                if not problems:
+                    good.append(end)
+                    cells.append(line)
+                if mistakes.count > MAX_MISTAKES:
+                    break
+            lines = list(zip(*cells, strict=True))
+            numbers = [
+                np.full(len(line), np.nan)
+                if line.count(None) == len(line)
+                else np.array(line, float)
+                for line in lines[: -len(TEXTS)]
+            ]
+            yield Piece(good, [*numbers, *lines[-len(TEXTS) :]], end - start)
+
+    yield from read_pieces(array_header(columns), pieces(), options, report, CellFormat())
 
 
 def _no_table(columns: Columns) -> str:
@@ -190,163 +186,75 @@ def _key_problem(key: str, value: Any, columns: Columns) -> str:
     if key == "units" and value != "SI":
         return "a JSON table is in SI; convert it, or send CSV with units"
     if key in _SPACE_KEYS:
-        own = columns.wrench if key == "inputs" else columns.displacement
-        return "" if value == list(own) else f"are not the component's: {', '.join(own)}"
+        names = columns.wrench if key == "inputs" else columns.displacement
+        return "" if value == list(names) else f"are not the component's: {', '.join(names)}"
     if key not in _TABLE_KEYS:
         return f"is not a key of a table; there are {', '.join(_TABLE_KEYS)}"
     return ""
 
 
-class _JsonRows:
-    """Rows without mistakes, and the mistakes of the others (row, key, message)."""
-
-    def __init__(self, columns: Columns) -> None:
-        self.mistakes: list[tuple[int, str, str]] = []
-        self._columns = columns
-        self._row: list[int] = []
-        self._numbers: list[list[float]] = []  # as many a row as `Columns.numbers`
-        self._curvatures: list[list[float] | None] = []
-        self._texts: list[list[str]] = []
-        self._at = 0
-
-    def add(self, at: int, row: Any) -> None:
-        """Add the row of number `at`, or its mistakes."""
-        self._at, before = at, len(self.mistakes)
-        if not isinstance(row, dict):
-            self._refuse("row", 'is not a row; write {"wrench": [...], "displacement": [...]}')
-            return
-        for key in row:
-            if key not in _ROW_KEYS:
-                self._refuse(key, f"is not a key of a row; there are {', '.join(_ROW_KEYS)}")
-        numbers = self._required(row, "wrench", self._columns.wrench)
-        numbers += self._required(row, "displacement", self._columns.displacement)
-        numbers += self._uncertainty(row.get("uncertainty"))
-        numbers += self._tangent(row.get("compliance"))
-        curvature, count = row.get("curvature"), len(self._columns.curvature)
-        if curvature is not None and not _are(curvature, count):
-            self._refuse("curvature", f"is not a list of {count} numbers; a row has all or none")
-        elif curvature is not None:
-            curvature = self._finite("curvature", curvature)
-        texts = [self._text(row.get(key), key) for key in TEXTS]
-        if len(self.mistakes) == before:
-            self._row.append(at)
-            self._numbers.append(numbers)
-            self._curvatures.append(curvature)
-            self._texts.append(texts)
-
-    def table(self, options: Options, report: ReadReport) -> ParsedTable:
-        """Return the rows within all limits; `report` gets the mistakes."""
-        for mistake in self.mistakes:
-            report.mistakes.add(*mistake)
-        n, m = len(self._columns.wrench), len(self._columns.displacement)
-        block: Array = np.array(self._numbers, dtype=float).reshape(-1, n + 2 * m + m * n)
-        source, note, fingerprint = zip(*self._texts, strict=True) if self._texts else ((), (), ())
-        uncertainty, tangents = block[:, n + m : n + 2 * m], block[:, n + 2 * m :].reshape(-1, m, n)
-        piece = {
-            "seq": np.array(self._row, dtype=np.int64),
-            "wrench": block[:, :n],
-            "displacement": block[:, n : n + m],
-            "compliance": _known_column(tangents),
-            "curvature": curvature_column(self._curvatures, self._columns.space),
-            "uncertainty": _known_column(uncertainty),
-            "source": np.array(source, dtype=str),
-            "fingerprint": np.array(fingerprint, dtype=str),
-            "space": self._columns.space,
-            "note": note,
-        }
-        return good_rows(piece, np.ones(len(block), dtype=bool), options, report)
-
-    def _refuse(self, key: str, message: str) -> None:
-        self.mistakes.append((self._at, key, message))
-
-    def _required(self, row: dict[str, Any], key: str, names: Sequence[str]) -> list[float]:
-        """Return finite numbers, one a name, NaN for a displacement that is null."""
-        values, partial = row.get(key), key == "displacement"
-        if not _are(values, len(names)):
-            count = number_word(len(names))
-            problem = "is missing" if values is None else f"is not a list of {count} numbers"
-            self._refuse(key, f"{problem}; write [{', '.join(names)}] in SI")
-            return []
-        if partial and all(value is None for value in values):
-            self._refuse(key, "is all null; a row needs at least one number")
-        return self._finite(key, values, nulls=partial)
-
-    def _uncertainty(self, values: Any) -> list[float]:
-        count = len(self._columns.displacement)
-        if values is None:
-            return [math.nan] * count
-        if not _are(values, count):
-            message = f"is not a list of {number_word(count)} numbers (null where unknown)"
-            self._refuse("uncertainty", message)
-            return []
-        bounds = self._finite("uncertainty", values, nulls=True)
-        for index, bound in enumerate(bounds):
-            if bound < 0.0:
-                self._refuse(f"uncertainty[{index}]", f"{bound}: an uncertainty is not negative")
-        return bounds
-
-    def _tangent(self, lines: Any) -> list[float]:
-        """Return the tangents by lines, NaN where the row has none."""
-        n, m = len(self._columns.wrench), len(self._columns.displacement)
-        if lines is None:
-            return [math.nan] * (m * n)
-        if not _are(lines, m) or not all(_are(line, n) for line in lines):
-            message = (
-                f"is not {number_word(m)} lists of {number_word(n)} numbers; a row has all "
-                f"{m * n} tangents or none"
-            )
-            self._refuse("compliance", message)
-            return []
-        numbers = (self._finite(f"compliance[{at}]", line) for at, line in enumerate(lines))
-        return [number for line in numbers for number in line]
-
-    def _finite(self, key: str, values: list[Any], nulls: bool = False) -> list[float]:
-        """Return finite numbers, NaN for null where that is allowed, zero and a mistake else."""
-        numbers = []
-        for index, value in enumerate(values):
-            problem, number = "", 0.0
-            if nulls and value is None:
-                number = math.nan
-            elif isinstance(value, _Vanished):
-                problem = "is too small a number and would become 0; write 0"
-            elif type(value) is not float and type(value) is not int:  # a bool is an int to Python
-                problem = f"{json.dumps(value)[:40]} is not a number"
-            elif not abs(value) <= _MAX_FLOAT:
-                problem = "is not finite; leave the row out"
-            else:
-                number = float(value)
-            if problem:
-                self._refuse(f"{key}[{index}]", problem)
-            numbers.append(number)
-        return numbers
-
-    def _text(self, value: Any, key: str) -> str:
-        if value is None:
-            return ""
-        if not isinstance(value, str):
-            self._refuse(key, "is not a text")
-            return ""
-        if problem := text_problem(value):
-            self._refuse(key, problem)
-        return value.strip()
+def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, str]]]:
+    """Return a row's cells in the order of `array_header`, and key and message of each mistake."""
+    if not isinstance(row, dict):
+        return [], [("row", 'is not a row; write {"wrench": [...], "displacement": [...]}')]
+    unknown = islice((key for key in row if key not in _ROW_KEYS), _MAX_UNKNOWN)
+    message = f"is not a key of a row; there are {', '.join(_ROW_KEYS)}"
+    cells: list[Any] = []
+    problems = [(key, message) for key in unknown]
+    for key in ARRAYS:
+        names, values = getattr(columns, key), row.get(key)
+        if values is None and key not in _REQUIRED:
+            cells += [None] * len(names)
+            continue
+        width = len(columns.wrench) if key == "compliance" else len(names)
+        lines = values if key == "compliance" else [values]
+        are_lists = isinstance(lines, list) and all(isinstance(line, list) for line in lines)
+        if not are_lists or [*map(len, lines)] != [width] * (len(names) // width):
+            problems.append((key, _form(key, names, width, is_missing=values is None)))
+            continue
+        for at, line in enumerate(lines):
+            cells += line
+            if {*map(type, line)} != {float}:
+                label = f"{key}[{at}]" if key == "compliance" else key
+                cells[-width:] = _number_cells(label, line, problems)
+    for key in TEXTS:
+        text = row.get(key)
+        if not (text is None or type(text) is str):
+            problems.append((key, "is not a text"))
+        cells.append(text or "")
+    return cells, problems
 
 
-def _known_column(column: Array) -> Array:
-    """Return a column, (n, ...), m and rad; without memory if all of it is unknown."""
-    return unknown_column(*column.shape) if np.isnan(column).all() else column
+def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> str:
+    """Return what is wrong with the value of a key, and what to write."""
+    lines, numbers = (
+        "six" if count == PER_INTERFACE else str(count) for count in (len(names) // width, width)
+    )
+    if key == "compliance":
+        rule = f"a row has all {len(names)} tangents or none"
+        return f"is not {lines} lists of {numbers} numbers; {rule}"
+    remedy = {
+        "uncertainty": " (null where unknown)",
+        "curvature": "; a row has all or none",
+    }.get(key, f"; write [{', '.join(names)}] in SI")
+    return ("is missing" if is_missing else f"is not a list of {numbers} numbers") + remedy
 
 
-def _are(values: Any, count: int) -> TypeGuard[list[Any]]:
-    return isinstance(values, list) and len(values) == count
-
-
-class _Vanished(float):
-    """A number of the file that is not zero and its float is."""
-
-
-def _parsed_float(text: str) -> float:
-    number = float(text)
-    return _Vanished(number) if number == 0.0 and vanished(text) else number
+def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) -> list[Any]:
+    """Return numbers as floats, None for null where that is allowed; else it is a mistake."""
+    cells: list[float | None] = []
+    for index, value in enumerate(line):
+        problem, is_null = "", value is None and key in ("displacement", "uncertainty")
+        if type(value) is Digits and not math.isfinite(float(value)):
+            problem = "is not finite; leave the row out"
+        elif type(value) is Digits and float(value) == 0.0 and vanished(value):
+            problem = "is too small a number and would become 0; write 0"
+        elif not (is_null or type(value) in (Digits, float)):
+            problem = f"{json.dumps(value)[:40]} is not a number"
+        if problem:
+            problems.append((f"{key}[{index}]", problem))
+        cells.append(None if is_null or problem else float(value))
+    return cells
 
 
 def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:

@@ -1,19 +1,42 @@
-"""Input and output of reading a table file: the sender's options, the report with all mistakes."""
+"""What a reader takes and returns: options, rows within limits, and the report with all mistakes.
+
+A row beyond the limits is a mistake of a unit. Rows of different setups are never mixed: a solve of
+another fingerprint, or of none, would be a solve of another mesh. The sender can change the source.
+"""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wrenchbook.service.formats.columns import Columns, columns_of
 from wrenchbook.surrogate.findings.finding import RigFinding
-from wrenchbook.surrogate.table.rows import LoadRange
-from wrenchbook.surrogate.table.space import DEFAULT, Space
+from wrenchbook.surrogate.limits import (
+    ROTATION_LIMIT,
+    TRANSLATION_LIMIT,
+    is_too_far,
+    rotation_angles,
+)
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, unknown_column
+from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
 
+Array = np.ndarray
+Problem = tuple[int, str, str]
+"""The index of a row in the arrays, its column, and what to do."""
+
+LOAD_LIMIT = 10.0
+"""Largest load over the component's range: tests reach a few times the service load; kN read as N,
+or a shifted column, is off by more."""
+
+
+FEA = "fea"  # the source of solves
+MEASURED = "measured"  # the source of rows that name none
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat"]
 Role = Literal["table", "loads", "displacements"]
 
@@ -29,7 +52,7 @@ _MAX_FIELD = 200  # characters: a key of a row can have a million
 _MAX_CAUSES = 100
 _MAX_SHOWN = 10  # rows and columns of a cause
 _VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")  # differs between two mistakes of one cause
-_MAX_KEPT = 20 * MAX_LISTED  # until they are sorted at the end of a piece
+_MAX_FIRST = 20 * MAX_LISTED  # until they are sorted at the end of a piece
 
 
 @dataclass(frozen=True)
@@ -86,8 +109,8 @@ class Options:
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Options:
         """Return options from the result of `as_json`."""
-        low, high, words = values["load_range"] or ([], [], None)
-        span = LoadRange(np.array(low), np.array(high), Space.read(words)) if words else None
+        low, high, space = values["load_range"] or ([], [], None)
+        span = LoadRange(np.array(low), np.array(high), Space.read(space)) if space else None
         return cls(**{**values, "ignore": tuple(values["ignore"]), "load_range": span})
 
 
@@ -109,13 +132,10 @@ class FileMistake:
 
 
 class Mistakes:
-    """The mistakes of a file: all are counted in `count`, the first by row are kept.
-
-    `whole`: one of them concerns the whole file; no row of it is loaded then.
-    """
+    """The mistakes of a file; `whole`: one is of all of it, and no row is loaded."""
 
     def __init__(self) -> None:
-        self._kept: list[FileMistake] = []
+        self._first: list[FileMistake] = []
         self._causes: dict[str, MistakeCause] = {}
         self.count = 0
         self.whole = False
@@ -127,8 +147,8 @@ class Mistakes:
         """Add a mistake of a row."""
         self.count += 1
         mistake = FileMistake(row, field[:_MAX_FIELD], message)
-        if len(self._kept) < _MAX_KEPT:
-            self._kept.append(mistake)
+        if len(self._first) < _MAX_FIRST:
+            self._first.append(mistake)
         key = _VALUE.sub("", message)
         if key in self._causes or len(self._causes) < _MAX_CAUSES:
             self._causes.setdefault(key, MistakeCause(mistake)).add(mistake)
@@ -138,10 +158,10 @@ class Mistakes:
         self.add(row, field, message)
         self.whole = True
 
-    def settle(self) -> None:
+    def trim(self) -> None:
         """Keep the first by row, at the end of a piece: later pieces have higher rows."""
-        self._kept.sort(key=lambda mistake: mistake.row)
-        del self._kept[MAX_LISTED + 1 :]
+        self._first.sort(key=lambda mistake: mistake.row)
+        del self._first[MAX_LISTED + 1 :]
 
     def causes(self) -> list[dict[str, Any]]:
         """Return the mistakes by cause: the first of each, their count and the first rows."""
@@ -150,14 +170,14 @@ class Mistakes:
 
     def listed(self) -> tuple[FileMistake, ...]:
         """Return the first by row; a last one counts those that are not listed."""
-        self.settle()
+        self.trim()
         if self.count <= MAX_LISTED:
-            return tuple(self._kept)
+            return tuple(self._first)
         message = f"{self.count - MAX_LISTED} more errors are not listed; correct these first"
         if self.count > MAX_MISTAKES:
             message += f"; reading stopped after more than {MAX_MISTAKES:,}"
-        row = self._kept[MAX_LISTED].row if len(self._kept) > MAX_LISTED else 0
-        return (*self._kept[:MAX_LISTED], FileMistake(row, "", message))
+        row = self._first[MAX_LISTED].row if len(self._first) > MAX_LISTED else 0
+        return (*self._first[:MAX_LISTED], FileMistake(row, "", message))
 
 
 @dataclass
@@ -187,17 +207,18 @@ class MistakeCause:
 class ReadReport:
     """Report on reading a file; it is complete after the last piece.
 
-    `columns` are label, name and unit of those that are read, `ignored` the labels of the others,
-    `titles` lines above the header. `converted`: some numbers are not in the units of arrays.
-    `clock`, of two logs: the seconds added to the displacements' times, and the lag that the logs
-    show. `read`, `zeroed` and `unmatched` count the rows of the file, those in the mean of the zero
-    offset, and those with no load at their time.
+    `columns` are label, name and unit of those that are read, `labels` how messages call each name,
+    `ignored` the labels of the others, `titles` lines above the header. `converted`: some numbers
+    are not in the units of arrays. `clock`, of two logs: the seconds added to the displacements'
+    times, and the lag that the logs show. `read`, `zeroed` and `unmatched` count the rows of the
+    file, those in the mean of the zero offset, and those with no load at their time.
     """
 
     mistakes: Mistakes = field(default_factory=Mistakes)
     format: str = ""
     gzip: bool = False
     columns: list[tuple[str, str, str]] = field(default_factory=list)
+    labels: dict[str, str] = field(default_factory=dict)
     converted: bool = False
     ignored: list[str] = field(default_factory=list)
     titles: list[str] = field(default_factory=list)
@@ -209,22 +230,13 @@ class ReadReport:
 
     def is_beyond_limits(self) -> bool:
         """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
-        self.mistakes.settle()
+        self.mistakes.trim()
         if self.read > MAX_ROWS:
             message = f"has more than {MAX_ROWS:,} rows; send it in parts"
             self.mistakes.ruin(0, "file", message)
         elif self.mistakes.count > MAX_MISTAKES:
             self.mistakes.whole = True
         return self.mistakes.whole
-
-    def label(self, name: str, columns: Columns) -> str:
-        """Return the label of a column in the file: ``Fz [kN]``; ``wrench[2]`` in JSON and HDF5."""
-        if self.columns or self.format not in ("json", "hdf5"):
-            return next((label for label, own, _ in self.columns if own == name), name)
-        keys = ("wrench", "displacement", "uncertainty")
-        named = ((key, getattr(columns, key)) for key in keys)
-        found = (f"{key}[{names.index(name)}]" for key, names in named if name in names)
-        return next(found, name)
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the report as in the HTTP reply, with the number of good rows and a preview."""
@@ -249,3 +261,150 @@ class ReadReport:
             "converted": self.converted,
             "preview": preview,
         }
+
+
+@dataclass(frozen=True)
+class ParsedTable(Rows):
+    """Rows of a table file; `seq` are places in the file as of `FileMistake.row`."""
+
+    note: Sequence[str] = ()
+    time: Array | None = None  # (n,), s; of logs that are joined by it
+
+    def take(self, which: ArrayLike) -> ParsedTable:
+        """Return the rows that an index array or a mask of shape (n,) picks."""
+        return type(self)(**picked(vars(self), np.asarray(which)))
+
+
+def picked(columns: Mapping[str, Any], which: Array) -> dict[str, Any]:
+    """Return the columns of a `ParsedTable` for the rows of a mask, (n,), or of indices."""
+    columns = dict(columns)
+    if which.dtype != bool or not which.all():
+        index = np.flatnonzero(which) if which.dtype == bool else which
+        for name, column in columns.items():
+            if isinstance(column, np.ndarray):
+                is_unknown = column.ndim > 1 and not any(column.strides)
+                shape = len(index), *column.shape[1:]
+                columns[name] = unknown_column(*shape) if is_unknown else column[index]
+        columns["note"] = [columns["note"][at] for at in index.tolist()]
+    return columns
+
+
+def is_corrected(options: Options) -> bool:
+    """Return whether readings are joined or corrected: rows of the interface have limits."""
+    return bool(options.zero_rows or options.rig or options.role != "table")
+
+
+def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
+    """Return the rows within all limits; the others become mistakes."""
+    good = is_within_limits(vars(piece), options, report)
+    report.mistakes.trim()
+    return piece.take(good)
+
+
+def is_within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
+    """Return which rows of the columns of a `ParsedTable` are within all limits, (n,)."""
+    good = np.ones(len(columns["seq"]), dtype=bool)
+    numbers = (columns[name] for name in ("wrench", "displacement", "uncertainty"))
+    for at, name, message in _excesses(*numbers, options):
+        good[at] = False
+        report.mistakes.add(int(columns["seq"][at]), report.labels.get(name, name), message)
+    return good
+
+
+def largest_loads(load_range: LoadRange) -> Array:
+    """Return the largest size of each input that a table may have, shape (n,), N and N·m.
+
+    A load without a range of its own (0 to 0) has the largest of its kind: the cross-loads of a rig
+    are a part of its main load. If all of a kind have none there is no limit.
+    """
+    kinds = np.array([load.kind for load in load_range.space.inputs])
+    size = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
+    for kind in ("force", "moment"):
+        size[(kinds == kind) & (size == 0.0)] = size[kinds == kind].max()
+    return np.where(size > 0.0, LOAD_LIMIT * size, np.inf)
+
+
+def _excesses(
+    wrench: Array, displacement: Array, uncertainty: Array, options: Options
+) -> Iterator[Problem]:
+    """Yield the numbers beyond a limit."""
+    columns = options.columns
+    is_rotation = columns.space.is_rotation
+    for first in range(0, len(columns.displacement), PER_INTERFACE):
+        moved = displacement[:, first : first + PER_INTERFACE]
+        angle = rotation_angles(moved)
+        for at in np.flatnonzero(is_too_far(angle)).tolist():
+            name = columns.displacement[first + 3 + int(np.nanargmax(np.abs(moved[at, 3:])))]
+            message = (
+                f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "
+                "(check the unit: rad or deg?)"
+            )
+            yield at, name, message
+    for at, axis in np.argwhere((np.abs(displacement) > TRANSLATION_LIMIT) & ~is_rotation).tolist():
+        message = (
+            f"the translation is {displacement[at, axis]:.4g} m; a table ends at "
+            f"{TRANSLATION_LIMIT:g} m, because within 20 degrees only a part longer than 40 m "
+            "moves so far (check the unit: m or mm?)"
+        )
+        yield at, columns.displacement[axis], message
+    limit = np.where(is_rotation, ROTATION_LIMIT * (1.0 + 1e-12), TRANSLATION_LIMIT)
+    known = any(uncertainty.strides)  # infinite ones are other mistakes
+    beyond = np.isfinite(uncertainty) & (uncertainty > limit) if known else np.zeros((0, 0))
+    for at, output in np.argwhere(beyond).tolist():
+        unit, end = ("rad", ROTATION_LIMIT) if is_rotation[output] else ("m", TRANSLATION_LIMIT)
+        message = (
+            f"the uncertainty is {uncertainty[at, output]:.4g} {unit}; no displacement of a table "
+            f"is beyond {end:.4g} {unit} (check the unit, or leave it out if it is not known)"
+        )
+        yield at, columns.uncertainty[output], message
+    load_range = options.load_range
+    if load_range is None:
+        return
+    limit = largest_loads(load_range)
+    for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
+        column = load_range.space.inputs[load]
+        unit, what = column.unit.replace("·", "*"), "input" if column.kind == "scalar" else "load"
+        message = (
+            f"the {what} is {wrench[at, load]:.6g} {unit}; the component's range is "
+            f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit}, and a table ends at "
+            f"{limit[load]:g} (check the unit and the column)"
+        )
+        yield at, column.name, message
+
+
+def with_own_setup(
+    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield the rows that a table of the setup `options.fingerprint` may hold."""
+    setup = options.fingerprint
+    for piece in pieces:
+        if setup is None or not (piece.fingerprint.any() or (piece.source == FEA).any()):
+            yield piece
+            continue
+        good = np.ones(len(piece), dtype=bool)
+        for at, name, message in _foreign_rows(piece, setup):
+            good[at] = False
+            report.mistakes.add(int(piece.seq[at]), name, message)
+        yield piece.take(good)
+        if report.is_beyond_limits():
+            return
+
+
+def _foreign_rows(piece: ParsedTable, setup: str) -> Iterator[Problem]:
+    """Yield the rows that are solves of another setup, or incomplete ones."""
+    pairs = zip(piece.fingerprint.tolist(), piece.source.tolist(), strict=True)
+    for at, (fingerprint, source) in enumerate(pairs):
+        if fingerprint != setup and (fingerprint or source == FEA):
+            other = (
+                f"the setup {fingerprint}" if fingerprint else "a setup that the row does not name"
+            )
+            message = (
+                f"is a solve of {other}, this component's setup is {setup}; rows "
+                "of different setups are never mixed. Leave the row out, or load it as measured: "
+                "an empty fingerprint and another source"
+            )
+            yield at, "fingerprint", message
+        elif source == FEA and np.isnan(piece.displacement[at]).any():
+            count = piece.displacement.shape[1]
+            message = f"a solve knows all {count} outputs; write them, or another source than fea"
+            yield at, "source", message

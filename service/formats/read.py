@@ -18,21 +18,27 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.arrow import read_parquet
+from wrenchbook.service.formats.cells import FORCE, si_factor
+from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet
 from wrenchbook.service.formats.csv import read_csv
-from wrenchbook.service.formats.hdf5 import read_hdf5, read_mat
 from wrenchbook.service.formats.json import read_json
-from wrenchbook.service.formats.logs import joined_loads, with_loads, zeroed
-from wrenchbook.service.formats.options import Format, Options, ReadReport
-from wrenchbook.service.formats.rig import rigged, with_known_point
-from wrenchbook.service.formats.rows import (
+from wrenchbook.service.formats.options import (
     MEASURED,
+    Format,
+    Options,
     ParsedTable,
+    ReadReport,
     is_corrected,
     with_own_setup,
     within_limits,
 )
-from wrenchbook.service.formats.units import FORCE, si_factor
+from wrenchbook.service.formats.rig import (
+    joined_loads,
+    rigged,
+    with_known_point,
+    with_loads,
+    zeroed,
+)
 from wrenchbook.service.formats.xlsx import read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MOST, find
@@ -83,14 +89,23 @@ class ReadResult:
 
     def pieces(self) -> Iterator[ParsedTable]:
         """Yield the rows in pieces."""
-        return (_piece(part, self.space) for part in self.parts)
+        inputs, outputs = len(self.space.inputs), len(self.space.outputs)
+        for part in self.parts:
+            n, note = len(part.arrays["seq"]), part.fields["note"]
+            columns: dict[str, Any] = {
+                "uncertainty": unknown_column(n, outputs),
+                "compliance": unknown_column(n, outputs, inputs),
+                "curvature": np.empty((n, 0)),
+                "note": [note] * n if isinstance(note, str) else note,
+            }
+            for name in ("source", "fingerprint"):
+                text = part.fields[name]
+                columns[name] = np.full(n, text) if isinstance(text, str) else np.array(text)
+            yield ParsedTable(**columns | dict(part.arrays), space=self.space)
 
 
 def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) -> ReadResult:
-    """Read a table file, or two logs to be joined by time, in a child process with limits.
-
-    Raises SandboxBusyError if no child is free for a minute, OSError if the disk is full.
-    """
+    """Read a table, or two logs, in a child with limits; SandboxBusyError, OSError."""
     arguments = {
         "second": str(files[1]) if len(files) > 1 else None,
         "options": options.as_json(),
@@ -113,16 +128,13 @@ def warm_up() -> None:
 def table_parts(
     file: Path, second: str | None, options: Mapping[str, Any], preview: int
 ) -> Iterator[Part]:
-    """Read a file, or the logs of loads and displacements, and yield its pieces, then the report.
-
-    `options` are those of `Options.as_json`, `preview` the first good rows in the report.
-    """
-    own, report, good = Options.from_json(options), ReadReport(), 0
+    """Yield the pieces of a file, or of two logs, as parts, then the report with `preview` rows."""
+    read_options, report, good = Options.from_json(options), ReadReport(), 0
     shown: list[dict[str, Any]] = []
     if second is None:
-        pieces = read_table_file(file, own, report)
+        pieces = read_table_file(file, read_options, report)
     else:
-        pieces = read_logs(file, Path(second), own, report)
+        pieces = read_logs(file, Path(second), read_options, report)
     sample = FindingsSample()
     for piece in pieces:
         if report.mistakes.whole:
@@ -135,7 +147,7 @@ def table_parts(
         good += len(piece)
         if len(piece):
             yield _part(piece)
-    findings = [] if report.mistakes.whole else sample.findings(own, report.findings)
+    findings = [] if report.mistakes.whole else sample.findings(read_options, report.findings)
     yield Part({**report.as_json(good, shown), "findings": findings})
 
 
@@ -171,10 +183,7 @@ class FindingsSample:
 
 
 def read_table_file(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the rows of a table file that may be loaded; `report` is complete after the last piece.
-
-    A gzipped file is unpacked next to it.
-    """
+    """Yield the rows of a file that may be loaded; `report` is complete after the last piece."""
     yield from _corrected(_columns(path, options, report), options, report)
 
 
@@ -183,12 +192,12 @@ def read_logs(
 ) -> Iterator[ParsedTable]:
     """Yield the rows of two logs joined by time; parameters as `read_table_file`."""
     log = _columns(loads, replace(options, role="loads", zero_rows=0), report)
-    joined = joined_loads(log, report)
+    loads_log = joined_loads(log, report)
     report.read, report.format, report.gzip = 0, "", False  # those of the displacements count
-    if joined is None:
+    if loads_log is None:
         return
     log = list(_columns(displacements, replace(options, role="displacements"), report))
-    yield from _corrected(with_loads(log, *joined, options, report), options, report)
+    yield from _corrected(with_loads(log, *loads_log, options, report), options, report)
 
 
 def _corrected(
@@ -285,6 +294,8 @@ def _format_of(path: Path) -> Format:
             "MAT, each gzipped if you like"
         )
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
+    if text[:1] == b"<":
+        raise ContentError("is a web page or XML and no table; export the table as CSV or XLSX")
     return "json" if text[:1] in (b"{", b"[") else "csv"
 
 
@@ -312,21 +323,3 @@ def _part(piece: ParsedTable) -> Part:
         name: column[0] if len(set(column)) == 1 else column for name, column in texts.items()
     }
     return Part(packed, arrays)
-
-
-def _piece(part: Part, space: Space) -> ParsedTable:
-    n, outputs, inputs = len(part.arrays["seq"]), len(space.outputs), len(space.inputs)
-    texts = {
-        name: np.full(n, part.fields[name])
-        if isinstance(part.fields[name], str)
-        else np.array(part.fields[name])
-        for name in ("source", "fingerprint")
-    }
-    note = part.fields["note"]
-    blank = {
-        "uncertainty": unknown_column(n, outputs),
-        "compliance": unknown_column(n, outputs, inputs),
-        "curvature": np.empty((n, 0)),
-        "note": [note] * n if isinstance(note, str) else note,
-    }
-    return ParsedTable(**blank | texts | dict(part.arrays), space=space)

@@ -1,8 +1,7 @@
-"""The frame and the reference points of a test rig; readings in them as rows of the interface.
+"""From readings of a test rig to rows of the interface: zero offset, join of two logs, frame.
 
 Forces and translations are polar vectors. Moments and rotations are axial ones: left-handed axes
-turn their sign. Points are in the interface's frame, from the interface's point. A moment of the
-table is about that point where it is now; that of a load cell on the ground is about where it was.
+turn their sign. Points are in the interface's frame, from the interface's point.
 """
 
 from __future__ import annotations
@@ -11,26 +10,30 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.rows import (
+from wrenchbook.service.formats.options import (
     FEA,
     LOAD_LIMIT,
     MEASURED,
     Array,
+    Options,
     ParsedTable,
     Problem,
+    ReadReport,
     largest_loads,
     picked,
 )
+from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag, repeated
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
+GAP_FACTOR = 5.0  # times the median interval of the loads: in a longer one samples were lost
+_CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the beginning of a test
 MAX_RIG = 4000  # characters of a TOML: it is sent in a URL
 _MAX_NAME = 100  # characters
 _SKEW = 1e-3  # axes written as 0.707 are perpendicular unit vectors to 2e-4
@@ -118,10 +121,7 @@ class Rig:
         return turned
 
     def displacements(self, moved: Array) -> Array:
-        """Return displacements of the interface's point, (n, 6), from the rig's, m and rad.
-
-        A number that depends on one that was not measured (NaN) is NaN.
-        """
+        """Return displacements of the interface's point, (n, 6), m and rad; NaN if unknown."""
         turned = _product(moved, self.turn)
         if self.displacement_point.any():
             turned[:, :3] -= _swing(turned[:, 3:], self.displacement_point)
@@ -176,8 +176,7 @@ def rigged(
         good = np.ones(len(piece), dtype=bool)
         for at, name, message in _problems(piece, rig, moved, shift, names):
             good[at] = False
-            label = report.label(name, options.columns) if name in names else name
-            report.mistakes.add(int(piece.seq[at]), label, message)
+            report.mistakes.add(int(piece.seq[at]), report.labels.get(name, name), message)
         source = np.where(piece.source == "", MEASURED, piece.source)
         columns = {"wrench": loads - shift, "displacement": moved, "uncertainty": uncertainty}
         columns["source"] = np.char.add(source, f"{_MARK}{rig.name}")
@@ -218,15 +217,18 @@ def with_known_point(
             row = int(piece.seq[asked][at])
     if (count > _FEW_ROWS * rows).any():
         more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
-        words = {"count": int(count.max()), "rows": rows, "row": row, "value": value, "more": more}
-        report.mistakes.ruin(0, "load_cell", _WHICH_POINT.format(share=100.0 * worst, **words))
+        numbers = {
+            "count": int(count.max()),
+            "rows": rows,
+            "row": row,
+            "value": value,
+            "more": more,
+        }
+        report.mistakes.ruin(0, "load_cell", _WHICH_POINT.format(share=100.0 * worst, **numbers))
 
 
 def _shift(wrench: Array, displacement: Array) -> Array:
-    """Return translation x force of each interface at its moments, (n, inputs), N·m; else zeros.
-
-    NaN where a force that is not zero meets a translation that was not measured.
-    """
+    """Return translation x force at each moment, (n, inputs), N·m; NaN where one is not known."""
     shift = np.zeros(wrench.shape)
     for first in range(0, displacement.shape[1], PER_INTERFACE):
         force, moved = (values[:, first : first + 3] for values in (wrench, displacement))
@@ -271,9 +273,9 @@ def _problems(
 def _product(values: Array, matrix: Array) -> Array:
     """Return values @ matrix, (n, 6); NaN only where a factor that is not zero meets a NaN."""
     unknown = np.isnan(values)
-    found = np.where(unknown, 0.0, values) @ matrix
-    found[unknown @ (matrix != 0.0)] = np.nan
-    return found
+    product = np.where(unknown, 0.0, values) @ matrix
+    product[unknown @ (matrix != 0.0)] = np.nan
+    return product
 
 
 def _swing(rotation: Array, point: Array) -> Array:
@@ -314,3 +316,115 @@ def _numbers(name: str, value: Any, count: int) -> Array:
         example = "0,0,0.05" if count == 3 else "x=-y,y=x,z=z, or the rig's three axes"
         raise RigError(f"{name}: is not {count} numbers up to {_FARTHEST:g} (m); write {example}")
     return numbers
+
+
+def zeroed(
+    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
+) -> Iterator[ParsedTable]:
+    """Yield rows less the mean of the first `options.zero_rows` good ones, which are left out."""
+    if not options.zero_rows:
+        yield from pieces
+        return
+    offset = None
+    for piece in pieces:
+        if offset is None:
+            count = options.zero_rows
+            if len(piece) <= count:
+                message = f"tare={count}, and only {len(piece)} good rows are there for it"
+                report.mistakes.ruin(0, "tare", message)
+                return
+            moved = piece.displacement[:count]
+            known = np.isfinite(moved)  # 0 where nothing was measured
+            sums = np.where(known, moved, 0.0).sum(axis=0)
+            offset = piece.wrench[:count].mean(axis=0), sums / np.maximum(known.sum(axis=0), 1)
+            offset[0][len(options.columns.loads) :] = 0.0  # a temperature has its own zero
+            report.zeroed = count
+            piece = piece.take(np.arange(len(piece)) >= count)
+        wrench, displacement = piece.wrench - offset[0], piece.displacement - offset[1]
+        yield replace(piece, wrench=wrench, displacement=displacement)
+
+
+def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Array, Array] | None:
+    """Return times (n,), s, and wrenches of a log of loads; None if it has a mistake."""
+    parts, mistakes = list(pieces), report.mistakes
+    if mistakes:
+        mistakes.whole = True
+        return None
+    time = np.concatenate([np.empty(0), *(part.time for part in parts if part.time is not None)])
+    steps = np.diff(time)
+    if not len(steps) or (steps <= 0.0).any():
+        rows = [row for part in parts for row in part.seq.tolist()]
+        at = int(np.argmax(steps <= 0.0)) + 1 if len(steps) else 0
+        message = "the log of the loads needs times that grow from sample to sample"
+        mistakes.ruin(rows[at] if rows else 0, "time", message)
+        return None
+    return time, np.concatenate([part.wrench for part in parts])
+
+
+def _applied_lag(
+    pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
+) -> float | None:
+    """Return the seconds to add to the displacements' times; None after a mistake."""
+    if report.mistakes.whole:
+        return None
+    auto = options.time_offset_s == "auto"
+    applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s
+    when = np.concatenate(
+        [np.empty(0), *(piece.time for piece in pieces if piece.time is not None)]
+    )
+    lag = None
+    if len(when) and options.space.is_default:
+        moved = np.concatenate([piece.displacement for piece in pieces])
+        lag = estimate_lag(Logs(time, wrench, when, moved), applied)
+    if auto and (lag is None or lag.others):
+        message = (
+            "the logs do not show by how much their clocks differ, so lag=auto cannot be applied"
+            f"{f' ({repeated(lag)})' if lag else ''}; give the seconds to add to the "
+            "displacements' times"
+        )
+        report.mistakes.ruin(0, "time", message)
+        return None
+    applied = lag.seconds if auto and lag else applied
+    report.clock = {
+        "applied_s": applied,
+        "lag_s": lag and lag.seconds,
+        "uncertainty_s": lag and lag.error,
+    }
+    report.findings += clock_findings(lag, applied)
+    return applied
+
+
+def with_loads(
+    pieces: Sequence[ParsedTable],
+    time: Array,
+    wrench: Array,
+    options: Options,
+    report: ReadReport,
+) -> Iterator[ParsedTable]:
+    """Yield the displacements between two loads, with the interpolated wrench."""
+    longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))
+    lag = _applied_lag(pieces, time, wrench, options, report)
+    for piece in () if lag is None else pieces:
+        assert piece.time is not None
+        if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):
+            message = (
+                "one log has clock times and the other seconds from its beginning; convert one"
+            )
+            report.mistakes.ruin(int(piece.seq[0]), "time", message)
+            return
+        when = piece.time + lag
+        after = np.clip(np.searchsorted(time, when, side="right"), 1, len(time) - 1)
+        start, end = time[after - 1], time[after]
+        on_a_sample = (when == start) | (when == end)
+        good = (when >= start) & (when <= end) & ((end - start <= longest) | on_a_sample)
+        report.unmatched += int((~good).sum())
+        share = ((when - start) / (end - start))[:, None]
+        between = (1.0 - share) * wrench[after - 1] + share * wrench[after]
+        yield replace(piece, wrench=between, time=None).take(good)
+    if report.read and report.unmatched == report.read and not report.mistakes:
+        message = (
+            f"no displacement lies between two loads, whose times are {time[0]:g} to {time[-1]:g} "
+            "s; do the clocks differ? lag (time_offset_s, --lag SECONDS) is added to the "
+            "displacements' times"
+        )
+        report.mistakes.ruin(0, "time", message)

@@ -7,32 +7,49 @@ float64, NaN where empty, or its cells as text. Only CSV, XLSX and JSON bring nu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
+from typing import Any
 
 import numpy as np
 
 from wrenchbook.service.formats.cells import (
     EITHER_MARK,
     Digits,
+    cell_text,
     decimal_mark,
     number_problem,
     number_text,
     quoted,
+    scaled,
     text_problem,
     time_seconds,
     unguard_formula,
+    vanished,
 )
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import Header, HeaderColumn, Record, read_head
-from wrenchbook.service.formats.options import Mistakes, Options, ReadReport
-from wrenchbook.service.formats.rows import Array, ParsedTable, good_rows
-from wrenchbook.service.formats.units import scaled, vanished
+from wrenchbook.service.formats.options import (
+    Array,
+    Mistakes,
+    Options,
+    ParsedTable,
+    ReadReport,
+    is_corrected,
+    is_within_limits,
+    picked,
+)
 from wrenchbook.surrogate.table.rows import unknown_column
 
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
 
+MAX_NAME = 1000  # characters of a source or a fingerprint: of 20,000 rows they are 80 MB
+_LONG_NAME = f"is longer than {MAX_NAME:,} characters; shorten it, or put the text into note"
+_UNNAMED = (
+    "has a value in column {}, which has no name in the header; name it, or leave it out with "
+    "ignore_extra (--ignore-extra)"
+)
 RecordCheck = Callable[[list[str], Header], str]
 """Returns what is wrong with the cells of a record; an empty text if nothing is."""
 
@@ -73,23 +90,26 @@ class Piece:
 
 
 def read_records(
-    records: Iterator[Record],
-    options: Options,
-    report: ReadReport,
-    check: RecordCheck = lambda _cells, _header: "",
+    records: Iterator[Record], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of records of text, in which a `Digits` is a stored number."""
-    header, rest = read_head(until_broken(records, report.mistakes), options)
+    header, rest = read_head(records, options)
+
+    def check(cells: list[str], header: Header) -> str:
+        cells += [""] * (header.width - len(cells))
+        wide = len(cells) > header.width
+        return f"has {len(cells)} cells, the header {header.width}" if wide else ""
+
     pieces = text_pieces(rest, header, report.mistakes, check)
     yield from read_pieces(header, pieces, options, report)
 
 
 def read_columns(
-    pieces: Iterator[tuple[Sequence[str], Sequence[Cells]]], options: Options, report: ReadReport
+    typed: Iterable[tuple[Sequence[str], Sequence[Any]]], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
-    """Yield the good rows of columns with labels, all labels with each piece."""
-    empty: tuple[Sequence[str], Sequence[Cells]] = ((), ())
-    labels, first = next(pieces, empty)
+    """Yield the good rows of columns with labels: arrays of numbers, all else as text."""
+    pieces = ((labels, [_cells(column) for column in columns]) for labels, columns in typed)
+    labels, first = next(pieces, ((), ()))
     columns = [column for column in first if len(column)]
     row = [Digits(c[0]) if isinstance(c, np.ndarray) else c[0] for c in columns]
     records: list[Record] = [(0, list(labels)), (1, row)]
@@ -106,6 +126,13 @@ def read_columns(
     yield from read_pieces(header, numbered() if row else iter(()), options, report)
 
 
+def _cells(column: Any) -> Cells:
+    if isinstance(column, np.ndarray) and column.dtype.kind in "iuf":
+        return column.astype(np.float64)
+    values = column.tolist() if isinstance(column, np.ndarray) else column
+    return [cell_text(value) for value in values]
+
+
 def read_pieces(
     header: Header,
     pieces: Iterator[Piece],
@@ -113,13 +140,12 @@ def read_pieces(
     report: ReadReport,
     cell_format: CellFormat | None = None,
 ) -> Iterator[ParsedTable]:
-    """Yield the good rows of pieces below a header; `report` gets columns and mistakes.
-
-    Without `cell_format`, as in formats that store numbers, the first piece decides.
-    """
+    """Yield the good rows of pieces below a header; without `cell_format` the first decides."""
     mistakes = report.mistakes
     columns = header.columns.values()
-    report.columns += [(column.label, column.name, column.unit) for column in columns]
+    report.labels |= {column.name: column.label for column in columns}
+    if header.named:
+        report.columns += [(column.label, column.name, column.unit) for column in columns]
     report.converted |= any(column.factor != 1.0 or column.zero for column in columns)
     report.ignored += header.ignored
     report.titles += header.titles
@@ -131,7 +157,13 @@ def read_pieces(
         cell_format = cell_format or _stored_format(piece, header, options)
         if cell_format.ambiguous is not None:
             line, label, cell = cell_format.ambiguous
-            mistakes.ruin(line, label, _ambiguity(cell))
+            mark, point = (",", ".") if "," in cell else (".", ",")
+            number, other = cell.replace(",", "."), cell.replace(mark, "")
+            message = (
+                f"'{cell}' is {number} or {other}, and no number in the file decides; say "
+                f"decimal={mark} (--decimal {mark}) for {number}, decimal={point} for {other}"
+            )
+            mistakes.ruin(line, label, message)
             return
         report.read += piece.read
         if len(piece.row):
@@ -139,16 +171,8 @@ def read_pieces(
         if report.is_beyond_limits():
             return
     if not report.read and not mistakes:
-        mistakes.ruin(0, "file", "there is a header but no row below it")
-
-
-def _ambiguity(cell: str) -> str:
-    mark, point = (",", ".") if "," in cell else (".", ",")
-    number, other = cell.replace(",", "."), cell.replace(mark, "")
-    return (
-        f"'{cell}' is {number} or {other}, and no number in the file decides; say "
-        f"decimal={mark} (--decimal {mark}) for {number}, decimal={point} for {other}"
-    )
+        message = "there is a header but no row below it" if header.named else "there is no row"
+        mistakes.ruin(0, "file" if header.named else "rows", message)
 
 
 def _stored_format(piece: Piece, header: Header, options: Options) -> CellFormat:
@@ -221,23 +245,17 @@ def text_pieces(
             if check is None:
                 problem, cells = "", [*cells, *[""] * (width - len(cells))][:width]
             else:
-                problem = check(cells, header) or _unnamed_problem(cells, header)
+                problem = check(cells, header)
+                for index in () if problem else header.unnamed:
+                    if "".join(cells[index : index + 1]).strip():
+                        problem = _UNNAMED.format(index + 1)
+                        break
             if problem:
                 mistakes.add(line, "line", problem)
             else:
                 lines.append(line)
                 rows.append(cells)
         yield Piece(lines, list(zip(*rows, strict=True)), len(some))
-
-
-def _unnamed_problem(cells: list[str], header: Header) -> str:
-    index = next((i for i in header.unnamed if "".join(cells[i : i + 1]).strip()), None)
-    if index is None:
-        return ""
-    return (
-        f"has a value in column {index + 1}, which has no name in the header; name it, or "
-        "leave it out with ignore_extra (--ignore-extra)"
-    )
 
 
 class _Conversion:
@@ -263,14 +281,16 @@ class _Conversion:
         displacement = self._block(names.displacement, missing=np.nan)
         uncertainty, compliance, curvature = (
             self._block(block, missing=np.nan)
-            if any(name in columns for name in block)
-            else unknown_column(len(self._row), len(block))
             for block in (names.uncertainty, names.compliance, names.curvature)
         )
         time = self._times() if options.role != "table" else None
         if options.role == "loads":
             displacement = np.zeros(displacement.shape)  # those of the other log count
-        self._check_status()
+        status = self._header.status
+        for at, cell in enumerate(self._columns[status.index] if status else ()):
+            if status and str(cell).strip().lower().removeprefix("0x").strip("0"):
+                message = f"the sensor's status is {quoted(str(cell))}, not 0: leave the row out"
+                self._refuse(at, status.label, message)
         if options.role != "loads":
             labels = [columns[name].label for name in names.displacement if name in columns]
             unmeasured = np.logical_and.reduce([np.isnan(column) for column in displacement.T])
@@ -294,14 +314,22 @@ class _Conversion:
             "note": note.tolist(),
             "time": time,
         }
-        return good_rows(piece, self._good, options, report)
+        if not is_corrected(options):
+            self._good &= is_within_limits(piece, options, report)
+        report.mistakes.trim()
+        return ParsedTable(**picked(piece, self._good))
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:
-        """Return columns that belong together, shape (n, k), SI."""
-        block = np.full((len(self._row), len(names)), missing)
-        for index, name in enumerate(names):
-            if name in self._header.columns:
-                block[:, index] = self._numbers(self._header.columns[name])
+        """Return columns that belong together, shape (n, k), SI; without memory if all are NaN."""
+        shape = len(self._row), len(names)
+        columns = [self._header.columns.get(name) for name in names]
+        numbers = [column and self._numbers(column) for column in columns]
+        if np.isnan(missing) and all(n is None or np.isnan(n).all() for n in numbers):
+            return unknown_column(*shape)
+        block = np.full(shape, missing)
+        for index, values in enumerate(numbers):
+            if values is not None:
+                block[:, index] = values
         return block
 
     def _numbers(self, column: HeaderColumn) -> Array:
@@ -312,8 +340,10 @@ class _Conversion:
             values = np.array([self._number(column, at) for at in range(len(cells))])
         elif not np.isfinite(values).all():
             empty = np.isnan(values) if column.name in self._names.wrench else False
-            for at in np.flatnonzero(np.isinf(values) | empty).tolist():
+            infinite = np.isinf(values)
+            for at in np.flatnonzero(infinite | empty).tolist():
                 self._refuse(at, column.label, number_problem(self._cell(column, at), False))
+            values = np.where(infinite, np.nan, values)  # no limit names it again
         converted = values
         if column.factor != 1.0 or column.zero:
             with np.errstate(over="ignore"):
@@ -387,14 +417,6 @@ class _Conversion:
             self._refuse(at, column.label, message)
         return values / rate if column is sequence and rate else values
 
-    def _check_status(self) -> None:
-        """Refuse readings that the sensor itself marks as bad."""
-        column = self._header.status
-        for at, cell in enumerate(self._columns[column.index] if column else ()):
-            if column and str(cell).strip().lower().removeprefix("0x").strip("0"):
-                message = f"the sensor's status is {quoted(str(cell))}, not 0: leave the row out"
-                self._refuse(at, column.label, message)
-
     def _check_whole(self, block: Array, names: tuple[str, ...], kind: str) -> None:
         if not any(block.strides):
             return
@@ -402,7 +424,8 @@ class _Conversion:
         for at in np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1)).tolist():
             if self._good[at]:
                 name = names[int(np.argmax(missing[at]))]
-                self._refuse(at, name, f"is missing; a row has all {len(names)} {kind} or none")
+                label = name if self._header.named else self._header.columns[name].label
+                self._refuse(at, label, f"is missing; a row has all {len(names)} {kind} or none")
 
     def _texts(self, name: str) -> Array:
         """Return a column of texts, shape (n,); empty ones if the file has none."""
@@ -415,10 +438,14 @@ class _Conversion:
         texts: dict[str, str] = {}
         for cell in dict.fromkeys(cells):
             texts[cell] = unguard_formula(cell.strip()) if self._format.guarded else cell.strip()
-        if any(map(text_problem, texts)):
+        wrong = {text: text_problem(text) for text in texts}
+        if name != "note":  # an array of texts takes the room of the longest for each
+            wrong |= {text: _LONG_NAME for text in texts if len(text) > MAX_NAME}
+        if any(wrong.values()):
             for at, cell in enumerate(cells):
-                if problem := text_problem(cell):
+                if problem := wrong[cell]:
                     self._refuse(at, column.label, problem)
+            texts = {cell: "" if wrong[cell] else text for cell, text in texts.items()}
         return np.array([*map(texts.__getitem__, cells)], dtype=object if name == "note" else str)
 
     def _refuse(self, at: int, label: str, message: str) -> None:
@@ -427,13 +454,14 @@ class _Conversion:
 
 
 def _floats(cells: Sequence[str], comma: bool) -> Array | None:
-    """Return a column of finite numbers, shape (n,); None if a cell is anything else."""
+    """Return a column, shape (n,), NaN where a cell is empty; None if one is no finite number."""
     joined = "".join(cells)
     if "_" in joined or not joined.isascii() or (comma and "." in joined):
         return None
     texts = [cell.replace(",", ".") for cell in cells] if comma else cells
     try:
-        values = np.fromiter(map(float, texts), dtype=float, count=len(texts))
+        values = np.fromiter((float(text or "nan") for text in texts), float, len(texts))
     except ValueError:
         return None
-    return values if np.isfinite(values).all() else None
+    finite = np.isfinite(values).sum()
+    return values if finite + texts.count("") == len(texts) else None

@@ -12,14 +12,14 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from wrenchbook.service.formats.cells import NO_VALUE, Digits
 from wrenchbook.service.formats.columns import Layout, WritableRows
-from wrenchbook.service.formats.header import Header, Record
-from wrenchbook.service.formats.options import Options, ReadReport
-from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.header import MAX_TITLES, Record
+from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import read_records
 
 MAX_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
@@ -59,7 +59,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             records = _records(
                 sheet, lambda: _sheet(formulas, sheet.title, values=False), options.columns.most
             )
-            yield from read_records(records, options, report, _record_problem)
+            yield from read_records(records, options, report)
     except Exception as error:  # openpyxl raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
 
@@ -76,7 +76,7 @@ def write_xlsx(
     count = 0
     for piece in pieces:
         numbers = [column.digits(piece) for column in layout.numbers]
-        texts = layout.words(piece)
+        texts = layout.text_columns(piece)
         count += len(piece.wrench)
         if count > MAX_SHEET_ROWS:
             raise SheetFullError(
@@ -87,8 +87,8 @@ def write_xlsx(
         for cells in zip(*numbers, *texts, strict=True):
             sheet.append([_write_cell(sheet, *pair) for pair in zip(cells, kinds, strict=True)])
     notes = book.create_sheet(ABOUT_SHEET)
-    for word, meaning in about.items():
-        notes.append([_write_cell(notes, word, "s"), _write_cell(notes, meaning, "s")])
+    for name, meaning in about.items():
+        notes.append([_write_cell(notes, name, "s"), _write_cell(notes, meaning, "s")])
     book.save(path)
 
 
@@ -116,17 +116,19 @@ def _sheet(file: BinaryIO, name: str | None, *, values: bool) -> Any:
         raise NoSheetError(
             f"there is no sheet {name!r}; it has {known or 'none'}: say sheet=NAME (--sheet NAME)"
         )
-    sheet = sheets[name is None and len(sheets) > 1 and sheets[0].title == ABOUT_SHEET]
-    sheet.reset_dimensions()  # those that a file states may be wrong
-    return sheet
+    for sheet in sheets:
+        sheet.reset_dimensions()  # those that a file states may be wrong
+    filled = (
+        sheet
+        for sheet in sheets
+        if sheet.title != ABOUT_SHEET
+        and any(any(row) for row in islice(sheet.iter_rows(values_only=True), MAX_TITLES))
+    )
+    return next(filled, sheets[0])
 
 
 def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Record]:
-    """Yield the number and the cells of each row with text.
-
-    A cell whose formula has no stored value is its place after `NO_VALUE`. The formulas are read
-    once a row has an empty cell.
-    """
+    """Yield number and cells of each row with text; of a formula without a value its place."""
     below = None
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
@@ -155,33 +157,21 @@ def _text(value: Any) -> str:
         return Digits(value)
     if isinstance(value, str):
         return unescape(value)
-    return value.isoformat(sep=" ") if hasattr(value, "hour") else str(value)
-
-
-def _record_problem(cells: list[str], header: Header) -> str:
-    """Say what is wrong with a row, which is filled up with empty cells."""
-    if len(cells) > header.width:
-        return f"has {len(cells)} cells, the header {header.width}"
-    cells.extend([""] * (header.width - len(cells)))
-    return ""
+    return str(value)  # of dates and times as ISO 8601, with a space between them
 
 
 def escape(text: str) -> str:
     """Return a text as the XML of a sheet can hold it."""
-    return _UNFIT.sub(lambda found: f"_x{ord(found[0]):04X}_", text)
+    return _UNFIT.sub(lambda match: f"_x{ord(match[0]):04X}_", text)
 
 
 def unescape(text: str) -> str:
     """Return the argument of `escape` from its result."""
-    return _ESCAPE.sub(lambda found: chr(int(found[1], 16)), text)
+    return _ESCAPE.sub(lambda match: chr(int(match[1], 16)), text)
 
 
 def entry_sizes(path: Path, most: int) -> dict[str, int]:
-    """Return the bytes of each member of a zip file that unpacks to at most `most`.
-
-    Every member is unpacked and dropped: the sizes in the directory may be wrong. ZipBoundsError if
-    the archive is damaged or larger.
-    """
+    """Return the bytes of each member, unpacked once since directories lie; ZipBoundsError."""
     too_large = f"unpacks to more than {most >> 20} MiB; send the table in parts"
     try:
         with zipfile.ZipFile(path) as archive:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.formats import Layout, ParsedTable, csv_text, json_text, layout
+from wrenchbook.service.formats.columnar import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.csv import read_csv as csv_file
-from wrenchbook.service.formats.hdf5 import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.json import read_json as json_file
 from wrenchbook.service.formats.options import FileMistake, Options, ReadReport
 from wrenchbook.surrogate.table.rows import Rows, joined

@@ -3,7 +3,7 @@
 import pytest
 from typer.testing import CliRunner
 
-from wrenchbook.service.cli.keys import make_first_key
+from wrenchbook.service.cli.local import make_first_key
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.keys import Keyring, KeysNeededError
 from wrenchbook.service.workers import supervisor

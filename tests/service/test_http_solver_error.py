@@ -8,7 +8,7 @@ import pytest
 
 from tests.service.live import add_table, as_rows, full_wrenches, moved, served
 from tests.service.test_runjob_evidence import BUNDLE
-from wrenchbook.service.cli.render import answer_table, own_error_lines
+from wrenchbook.service.cli.render import answer_table
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome
 from wrenchbook.service.ledger import Ledger, LedgerFullError
@@ -269,7 +269,6 @@ def test_the_component_warns_once_of_what_more_rows_cannot_mend(client):
     assert "the mesh alone" in mesh
     assert "cells about" in mesh
     assert "nonlinear = true" in linearity
-    assert own_error_lines(client.component("bar")) == [mesh, linearity]
 
 
 def test_an_answer_whose_bar_is_over_the_tolerance_is_shown_with_a_word_of_it(client):

@@ -7,9 +7,8 @@ import pytest
 
 from tests.surrogate.findings.rigs import Rig
 from tests.until import until
-from wrenchbook.service.formats.options import Options
+from wrenchbook.service.formats.options import Options, ParsedTable
 from wrenchbook.service.formats.read import FindingsSample
-from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.surrogate.findings.find import MOST
 

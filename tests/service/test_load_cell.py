@@ -14,9 +14,8 @@ from tests.service.live import served
 from tests.service.test_import_findings import HEADER
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.client import ProblemError
-from wrenchbook.service.formats.options import Options, ReadReport
+from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.rig import Rig, rigged, with_known_point
-from wrenchbook.service.formats.rows import ParsedTable
 from wrenchbook.surrogate.table.rows import LoadRange
 from wrenchbook.surrogate.table.space import DEFAULT, space_of
 

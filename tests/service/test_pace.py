@@ -1,7 +1,7 @@
 """What people see while solves go on."""
 
 from wrenchbook.service.cli.jobs import event_line
-from wrenchbook.service.cli.pace import Pace, error_bars
+from wrenchbook.service.cli.progress import Pace, error_bars
 from wrenchbook.service.client import Event
 
 

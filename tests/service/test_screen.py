@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.table import Table
 
-from wrenchbook.service.cli.screen import Screen
+from wrenchbook.service.cli.render import Screen
 
 
 @pytest.mark.parametrize(

@@ -524,6 +524,25 @@ def test_rows_read_in_blocks_are_those_read_line_by_line(lines: list[str], end: 
     assert table.note == line_by_line.note
 
 
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|"])
+def test_quoted_fields_of_one_line_are_read_in_blocks_too(monkeypatch, delimiter: str):
+    lines = ["fx [N]~ux [mm]~note", '1~"2"~"a, b; c|d"', '"3"~4~""', '5~6~"# c"', ""]
+    content = "\n".join(lines).replace("~", delimiter)
+    line_by_line = read_csv(content + '7~8~"a ""b"""\n'.replace("~", delimiter), decimal=".")
+    assert line_by_line.note[3] == 'a "b"'
+    monkeypatch.setattr(csv_table, "text_pieces", None)
+    table = read_csv(content, decimal=".")
+    assert table.errors == line_by_line.errors == ()
+    assert table.wrench[:, 0].tolist() == line_by_line.wrench[:3, 0].tolist() == [1, 3, 5]
+    assert table.note == line_by_line.note[:3] == ("a, b; c|d", "", "# c")
+
+
+def test_a_line_that_ends_in_two_carriage_returns_counts_as_an_editor_counts():
+    table = read_csv("fx [N],ux [mm],note\r\n1,2,\r\n1,2,a\r\r\n1,1,1")
+    assert table.errors == ()
+    assert table.seq.tolist() == [2, 3, 5]
+
+
 def test_a_file_of_plain_rows_is_read_in_blocks_alone(monkeypatch):
     monkeypatch.setattr(csv_table, "text_pieces", None)
     monkeypatch.setattr(csv_table, "_BLOCK", 40)

@@ -35,8 +35,8 @@ from tests.service.test_table_roundtrip import (
 from wrenchbook.service.formats import Options, options, write_hdf5
 from wrenchbook.service.formats import csv as csv_table
 from wrenchbook.service.formats import xlsx as xlsx_table
-from wrenchbook.service.formats.arrow import write_parquet
 from wrenchbook.service.formats.cells import guard_formula, unguard_formula
+from wrenchbook.service.formats.columnar import write_parquet
 from wrenchbook.service.formats.options import ReadReport
 from wrenchbook.service.formats.read import ContentError, read_table_file, unpack
 from wrenchbook.service.formats.xlsx import (

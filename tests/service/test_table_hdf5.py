@@ -54,7 +54,7 @@ def test_an_uncertainty_below_zero_and_half_a_tangent_are_named():
     rows = Rows.of(ROWS.wrench, ROWS.displacement, uncertainty=uncertainty, compliance=compliance)
     table = read_hdf5(write_hdf5(rows, range(6), META))
     found = [(error.row, error.field) for error in table.errors]
-    assert found == [(2, "uncertainty[2]"), (3, "uncertainty[0]"), (5, "compliance")]
+    assert found == [(2, "uncertainty[2]"), (3, "uncertainty[0]"), (5, "compliance[0][1]")]
     assert "all 36 tangents or none" in table.errors[2].message
 
 

@@ -42,7 +42,7 @@ def test_rows_become_si_arrays():
         ({**ROW, "wrench": "1,2,3"}, "wrench", "is not a list of six numbers"),
         ({**ROW, "wrench": [1, 2, "3", 4, 5, 6]}, "wrench[2]", '"3" is not a number'),
         ({**ROW, "wrench": [True, 0, 0, 0, 0, 0]}, "wrench[0]", "true is not a number"),
-        ({**ROW, "displacement": [None] * 6}, "displacement", "is all null"),
+        ({**ROW, "displacement": [None] * 6}, "displacement[0]", "needs at least one"),
         ({**ROW, "wrench": [0, None, 0, 0, 0, 0]}, "wrench[1]", "null is not a number"),
         ({**ROW, "wrench": [math.nan, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),
         ({**ROW, "wrench": [10**400, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tests.service import table_files
 from tests.service.table_files import ReadTable, read_hdf5, read_json, write_csv, write_json
 from wrenchbook.service.formats import UnitError, write_hdf5
-from wrenchbook.service.formats.units import QUANTITIES, in_unit, scaled, si_factor
+from wrenchbook.service.formats.cells import QUANTITIES, in_unit, scaled, si_factor
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange
 

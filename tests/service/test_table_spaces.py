@@ -20,7 +20,7 @@ from wrenchbook.service.formats import (
     write_parquet,
     write_xlsx,
 )
-from wrenchbook.service.formats.rows import ParsedTable
+from wrenchbook.service.formats.options import ParsedTable
 from wrenchbook.service.ledger import About, Ledger, NotedRows
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table

@@ -5,7 +5,7 @@ from decimal import Decimal
 
 import pytest
 
-from wrenchbook.service.formats.units import (
+from wrenchbook.service.formats.cells import (
     FORCE,
     MOMENT,
     ROTATION,

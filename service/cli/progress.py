@@ -1,0 +1,170 @@
+"""Progress bars of solves and reports, the rounds of a fill, and Ctrl-C while they are shown."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from wrenchbook.service.cli.render import UNITS, Screen, job_state, plain
+from wrenchbook.service.client import Client, Job, ProblemError
+
+POLL_S = 0.2
+INTERRUPTED = 130  # exit status of shells: 128 + SIGINT
+
+
+class Pace:
+    """Solves that have ended, over all rounds of a fill of at most `budget` solves."""
+
+    def __init__(self, budget: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._budget, self._clock = budget, clock
+        self._started = clock()
+        self.ended = 0
+
+    def note(self, in_round: float = 0.0) -> str:
+        """Return solves a minute and the longest time to go, with those of the present round."""
+        solves, seconds = self.ended + in_round, self._clock() - self._started
+        if solves < 1 or seconds <= 0:
+            return ""
+        left = max(0.0, self._budget - solves) * seconds / solves
+        text = f"{left / 60:.0f} min" if left < 5400 else f"{left / 3600:.1f} h"
+        text = f"{left:.0f} s" if left < 90 else text
+        return f"{60 * solves / seconds:.0f} solves/min, at most {text} left"
+
+
+def error_bars(coverage: Mapping[str, Any]) -> str:
+    """Return the mean error bar of griddata over the range, m or rad, and the method that answers.
+
+    Of each output's worst axis; empty where none has one. They do not decide when a fill ends.
+    """
+    largest: dict[str, float] = {}
+    for axis in coverage.get("axes", ()):
+        for output, mean in (axis["error"] or {}).items():
+            if mean == mean:  # one that is not known is NaN, or null on the wire
+                largest[output] = max(mean, largest.get(output, 0.0))
+    bars = [f"{name} {largest[name]:.1e} {UNITS[name]}" for name in UNITS if name in largest]
+    if not bars:
+        return ""
+    return (
+        "mean error bar of linear interpolation between the rows (griddata): "
+        f"{', '.join(bars)}; the table answers by {coverage['method']}"
+    )
+
+
+@contextmanager
+def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None]:
+    """Cancel the open jobs that this command queued if Ctrl-C ends the wait for them."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        queued = [job for job in jobs if job.raw.get("new")]
+        count = 0
+        for job in queued:
+            with suppress(ProblemError):  # 409: it has ended
+                count += client.cancel(job).status == "cancelled"
+        others = len(jobs) - len(queued)
+        rest = f"; {others} that were queued before go on" if others else ""
+        plain(
+            Screen(stderr=True), f"Interrupted: {count} solve(s) of this command cancelled{rest}."
+        )
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def follow(
+    out: Console, client: Client, jobs: Sequence[Job], seconds: float, pace: Pace | None = None
+) -> list[Job]:
+    """Show a bar until all jobs have ended, and return them as they are then.
+
+    With a pace it shows how fast they go. Raises RuntimeError if they have not ended after
+    `seconds`.
+    """
+    deadline = time.monotonic() + seconds
+    done: dict[int, Job] = {}
+    columns = TextColumn("{task.description}"), BarColumn()
+    columns = *columns, TextColumn("{task.completed:.0f}/{task.total}"), TimeElapsedColumn()
+    with (
+        cancelled_on_interrupt(client, jobs),
+        Progress(*columns, TextColumn("{task.fields[note]}"), console=out) as progress,
+    ):
+        task = progress.add_task("solving", total=len(jobs), note="")
+        while len(done) < len(jobs):
+            for job in jobs:
+                if job.id in done:
+                    continue
+                now = client.job(job.id, wait_s=POLL_S)
+                if now.ended:
+                    done[job.id] = now
+                so_far = len(done) + now.progress % 1
+                notes = pace.note(so_far) if pace else "", job_state(now)
+                progress.update(task, completed=so_far, note=" · ".join(filter(None, notes)))
+                if not now.ended:
+                    break
+            if time.monotonic() > deadline:
+                raise RuntimeError(
+                    f"{len(jobs) - len(done)} solves have not ended after {seconds:g} s; they go "
+                    "on in the server. Look with: wrenchbook jobs"
+                )
+    return list(done.values())
+
+
+def follow_report(out: Console, client: Client, name: str) -> None:
+    """Show a bar until a report is made; raises RuntimeError if it could not be made."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, TextColumn("{task.fields[note]}"), console=out) as progress:
+        task = progress.add_task("reporting", total=1.0, note="")
+        while True:
+            state = client.report_state(name)
+            progress.update(task, completed=state["fraction"], note=state["message"])
+            if state["state"] == "failed":
+                raise RuntimeError(f"the report could not be made: {state['message']}")
+            if state["state"] != "running":
+                return
+            time.sleep(POLL_S)
+
+
+def fill(
+    out: Console,
+    client: Client,
+    name: str,
+    budget: int,
+    options: dict[str, Any],
+    round_size: int = 24,
+    seconds: float = 3600.0,
+) -> dict[str, Any]:
+    """Fill a table round by round, with a bar each; `options` are those of `Client.fill`.
+
+    Returns the solves ``spent`` and ``failed``, ``rows``, and the last ``stage`` and ``reason``.
+    Raises RuntimeError if a round does not end in time.
+    """
+    spent, failures, pace, order = 0, 0, Pace(budget), None
+    plain(out, f"choosing wrenches for {name}")
+    while spent < budget:
+        order = client.fill(name, budget=min(round_size, budget - spent), **options)
+        with cancelled_on_interrupt(client, order.jobs):
+            plain(out, f"{order.stage}: {order.reason}")
+            if not order.jobs:
+                break
+            ended = follow(out, client, order.jobs, seconds, pace)
+        pace.ended = spent = spent + len(ended)
+        now = client.component(name)
+        parts = f"{spent} solves", pace.note(), f"{now['rows']} rows", error_bars(now["coverage"])
+        plain(out, "; ".join(filter(None, parts)))
+        failed = [job for job in ended if job.status == "failed"]
+        failures += len(failed)
+        for job in failed:
+            plain(out, f"job {job.id} failed: {job_state(job)}", style="red")
+        if len(failed) == len(ended):
+            raise RuntimeError("every solve of this round failed: wrenchbook jobs --status failed")
+    now = client.component(name)
+    out.print(f"{spent} solves; {name} has {now['rows']} rows.")
+    for warning in now.get("warnings", ()):
+        if warning["where"] == "tolerance":  # the solver does not meet it, however thick the table
+            plain(out, f"warning: {warning['message']}", style="yellow")
+    assert order is not None  # a budget is positive
+    last = {"component": name, "stage": order.stage, "reason": order.reason}
+    return {**last, "spent": spent, "failed": failures, "rows": now["rows"]}

@@ -1,0 +1,191 @@
+"""Files of typed columns: Parquet, HDF5 (the store's own, or a dataset a column) and MATLAB's."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat, whosmat
+
+from wrenchbook.service.formats.columns import ARRAYS, Columns, Layout, WritableRows
+from wrenchbook.service.formats.header import array_header
+from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
+from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
+from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, write_table
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import Rows, unknown_column
+
+MAX_UNPACKED = 1024 * 1024 * 1024
+
+
+class ParquetBoundsError(ValueError):
+    """The file exceeds a limit, or has columns that no table has."""
+
+
+def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a Parquet file piece by piece; `report` gets the mistakes."""
+    # Imported on first use: 0.5 s and 60 MB.
+    import pyarrow as arrow
+    import pyarrow.parquet as parquet
+
+    try:
+        with parquet.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
+            metadata, schema = file.metadata, file.schema_arrow
+            groups = range(metadata.num_row_groups)
+        if metadata.num_rows > MAX_ROWS or len(schema) > options.columns.most:
+            raise ParquetBoundsError(
+                f"it has {metadata.num_rows} rows and {len(schema)} columns; send at most "
+                f"{MAX_ROWS:,} and {options.columns.most}"
+            )
+        if sum(metadata.row_group(at).total_byte_size for at in groups) > MAX_UNPACKED:
+            raise ParquetBoundsError(f"it unpacks to more than {MAX_UNPACKED >> 20} MiB")
+        index = tuple(name for name in schema.names if name.startswith("__index_level_"))
+        ignore = (*options.ignore, *index)  # of a data frame
+        strings = arrow.types.is_string, arrow.types.is_large_string
+        texts = [field.name for field in schema if any(is_(field.type) for is_ in strings)]
+        labels = []
+        for field in schema:  # its unit may stand in the metadata
+            about = field.metadata or {}
+            unit = about.get(b"unit") or about.get(b"units") or b""
+            bare = unit and "[" not in field.name and "(" not in field.name
+            labels.append(f"{field.name} [{unit.decode(errors='replace')}]" if bare else field.name)
+        # Equal texts of a batch are in memory once.
+        with parquet.ParquetFile(path, read_dictionary=texts, pre_buffer=False) as file:
+            batches = file.iter_batches(batch_size=PIECE, use_threads=False)
+            pieces = ((labels, [_values(column) for column in batch.columns]) for batch in batches)
+            options = replace(options, ignore=ignore)
+            if metadata.num_rows == 0:
+                pieces = iter([(labels, [()] * len(labels))])
+            yield from read_columns(pieces, options, report)
+    except Exception as error:  # pyarrow raises many classes on damaged files
+        report.mistakes.ruin(0, "file", f"is no readable Parquet file: {error}")
+
+
+def write_parquet(
+    path: Path, pieces: Iterable[WritableRows], layout: Layout, about: Mapping[str, str]
+) -> None:
+    """Write pieces of a table as row groups of float64 in SI; `about` becomes the metadata."""
+    import pyarrow as arrow
+    import pyarrow.parquet as parquet
+
+    fields = [
+        arrow.field(column.label, arrow.float64(), metadata={"unit": column.unit})
+        for column in layout.numbers
+    ]
+    fields += [arrow.field(name, arrow.string()) for name in layout.texts]
+    schema = arrow.schema(fields, metadata={f"wrenchbook:{key}": v for key, v in about.items()})
+    with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+        for piece in pieces:
+            columns = [
+                arrow.array(np.ascontiguousarray(column.values(piece)), from_pandas=True)
+                for column in layout.numbers
+            ]
+            columns += [arrow.array(texts, arrow.string()) for texts in layout.text_columns(piece)]
+            writer.write_table(arrow.Table.from_arrays(columns, schema=schema))
+
+
+def _values(column: Any) -> Array | list[Any]:
+    """Return numbers of an Arrow column as an array, NaN for null, or its values."""
+    from pyarrow import types
+
+    kind = column.type
+    if types.is_dictionary(kind):
+        texts = column.dictionary.to_pylist()
+        return [None if at is None else texts[at] for at in column.indices.to_pylist()]
+    if types.is_nested(kind):
+        raise ParquetBoundsError(f"a column holds {kind}; a table's hold numbers and texts")
+    if types.is_floating(kind) or types.is_integer(kind):
+        return column.to_numpy(zero_copy_only=False)
+    return column.to_pylist()
+
+
+def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of an HDF5 file piece by piece; `report` gets the mistakes."""
+    columns = options.columns
+    try:
+        if not is_table(path):
+            yield from read_columns(foreign_columns(path), options, report)
+            return
+        header, pieces = array_header(columns), _stored_pieces(path, columns)
+        yield from read_pieces(header, pieces, options, report, CellFormat())
+    except (ValueError, RuntimeError, OSError) as error:
+        report.mistakes.ruin(0, "file", str(error))
+
+
+def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
+    """Yield the rows of the store's own tables in the order of `array_header`."""
+    read = 0
+    for rows, notes in foreign_tables(path):
+        if rows.space != columns.space:
+            names = ", ".join((*columns.wrench, *columns.displacement))
+            raise ValueError(
+                f"is a table of another component's inputs, outputs or units, not {names}"
+            )
+        n, cells = len(rows), []
+        for key in ARRAYS:
+            block, width = getattr(rows, key), len(getattr(columns, key))
+            cells += [*(block.reshape(n, width) if block.size else unknown_column(n, width)).T]
+        yield Piece(
+            range(read + 1, read + n + 1),
+            [*cells, rows.source.tolist(), notes, rows.fingerprint.tolist()],
+            n,
+        )
+        read += n
+
+
+def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a MATLAB file (level 5): its vectors, or those of its only struct."""
+    try:
+        try:
+            size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
+            if size > MAX_UNPACKED:
+                raise ValueError(f"it unpacks to more than {MAX_UNPACKED >> 20} MiB")
+            values = loadmat(path, squeeze_me=True)
+        except Exception as error:  # scipy raises many classes on damaged files
+            raise ValueError(f"is no readable MATLAB file: {error}") from error
+        values = {name: value for name, value in values.items() if not name.startswith("__")}
+        only = next(iter(values.values()), None) if len(values) == 1 else None
+        if isinstance(only, np.ndarray) and only.dtype.names and only.ndim == 0:
+            values = {name: only[name].item() for name in only.dtype.names}
+        columns = {name: np.asarray(value) for name, value in values.items() if np.ndim(value)}
+        if not columns:  # of one row, or none
+            scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}
+            columns = {name: np.array([value]) for name, value in scalars.items()}
+        wrong = [name for name, c in columns.items() if c.ndim != 1 or c.dtype.kind not in "iufb"]
+        lengths = {len(column) for column in columns.values()}
+        if wrong or len(lengths) != 1:
+            why = f"{wrong[0]} is none" if wrong else f"their lengths are {sorted(lengths)}"
+            raise ValueError(
+                "is no table of numeric vectors of one length, a variable or a field a column: "
+                f"{why}"
+            )
+        starts = range(0, lengths.pop(), PIECE)
+        parts = ([column[at : at + PIECE] for column in columns.values()] for at in starts)
+        yield from read_columns(((list(columns), part) for part in parts), options, report)
+    except ValueError as error:
+        report.mistakes.ruin(0, "file", str(error))
+
+
+def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> bytes:
+    """Return the content of the file of a table; `seq` are the rows' numbers in the ledger."""
+    curvature = getattr(table, "curvature", None)
+    rows = Rows.of(
+        table.wrench,
+        table.displacement,
+        meta.load_range.space,
+        seq=np.array(seq, dtype=np.int64),
+        uncertainty=table.uncertainty,
+        compliance=table.compliance,
+        source=list(table.source),
+        fingerprint=list(getattr(table, "fingerprint", ())),
+        **({} if curvature is None else {"curvature": curvature}),
+    )
+    with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:
+        path = Path(folder) / "table.h5"
+        write_table(path, rows, meta, notes=[str(note) for note in getattr(table, "note", ())])
+        return path.read_bytes()
