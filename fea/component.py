@@ -61,82 +61,62 @@ class AttachedInterface:
 
 @dataclass(frozen=True, eq=False)
 class ComponentModel:
-    """A deformable part, ready to be solved; all in metres and pascals.
+    """A deformable part, ready to be solved; all in metres and pascals."""
 
-    Attributes
-    ----------
-    bundle
-        What it was built from; its analysis, coupling and locked freedoms are below as well.
-    mesh
-        Every point belongs to a cell.
-    materials, material_of_cells
-        The materials, and for each block of the mesh an array of shape (m,) with the number of
-        each cell's material.
-    fixed_nodes
-        Sorted nodes that do not move, shape (k,), int64.
-    section
-        The nodes of the interface, or the first of several, with their area weights.
-    point
-        Its reference point, shape (3,), m.
-    axes
-        Shape (3, 3), row i is the direction of its frame's axis i. The equations are in this frame.
-    sliding
-        Nodes that slide, none of them fixed or tied to an interface, sorted, shape (k,), and
-        projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
-    bushings
-        Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed.
-    name, others
-        Its name, empty if it is alone; the other interfaces.
-    further
-        The inputs behind the loads.
-    warmth
-        Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere.
-    """
-
+    # What it was built from; its analysis, coupling and locked freedoms are below as well
     bundle: Bundle
-    mesh: Mesh
+    mesh: Mesh  # every point belongs to a cell
+    # materials, material_of_cells: the materials, and for each block of the mesh an array of shape
+    # (m,) with the number of each cell's material.
     materials: tuple[Material, ...]
     material_of_cells: tuple[Array, ...]
-    fixed_nodes: Array
+    fixed_nodes: Array  # sorted nodes that do not move, shape (k,), int64
+    # The nodes of the interface, or the first of several, with their area weights
     section: InterfaceSection
-    point: Array
+    point: Array  # its reference point, shape (3,), m
+    # Shape (3, 3), row i is the direction of its frame's axis i. The equations are in this frame
     axes: Array
     coupling: str
     locked: tuple[str, ...]
     analysis: Analysis
+    # name, others: its name, empty if it is alone; the other interfaces
     name: str = ""
     others: tuple[AttachedInterface, ...] = ()
+    # Nodes that slide, none of them fixed or tied to an interface, sorted, shape (k,), and
+    # projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
     sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
+    # Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed
     bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
-    further: tuple[ScalarInput, ...] = ()
+    further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
+    # Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere
     warmth: Array | None = None
 
     @property
     def temperature(self) -> ScalarInput | None:
         """The temperature, if it is an input: the first behind the loads."""
-        return next((one for one in self.further if one.name == TEMPERATURE), None)
+        return next((scalar for scalar in self.further if scalar.name == TEMPERATURE), None)
 
     @property
     def accelerated(self) -> bool:
         """Whether the acceleration is an input: the last three."""
-        return any(one.name in ACCELERATIONS for one in self.further)
+        return any(scalar.name in ACCELERATIONS for scalar in self.further)
 
     @property
     def at_rest(self) -> Array:
         """Inputs without effect: no loads, shape (6 i,), and the references of the others."""
         loads = np.zeros(len(FREEDOMS) * len(self.interfaces))
-        return np.append(loads, [one.reference for one in self.further])
+        return np.append(loads, [scalar.reference for scalar in self.further])
 
     def warming(self, inputs: Array) -> float:
         """Return the temperature among inputs, shape (k,), K from the reference; 0 if none is."""
-        own = self.temperature
+        warm = self.temperature
         place = len(FREEDOMS) * len(self.interfaces)
-        return 0.0 if own is None else float(inputs[place] - own.reference)
+        return 0.0 if warm is None else float(inputs[place] - warm.reference)
 
     @property
     def supported_nodes(self) -> Array:
         """Nodes that any support holds, sorted, shape (k,), int64."""
-        groups = [one.section.node_ids for one, _ in self.bushings]
+        groups = [bushing.section.node_ids for bushing, _ in self.bushings]
         return np.unique(np.concatenate([self.fixed_nodes, self.sliding[0], *groups]))
 
     @property
@@ -149,7 +129,7 @@ class ComponentModel:
     @property
     def active(self) -> Array:
         """Indices of the freedoms that are not locked, six an interface, shape (k,), int64."""
-        every = [name not in one.locked for one in self.interfaces for name in FREEDOMS]
+        every = [name not in interface.locked for interface in self.interfaces for name in FREEDOMS]
         return np.flatnonzero(every)
 
 
@@ -161,7 +141,9 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     BundleError
         If there is nothing to solve, or a file, a group, a material or a support will not do.
     """
-    supported = bundle.supports is not None or any(one.held for one in bundle.interfaces)
+    supported = bundle.supports is not None or any(
+        interface.held for interface in bundle.interfaces
+    )
     if bundle.mesh is None or bundle.interface is None or not supported:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         if bundle.deck is not None:
@@ -192,9 +174,9 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     fixed = _fixed_nodes(mesh, supports, problems)
     # The nodes that slide and the projectors on what holds each; fixed ones are none.
     spans = np.zeros((len(mesh.points), 3, 3))
-    for i, own in enumerate(supports.sliding):
-        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", own.group, problems)
-        spans[nodes] += own.directions.T @ own.directions
+    for i, support in enumerate(supports.sliding):
+        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", support.group, problems)
+        spans[nodes] += support.directions.T @ support.directions
     spans[fixed] = 0.0
     nodes = np.flatnonzero(spans.any(axis=(1, 2)))
     sizes, axes = np.linalg.eigh(spans[nodes])
@@ -202,18 +184,26 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     keys = [f"interface[{i}]" for i in range(len(bundle.interfaces))]
     keys = ["interface"] if len(keys) == 1 else keys
     pairs = zip(keys, bundle.interfaces, strict=True)
-    first, *others = [_attach(mesh, f"{key}.section", own, problems) for key, own in pairs]
-    holds = enumerate(own.hold for own in supports.bushings)
-    springs = [_attach(mesh, f"supports.bushing[{i}].group", own, problems) for i, own in holds]
-    for one in (first, *others, *springs):
-        sliding = _left_sliding(mesh, sliding, one, problems)
+    first, *others = [_attach(mesh, f"{key}.section", source, problems) for key, source in pairs]
+    holds = enumerate(bushing.hold for bushing in supports.bushings)
+    springs = [
+        _attach(mesh, f"supports.bushing[{i}].group", source, problems) for i, source in holds
+    ]
+    for hold in (first, *others, *springs):
+        sliding = _left_sliding(mesh, sliding, hold, problems)
     _check_apart(mesh, fixed, [first, *others, *springs], problems)
     if problems:
         raise BundleError(problems)
+    heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
+    without = (replace(material, thermal_expansion=None) for material in bundle.materials)
+    fields = (
+        (scalar.field, scalar.reference) for scalar in bundle.further if scalar.field is not None
+    )
+    warmths = (shape_on(mesh.points, field, reference) for field, reference in fields)
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
-        materials=_expanding(bundle),
+        materials=bundle.materials if heated else tuple(without),
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
         section=first.section,
@@ -225,33 +215,18 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         name=first.name,
         others=tuple(others),
         sliding=sliding,
-        bushings=tuple(zip(springs, (own.stiffness for own in supports.bushings), strict=True)),
+        bushings=tuple(
+            zip(springs, (attached.stiffness for attached in supports.bushings), strict=True)
+        ),
         further=bundle.further,
-        warmth=_warmth(bundle, mesh),
+        warmth=next(warmths, None),
     )
-
-
-def _warmth(bundle: Bundle, mesh: Mesh) -> Array | None:
-    for one in bundle.further:
-        if one.field is not None:
-            return shape_on(mesh.points, one.field, one.reference)
-    return None
-
-
-def _expanding(bundle: Bundle) -> tuple[Material, ...]:
-    """Return the materials, with thermal expansion only where the temperature is an input."""
-    if any(one.name == TEMPERATURE for one in bundle.further):
-        return bundle.materials
-    return tuple(replace(one, thermal_expansion=None) for one in bundle.materials)
 
 
 def mesh_of(source: MeshSource) -> Mesh:
     """Return the mesh of a bundle, each point used by a cell.
 
-    Raises
-    ------
-    BundleError
-        If the file cannot be read, or its geometry not be meshed.
+    Raises BundleError if the file cannot be read, or its geometry not be meshed.
     """
     if source.file is not None and source.geometry is not None:
         return mesh_geometry(source.file, source.geometry)
@@ -279,41 +254,46 @@ def _fill_the_rest(
 
 def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
-    found = [group_nodes(mesh, key, name, problems) for key, name in names]
-    nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
-    if not found or supports.sliding or supports.bushings:  # `fea.check.motions` looks at all
+    groups = [group_nodes(mesh, key, name, problems) for key, name in names]
+    nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *groups]))
+    if not groups or supports.sliding or supports.bushings:  # `fea.check.findings` looks at all
         return nodes
-    if all(len(ids) for ids in found) and not _spans_a_plane(mesh.points[nodes]):
+    if all(len(ids) for ids in groups) and not _spans_a_plane(mesh.points[nodes]):
         message = "its nodes lie on one line, about which the component can turn; fix more"
         problems.append(BundleProblem("supports.fixed", message))
     return nodes
 
 
 def _attach(
-    mesh: Mesh, key: str, own: Interface, problems: list[BundleProblem]
+    mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
 ) -> AttachedInterface:
-    nodes = group_nodes(mesh, key, own.section, problems)
+    nodes = group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            message = f'"{own.section}" lies on one line, so it has no rotation; take a face'
+            message = f'"{interface.section}" lies on one line, so it has no rotation; take a face'
             problems.append(BundleProblem(key, message))
-        if own.section in mesh.facet_groups:
-            section = section_of_facets(mesh.points, mesh.facet_groups[own.section])
+        if interface.section in mesh.facet_groups:
+            section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])
         else:
             facets = facets_within(outer_surface(mesh.blocks), nodes)
             if facets.blocks:
                 section = section_of_facets(mesh.points, facets, nodes)
             else:
                 section = section_of_nodes(mesh.points, nodes)
-    point = section.centre if own.point is None else own.point
+    point = section.centre if interface.point is None else interface.point
     table = key.rpartition(".")[0]
-    return AttachedInterface(table, own.name, section, point, own.axes, own.coupling, own.locked)
+    return AttachedInterface(
+        table, interface.name, section, point, interface.axes, interface.coupling, interface.locked
+    )
 
 
 def _left_sliding(
-    mesh: Mesh, sliding: tuple[Array, Array], own: AttachedInterface, problems: list[BundleProblem]
+    mesh: Mesh,
+    sliding: tuple[Array, Array],
+    attached: AttachedInterface,
+    problems: list[BundleProblem],
 ) -> tuple[Array, Array]:
     """Return the sliding nodes less those that a rigid coupling ties.
 
@@ -321,43 +301,43 @@ def _left_sliding(
     of a distributed one slide, so that their mean is not free.
     """
     nodes, projectors = sliding
-    shared = np.isin(nodes, own.section.node_ids)
+    shared = np.isin(nodes, attached.section.node_ids)
     if not shared.any() or (
-        own.coupling == "distributed" and shared.sum() < len(own.section.node_ids)
+        attached.coupling == "distributed" and shared.sum() < len(attached.section.node_ids)
     ):
         return sliding
-    arms = (mesh.points[nodes[shared]] - own.point) @ own.axes.T
-    active = np.array([name not in own.locked for name in FREEDOMS])
+    arms = (mesh.points[nodes[shared]] - attached.point) @ attached.axes.T
+    active = np.array([name not in attached.locked for name in FREEDOMS])
     motion = active * np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])  # any: metres, radians
     moved = motion[:3] + arms @ rotation_less_identity(motion[3:]).T
-    off = np.abs(projectors[shared] @ (moved @ own.axes)[:, :, None]).max()
-    if own.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
+    off = np.abs(projectors[shared] @ (moved @ attached.axes)[:, :, None]).max()
+    if attached.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
         message = (
             f"{shared.sum()} of its nodes slide by [supports], but its free motions would move "
             "them off; name fewer nodes, or lock these motions of a rigid interface (locked)"
         )
-        problems.append(BundleProblem(own.where, message))
+        problems.append(BundleProblem(attached.where, message))
     return nodes[~shared], projectors[~shared]
 
 
 def _check_apart(
     mesh: Mesh, fixed: Array, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
-    for one in interfaces:
-        shared = len(np.intersect1d(fixed, one.section.node_ids))
+    for interface in interfaces:
+        shared = len(np.intersect1d(fixed, interface.section.node_ids))
         if shared:
             message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
-            problems.append(BundleProblem(one.where, message))
-    for one, other in combinations(interfaces, 2):
-        nodes = np.intersect1d(one.section.node_ids, other.section.node_ids)
+            problems.append(BundleProblem(interface.where, message))
+    for first, second in combinations(interfaces, 2):
+        nodes = np.intersect1d(first.section.node_ids, second.section.node_ids)
         if nodes.size:
             place = ", ".join(f"{x:.4g}" for x in mesh.points[nodes[0]])
             message = (
-                f'"{other.name or other.key}" shares {nodes.size} nodes with '
-                f'"{one.name or one.key}", such as the one at ({place}) m; a node can follow one '
-                "interface only, so take sections apart"
+                f'"{second.name or second.key}" shares {nodes.size} nodes with '
+                f'"{first.name or first.key}", such as the one at ({place}) m; a node can follow '
+                "one interface only, so take sections apart"
             )
-            problems.append(BundleProblem(other.where, message))
+            problems.append(BundleProblem(second.where, message))
 
 
 def _spans_a_plane(points: Array) -> bool:

@@ -8,27 +8,18 @@ from typing import Any
 class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a programming error
     """A solve that gave no answer that can be trusted.
 
-    Attributes
-    ----------
-    kind
-        One of ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``,
-        ``snap_through``, ``rotation_too_large``, ``locking_material``; for a deck also those of
-        `fea.deck.failures`.
-    message
-        What happened, in an FEA engineer's words.
-    remedy
-        What to change.
-    history
-        The iterations up to the failure (`fea.solution.Iteration`).
-    load_factor
-        The part of the wrench at which the part snaps through or buckles, where it was found.
-    last
-        The last converged state: its load factor, and the displacement of each mesh point in the
-        mesh's own axes, shape (n, 3), m; None if there is none.
+    kind: one of ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``,
+    ``snap_through``, ``rotation_too_large``, ``locking_material``; for a deck also those of
+    `fea.deck.failures`.
+    message: what happened, in an FEA engineer's words.
+    remedy: what to change.
     """
 
-    history: tuple = ()
+    history: tuple = ()  # the iterations up to the failure (`fea.solution.Iteration`)
+    # The part of the wrench at which the part snaps through or buckles, where it was found
     load_factor: float | None = None
+    # The last converged state: its load factor, and the displacement of each mesh point in the
+    # mesh's own axes, shape (n, 3), m; None if there is none.
     last: tuple[float, Any] | None = None
 
     def __init__(self, kind: str, message: str, remedy: str) -> None:
@@ -95,13 +86,9 @@ def snap_through(message: str) -> SolveFailed:
 def gave_way(kind: str, factor: float) -> SolveFailed | None:
     """Return the failure of a part whose equilibrium path ends below the full load.
 
-    Parameters
-    ----------
-    kind
-        Of the ending (`fea.solver.arc_length.Ending`): ``"limit"`` or ``"bifurcation"``;
-        None comes of others.
-    factor
-        The part of the wrench at which it ends.
+    kind: of the ending (`fea.solver.arc_length.Ending`): ``"limit"`` or ``"bifurcation"``; None
+    comes of others.
+    factor: the part of the wrench at which it ends.
     """
     if kind == "limit":
         message = "The part snaps through at {} of this wrench, where its load has a maximum."
@@ -137,12 +124,8 @@ def yields(message: str) -> SolveFailed:
 def rotation_too_large(degrees: float, limit: float, load_factor: float = 1.0) -> SolveFailed:
     """Return the failure of an interface that rotates further than tables cover.
 
-    Parameters
-    ----------
-    degrees, limit
-        Its rotation, and the largest allowed one.
-    load_factor
-        The part of the wrench under which it does.
+    degrees, limit: its rotation, and the largest allowed one.
+    load_factor: the part of the wrench under which it does.
     """
     under = f" under {load_factor:.3g} of this wrench already" if load_factor < 1.0 else ""
     return SolveFailed(

@@ -1,4 +1,4 @@
-"""What one solve gives back."""
+"""The result of one solve, and the check of its inputs."""
 
 from __future__ import annotations
 
@@ -18,80 +18,48 @@ Progress = Callable[[float, str], None]
 
 
 class Iteration(NamedTuple):
-    """One step of Newton's method.
+    """One step of Newton's method."""
 
-    Attributes
-    ----------
-    load_factor
-        The part of the wrench that acts, 0 to 1.
-    iteration
-        Counted from 1 within a load step.
-    residual_norm
-        Euclidean norm of the nodal forces out of balance after this iteration, N.
-    """
-
-    load_factor: float
-    iteration: int
+    load_factor: float  # the part of the wrench that acts, 0 to 1
+    iteration: int  # counted from 1 within a load step
+    # Euclidean norm of the nodal forces out of balance after this iteration, N
     residual_norm: float
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The displacement of i interfaces under their wrenches, each in its undeformed frame.
+    """The displacement of i interfaces under their wrenches, each in its undeformed frame."""
 
-    Attributes
-    ----------
-    wrench
-        Shape (k,): the inputs, 6 i loads, N and N·m, and further ones in the bundle's units.
-    displacement
-        Shape (6 i,), m and rad: translation and rotation vector of each.
-    compliance
-        Shape (6 i, k): d displacement / d wrench at this wrench; rows and columns of locked
-        freedoms are zero. NaN where it is unknown: a nonlinear deck.
-    strain_energy
-        J, of the stresses. NaN where it is unknown: a nonlinear deck.
-    work
-        J. Linear: that of all loads at their full size, without heat twice the strain energy.
-        Nonlinear: the external work, and that of heat, along the load path by quadrature over the
-        converged load steps, of fourth order. On the path it equals the strain energy (with heat
-        but for a part of the thermal strain's size), so that their difference measures the steps,
-        not the answer.
-        NaN for a nonlinear deck.
-    unknowns
-        Degrees of freedom solved for; 0 where a deck's solver does not tell.
-    seconds
-        Wall time of this solve; what a `Solver` shares between solves is not counted again.
-    history
-        The iterations, in order; empty for a linear solve and a zero wrench.
-    nodes
-        Shape (n, 3), m: displacement of each mesh point, in the mesh's own axes; none for a
-        deck.
-    notes
-        What an engineer should know about how the answer was found.
-    tangents
-        Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck.
-    curvature
-        Shape (p,), p = k (k + 1) (k + 2) / 6: third derivatives of the complementary energy by the
-        loads (F, mu) and further inputs, which are the second ones of the displacements by them;
-        m and rad over the units of two inputs (`fea.solver.third_derivatives`). Entries of locked
-        freedoms are zero. None for a linear solve, a deck, or more than eight inputs.
-    state
-        Where the equations were left, to start a nearby solve from; None for a linear solve and a
-        deck.
-    """
-
+    # Shape (k,): the inputs, 6 i loads, N and N·m, and further ones in the bundle's units
     wrench: Array
-    displacement: Array
+    displacement: Array  # shape (6 i,), m and rad: translation and rotation vector of each
+    # Shape (6 i, k): d displacement / d wrench at this wrench; rows and columns of locked freedoms
+    # are zero. NaN where it is unknown: a nonlinear deck.
     compliance: Array
-    strain_energy: float
+    strain_energy: float  # J, of the stresses. NaN where it is unknown: a nonlinear deck
+    # J. Linear: that of all loads at their full size, without heat twice the strain energy.
+    # Nonlinear: the external work, and that of heat, along the load path by quadrature over the
+    # converged load steps, of fourth order. On the path it equals the strain energy (with heat but
+    # for a part of the thermal strain's size), so that their difference measures the steps, not the
+    # answer. NaN for a nonlinear deck.
     work: float
-    unknowns: int
+    unknowns: int  # degrees of freedom solved for; 0 where a deck's solver does not print them
+    # Wall time of this solve; what a `Solver` shares between solves is not counted again
     seconds: float
+    # The iterations, in order; empty for a linear solve and a zero wrench
     history: tuple[Iteration, ...]
+    # Shape (n, 3), m: displacement of each mesh point, in the mesh's own axes; none for a deck
     nodes: Array
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what an engineer should know about how the answer was found
+    # Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck
     tangents: Array | None = None
+    # Shape (p,), p = k (k + 1) (k + 2) / 6: third derivatives of the complementary energy by the
+    # loads (F, mu) and further inputs, which are the second ones of the displacements by them; m
+    # and rad over the units of two inputs (`fea.solver.third_derivatives`). Entries of locked
+    # freedoms are zero. None for a linear solve, a deck, or more than eight inputs.
     curvature: Array | None = None
+    # Where the equations were left, to start a nearby solve from; None for a linear solve and a
+    # deck.
     state: CoupledState | None = None
 
 
@@ -124,31 +92,31 @@ def checked_wrench(
         every = (*names, *further)
         for name in wrench:
             if name not in every:
-                known = _listed(every)
+                known = ", ".join(every)
                 raise ValueError(f'no interface "{name}"{suggest(name, every)} (there are {known})')
         for name in further:
             if name not in wrench:
                 raise ValueError(f'"{name}" is missing: it is an input of this component')
-        own = [np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names]
+        loads = [
+            np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names
+        ]
         wrench = np.concatenate(
-            own + [np.ravel(np.asarray(wrench[name], dtype=float)) for name in further]
+            loads + [np.ravel(np.asarray(wrench[name], dtype=float)) for name in further]
         )
-    whole = np.array(wrench, dtype=float)
+    inputs = np.array(wrench, dtype=float)
     count = PER_INTERFACE * len(names) + len(further)
-    if whole.shape == (count,) and np.isfinite(whole).all():
-        return whole
+    if inputs.shape == (count,) and np.isfinite(inputs).all():
+        return inputs
     if further:
         which = ", then ".join(
             f"force (N) and moment (N·m){name and ' of ' + name}" for name in names
         )
-        raise ValueError(f"the inputs are {count} finite numbers: {which}, then {_listed(further)}")
+        raise ValueError(
+            f"the inputs are {count} finite numbers: {which}, then {', '.join(further)}"
+        )
     if len(names) == 1:
         raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
     raise ValueError(
         f"the loads of {len(names)} interfaces are {count} finite numbers: force (N) and moment "
-        f"(N·m) of {_listed(names)}"
+        f"(N·m) of {', '.join(names)}"
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)

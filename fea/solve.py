@@ -11,22 +11,25 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
+from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
-from wrenchbook.fea.component import ComponentModel, build
-from wrenchbook.fea.coupling import CoupledState
-from wrenchbook.fea.coupling.coupling import largest_rotation
+from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
+from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
+from wrenchbook.fea.coupling.coupling import SectionCoupling, largest_rotation
 from wrenchbook.fea.deck.solving import solve_deck
+from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.pressure_projection import pressure_notes
-from wrenchbook.fea.equations import system_of
 from wrenchbook.fea.export.failure_record import keep
 from wrenchbook.fea.failure import SolveFailed, rotation_too_large, yields
 from wrenchbook.fea.inspection.warnings import warnings_of
+from wrenchbook.fea.mesh.mesh import CellBlock
+from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
-from wrenchbook.fea.recovery.stress import small_stress, stress_of
-from wrenchbook.fea.recovery.weight import material_of_parts
-from wrenchbook.fea.recovery.yielding import most_used, yielding
+from wrenchbook.fea.recovery.stress import most_used, small_stress, stress_of, yielding
+from wrenchbook.fea.recovery.weight import material_of_parts, pull_of
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.craig_bampton import CraigBampton, craig_bampton
@@ -94,17 +97,9 @@ def solve(
 class Solver:
     """A component made ready once, to be solved for any number of wrenches.
 
-    Parameters
-    ----------
-    bundle
-        A bundle, or the component built from it.
-
-    Raises
-    ------
-    BundleError
-        If the bundle cannot be built.
-    SolveFailed
-        ``inverted_elements`` or ``locking_material``.
+    bundle: a bundle, or the component built from it.
+    Raises BundleError if the bundle cannot be built. Raises SolveFailed: ``inverted_elements`` or
+    ``locking_material``.
     """
 
     def __init__(self, bundle: Bundle | ComponentModel) -> None:
@@ -115,7 +110,7 @@ class Solver:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the interfaces; an empty one where there is one."""
-        return tuple(one.name for one in self.component.interfaces)
+        return tuple(interface.name for interface in self.component.interfaces)
 
     def inputs(self, wrench: Loads) -> Array:
         """Return the inputs of `solve` as an array of its own, shape (k,).
@@ -125,7 +120,7 @@ class Solver:
         ValueError
             As `solve` does.
         """
-        further = [one.name for one in self.component.further]
+        further = [scalar.name for scalar in self.component.further]
         return checked_wrench(wrench, self.names, further)
 
     @property
@@ -168,8 +163,10 @@ class Solver:
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What an engineer should know: the warnings of `fea.check`, and how it is solved."""
-        notes = tuple(f"{one.where}: {one.message}" for one in warnings_of(self.component))
+        """Notes for an engineer: the warnings of `fea.check`, and how it is solved."""
+        notes = tuple(
+            f"{warning.where}: {warning.message}" for warning in warnings_of(self.component)
+        )
         notes += pressure_notes(self._system.body.parts)
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
@@ -202,9 +199,9 @@ class Solver:
             As `fea.solver.craig_bampton.craig_bampton` does.
         """
         held, frames = [("base", np.zeros(3), np.eye(3))], []
-        for one in self.component.interfaces:
-            frame = one.name or "interface", one.point, one.axes
-            if one.locked == FREEDOMS:
+        for interface in self.component.interfaces:
+            frame = interface.name or "interface", interface.point, interface.axes
+            if interface.locked == FREEDOMS:
                 held = [frame]
             else:
                 frames.append(frame)
@@ -213,7 +210,7 @@ class Solver:
 
     @property
     def _mass(self) -> csr_array:
-        densities = np.array([one.density or 0.0 for one in self.component.materials])
+        densities = np.array([material.density or 0.0 for material in self.component.materials])
         density = [densities[numbers] for numbers in self.component.material_of_cells]
         mass = consistent_mass(self.component.mesh, density)
         mass.eliminate_zeros()
@@ -283,33 +280,27 @@ class Solver:
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """
         started = time.perf_counter()
-        whole = self.inputs(wrench)
-        above, further = whole - self.component.at_rest, self._system.coupling.freedoms
-        acting = np.zeros_like(whole)
-        acting[self._active], acting[further:] = whole[self._active], above[further:]
+        inputs = self.inputs(wrench)
+        above, further = inputs - self.component.at_rest, self._system.coupling.freedoms
+        acting = np.zeros_like(inputs)
+        acting[self._active], acting[further:] = inputs[self._active], above[further:]
         analysis = self.component.analysis
         if not analysis.nonlinear or not (acting.any() or analysis.gravity):
-            found = self._solve_linear(whole, acting)
+            solution = self._solve_linear(inputs, acting)
         else:
-            found = self._solve_nonlinear(whole, acting, progress, start)
-        if not self._stays_elastic(acting):
-            words = yielding(self.component, self._system.body, found)
-            if words and self.component.analysis.on_yield == "fail":
-                raise yields(words)
-            found = replace(found, notes=(*found.notes, words)) if words else found
+            solution = self._solve_nonlinear(inputs, acting, progress, start)
+        # Where the loads alone exclude that anything yields, no stresses of the answer are needed.
+        by_loads = not (analysis.nonlinear or self._system.weight is not None or self.body.expands)
+        if not (by_loads and np.abs(acting) @ self._most_used <= 1.0):
+            exceeded = yielding(self.component, self._system.body, solution)
+            if exceeded and analysis.on_yield == "fail":
+                raise yields(exceeded)
+            solution = (
+                replace(solution, notes=(*solution.notes, exceeded)) if exceeded else solution
+            )
         if progress is not None:
             progress(1.0, "done")
-        return replace(found, seconds=time.perf_counter() - started)
-
-    def _stays_elastic(self, acting: Array) -> bool:
-        """Tell by the loads alone whether nothing yields, without the stresses of an answer."""
-        if (
-            self.component.analysis.nonlinear
-            or self._system.weight is not None
-            or self.body.expands
-        ):
-            return False
-        return bool(np.abs(acting) @ self._most_used <= 1.0)
+        return replace(solution, seconds=time.perf_counter() - started)
 
     @cached_property
     def _most_used(self) -> Array:
@@ -318,11 +309,11 @@ class Solver:
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear
         displacement, nodes = linear.compliance @ acting, linear.fields @ acting
-        whole = acting
+        inputs = acting
         if self._system.weight is not None:
             displacement, nodes = displacement + linear.sag_displacement, nodes + linear.sag
-            whole = np.append(acting, 1.0)
-        energy = 0.5 * whole @ linear.energies @ whole
+            inputs = np.append(acting, 1.0)
+        energy = 0.5 * inputs @ linear.energies @ inputs
         work = acting[: len(displacement)] @ displacement
         work += np.vdot(self._system.dead_forces(acting), nodes)
         _require_small_rotation(displacement)
@@ -348,9 +339,14 @@ class Solver:
         rest = None if weight is None else self.rest
         if rest is not None and not acting.any():
             return self._solution(wrench, rest, rest.balance.energy, ())
-        path = LoadPath(self._system, acting, progress, rest)
+        path, largest = LoadPath(self._system, acting, progress, rest), np.abs(acting).argmax()
+
+        def check(balance: Balance) -> None:
+            load_factor = float(balance.wrench[largest] / acting[largest])
+            _require_small_rotation(balance.state.interface, load_factor)
+
         try:
-            found = path.follow(lambda balance: _require_small_state(balance, acting), start)
+            equilibrium = path.follow(check, start)
         except SolveFailed as failure:
             failure.history = tuple(path.history)
             factor, nodes = path.last_state()
@@ -358,18 +354,18 @@ class Solver:
             raise
         work = path.work
         if weight is not None and rest is not None:
-            sunk = found.balance.state.nodes - rest.balance.state.nodes
+            sunk = equilibrium.balance.state.nodes - rest.balance.state.nodes
             work += rest.balance.energy + float(np.vdot(weight, sunk))
-        return self._solution(wrench, found, work, tuple(path.history))
+        return self._solution(wrench, equilibrium, work, tuple(path.history))
 
     def _solution(
-        self, wrench: Array, found: Equilibrium, work: float, history: tuple[Iteration, ...]
+        self, wrench: Array, equilibrium: Equilibrium, work: float, history: tuple[Iteration, ...]
     ) -> Solution:
-        balance = found.balance
+        balance = equilibrium.balance
         return Solution(
             wrench=wrench,
             displacement=balance.state.interface,
-            compliance=found.tangent.compliance,
+            compliance=equilibrium.tangent.compliance,
             strain_energy=balance.energy,
             work=work + self._system.heat_energy(balance),
             unknowns=self.unknowns,
@@ -377,8 +373,8 @@ class Solver:
             history=history,
             nodes=balance.state.nodes @ self.component.axes,
             notes=self.notes,
-            tangents=self._in_mesh_axes(found.tangent.nodal_response),
-            curvature=self._curvature(balance, found.tangent),
+            tangents=self._in_mesh_axes(equilibrium.tangent.nodal_response),
+            curvature=self._curvature(balance, equilibrium.tangent),
             state=balance.state,
         )
 
@@ -401,8 +397,71 @@ def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> No
         raise rotation_too_large(degrees, MOST_DEGREES, load_factor)
 
 
-def _require_small_state(balance: Balance, wrench: Array) -> None:
-    largest = np.abs(wrench).argmax()
-    _require_small_rotation(
-        balance.state.interface, float(balance.wrench[largest] / wrench[largest])
-    )
+def system_of(component: ComponentModel, active: Array) -> System:
+    """Set up the equations in the first interface's frame, its origin at that interface's point.
+
+    `active` has shape (k,): indices of the freedoms that are not locked, dimensionless.
+    """
+    mesh = component.mesh
+    mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
+    every = [*component.interfaces, *(bushing for bushing, _ in component.bushings)]
+    sections = [_section(component, attached) for attached in every]
+    springs = [stiffness for _, stiffness in component.bushings]
+    coupling = Coupling(len(mesh.points), sections, active, _anchors(component), springs)
+    free = np.ones(len(mesh.points), dtype=bool)
+    free[component.fixed_nodes] = False
+    free[coupling.tied] = False
+    materials, numbers = component.materials, component.material_of_cells
+    integration = component.analysis.integration
+    frame = component.axes, component.point
+    filled = filled_cells(mesh, materials, numbers, integration, *frame)
+    if component.warmth is not None:
+        warmth = component.warmth
+        filled = [(block, _warmed(block, part, warmth, integration)) for block, part in filled]
+    nodes, held = component.sliding
+    body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
+    gravity, weight, pull = component.analysis.gravity, None, None
+    if gravity is not None or component.accelerated:
+        pull = pull_of(component, body)
+        weight = None if gravity is None else pull @ np.array(gravity)
+    pull = pull if component.accelerated else None
+    return System(body, coupling, component.mesh.points, weight, pull)
+
+
+def _warmed(
+    block: CellBlock, cells: CellStiffness, warmth: Array, integration: str
+) -> CellStiffness:
+    """Return cells that expand by the part of the temperature's rise at each point, (nodes,)."""
+    values = reference_element(block.kind, integration).values
+    assert cells.expansion is not None
+    part = warmth[block.nodes] @ values.T
+    return replace(cells, expansion=part[:, :, None, None] * cells.expansion)
+
+
+def _section(
+    component: ComponentModel, attached: AttachedInterface
+) -> tuple[SectionCoupling, Array, Array | None]:
+    """Return an interface's coupling, its nodes, and its axes in the body's if they differ."""
+    nodes = attached.section.node_ids
+    places = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
+    rigid = attached.coupling == "rigid"
+    coupling = Rigid(places) if rigid else Distributed(places, attached.section.weights)
+    same = np.array_equal(attached.axes, component.axes)
+    return coupling, nodes, None if same else attached.axes @ component.axes.T
+
+
+def _anchors(component: ComponentModel) -> Array:
+    """Return three nodes far apart of each section whose mean alone may hold the part."""
+    anchors = [np.empty(0, dtype=np.int64)]
+    held = [interface for interface in component.interfaces if interface.locked == FREEDOMS]
+    held = [] if component.fixed_nodes.size else held
+    for attached in (*held, *(bushing for bushing, _ in component.bushings)):
+        if attached.coupling == "distributed":
+            nodes = np.setdiff1d(attached.section.node_ids, component.sliding[0])
+            arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)
+            first = int(np.linalg.norm(arms, axis=1).argmax())
+            away = arms - arms[first]
+            second = int(np.linalg.norm(away, axis=1).argmax())
+            third = int(np.linalg.norm(np.cross(away, away[second]), axis=1).argmax())
+            anchors.append(nodes[[first, second, third]])
+    return np.concatenate(anchors)

@@ -1,6 +1,6 @@
 """Warnings about a solver error that exceeds the tolerance, each with a remedy.
 
-It needs no mesh and no solver: whoever serves a table says it of an estimate that was stored.
+It needs no mesh and no solver: a server of tables has the stored estimate alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ WHERE = "tolerance"
 
 _OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 FINE = 0.01
-"""Of a compliance: what is asked of straight edges across round surfaces."""
+"""Of a compliance: the largest effect of straight edges across round surfaces without a warning."""
 
 _WORTH_A_MESH = 30.0
 """Times smaller, beyond which cells are no remedy any more: that is 27,000 times as many."""
@@ -28,7 +28,7 @@ _WORTH_A_MESH = 30.0
 def over_tolerance(
     solver_error: Mapping[str, Any] | None, translation: float, rotation: float
 ) -> list[BundleProblem]:
-    """Return what of `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
+    """Return warnings where `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
 
     No solve lowers it: a component whose mesh alone is over its tolerance has covered answers
     beyond it, each with a bar that says so. At the full range, all loads at once, with what solved
@@ -38,13 +38,13 @@ def over_tolerance(
         return []
     loads = np.array(solver_error["loads"])
     allowed = np.repeat([translation, rotation], 3)
-    found = []
+    problems = []
     if solver_error.get("mesh") is not None:
         errors = np.array(solver_error["mesh"]) @ loads + np.array(
             solver_error.get("mesh_growth", 0.0)
         )
         cell_size = solver_error.get("cell_size")
-        worst, words = _worst(errors, allowed)
+        worst, excess = _worst(errors, allowed)
         if worst > 1.0:
             # Edges and corners where supports end make displacements converge with about the
             # square. Rounded up to a tenth: a cell "1 times smaller" would help nobody.
@@ -54,40 +54,37 @@ def over_tolerance(
             if finer > _WORTH_A_MESH:
                 remedy = "make cells much smaller"
             message = (
-                f"the mesh alone may be wrong by {words} at the full range: more solves do not "
+                f"the mesh alone may be wrong by {excess} at the full range: more solves do not "
                 f"lower that. To be within the tolerance {remedy}, or widen [tolerance] or narrow "
                 "[range]"
             )
-            found += [BundleProblem(WHERE, message)]
+            problems += [BundleProblem(WHERE, message)]
     if solver_error.get("linearity") is not None:
-        worst, words = _worst(np.array(solver_error["linearity"]), allowed)
+        worst, excess = _worst(np.array(solver_error["linearity"]), allowed)
         if worst > 1.0:
             message = (
-                f"nonlinear = false alone may be wrong by {words} at the full range: more solves "
+                f"nonlinear = false alone may be wrong by {excess} at the full range: more solves "
                 "do not lower that. Set nonlinear = true, or narrow [range]"
             )
-            found += [BundleProblem(WHERE, message)]
-    return found + _of_buckling(solver_error.get("buckling"))
+            problems += [BundleProblem(WHERE, message)]
+    factor = solver_error.get("buckling")
+    if factor is not None and factor < 1.0:
+        message = (
+            f"the part buckles at {factor:.3g} of the loads at a corner of the range, which "
+            "nonlinear = false does not see: answers beyond that are wrong. Narrow [range], or set "
+            "nonlinear = true, whose solves end there by name"
+        )
+        problems += [BundleProblem(WHERE, message)]
+    return problems
 
 
 def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
     """Return a warning where straight edges across round surfaces change more than `FINE`."""
-    own = solver_error.get("rounded")
-    if own is None or own["share"] <= FINE:
+    rounded = solver_error.get("rounded")
+    if rounded is None or rounded["share"] <= FINE:
         return []
     remedy = "mesh in second order on the geometry, or more cells round; the error bar holds it"
-    return [BundleProblem("mesh.file", f"{own['basis']}: {remedy}")]
-
-
-def _of_buckling(factor: float | None) -> list[BundleProblem]:
-    if factor is None or factor >= 1.0:
-        return []
-    message = (
-        f"the part buckles at {factor:.3g} of the loads at a corner of the range, which "
-        "nonlinear = false does not see: answers beyond that are wrong. Narrow [range], or set "
-        "nonlinear = true, whose solves end there by name"
-    )
-    return [BundleProblem(WHERE, message)]
+    return [BundleProblem("mesh.file", f"{rounded['basis']}: {remedy}")]
 
 
 def _worst(errors: Array, allowed: Array) -> tuple[float, str]:

@@ -1,8 +1,8 @@
-"""What a linear component leaves out: nonlinear solves at a corner of its range, and buckling.
+"""Error of a linear component: nonlinear solves at a corner of its range, and buckling.
 
 The answers of a linear component are the first term of a series in the wrench; what is left out
 begins with the square. So its size at the corner where the interface turns most, taken from a
-nonlinear solve, tells it elsewhere: bar(w) = bar(corner) s(w)^2 with s the largest load over its
+nonlinear solve, gives it elsewhere: bar(w) = bar(corner) s(w)^2 with s the largest load over its
 range. The wrench opposite is solved too, since what pulls stiffens and what pushes buckles.
 """
 
@@ -22,7 +22,7 @@ from wrenchbook.fea.spec.schema import DeclaredRange
 Array = np.ndarray
 
 _PARTS = (1.0, 0.5, 0.25)
-"""Of the largest wrench to be tried, in turn: a smaller one tells as much where a larger fails."""
+"""Of the largest wrench to be tried, in turn: a smaller one shows as much where a larger fails."""
 
 _STEEP = 1.25
 """Buckling factor below which the corner itself is not tried: half the buckling load is."""
@@ -33,29 +33,19 @@ _SAFETY = 1.5
 
 @dataclass(frozen=True, eq=False)
 class BeyondLinear:
-    """How far a linear component's answers are from nonlinear ones.
+    """How far a linear component's answers are from nonlinear ones."""
 
-    Attributes
-    ----------
-    deviation
-        Shape (6 i,), m and rad: at a load as large as its range, growing with the load's square;
-        NaN where no nonlinear solve gave an answer.
-    buckling
-        The part of a corner's wrench at which the component buckles or snaps through, at or below
-        10; None beyond that. It is that of linear buckling (`fea.solver.buckling`), or where a
-        nonlinear solve ended if that is less.
-    why
-        What kept a nonlinear solve from an answer; often empty.
-    """
-
+    # Shape (6 i,), m and rad: at a load as large as its range, growing with the load's square; NaN
+    # where no nonlinear solve gave an answer.
     deviation: Array
+    # The part of a corner's wrench at which the component buckles or snaps through, at or below 10;
+    # None beyond that. It is that of linear buckling (`fea.solver.buckling`), or where a nonlinear
+    # solve ended if that is less.
     buckling: float | None
-    why: str = ""
+    why: str = ""  # what kept a nonlinear solve from an answer; often empty
 
 
-_MOST_REPORTED = (
-    10.0  # a factor beyond which nobody asks for it, and its continuation tells nothing
-)
+_MOST_REPORTED = 10.0  # a factor beyond which its continuation shows nothing
 
 
 def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
@@ -63,12 +53,8 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
 
     A range of too many loads has no corners: `DeclaredRange.corners` raises a ValueError.
 
-    Parameters
-    ----------
-    solver
-        Of the component, on any mesh of it.
-    loads
-        The range of its inputs, from where these have no effect.
+    solver: of the component, on any mesh of it.
+    loads: the range of its inputs, from where these have no effect.
     """
     compliance = solver.linear.compliance
     other = copy(solver)  # shares the equations and the factor of the undeformed part
@@ -83,15 +69,15 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     if not size.max() > 0:
         size = np.linalg.norm(moved[:, :, :3], axis=2).max(axis=1)
     most = int(size.argmax())
-    corners, rest = [corners[most], corners[len(corners) - 1 - most]], solver.component.at_rest
-    factors = list(solver.buckling(corners[0] + rest))
+    corners, zero = [corners[most], corners[len(corners) - 1 - most]], solver.component.at_rest
+    factors = list(solver.buckling(corners[0] + zero))
     if not np.allclose(corners[1], -corners[0]):
-        factors[1] = solver.buckling(corners[1] + rest)[0]
+        factors[1] = solver.buckling(corners[1] + zero)[0]
     for corner, factor in zip(corners, tuple(factors), strict=True):
-        found = _Corner(other, solver.linear, corner, factor)
-        deviation = np.fmax(deviation, found.deviation)
-        factors += found.factors
-        why = why or found.why
+        answer = _Corner(other, solver.linear, corner, factor)
+        deviation = np.fmax(deviation, answer.deviation)
+        factors += answer.factors
+        why = why or answer.why
     lowest = min(factors, default=np.inf)
     return BeyondLinear(
         _SAFETY * deviation, float(lowest) if lowest <= _MOST_REPORTED else None, why
@@ -112,13 +98,13 @@ class _Corner:
             most, self.why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
         for part in (most * part for part in _PARTS):
             try:
-                found = solver.solve(part * wrench + solver.component.at_rest)
+                solution = solver.solve(part * wrench + solver.component.at_rest)
             except SolveFailed as failure:
                 self.why = self.why or failure.message
                 if failure.load_factor is not None:
                     self.factors.append(part * failure.load_factor)
                 continue
             expected = linear.compliance @ (part * wrench) + linear.sag_displacement
-            missed = np.abs(found.displacement - expected) / part**2
+            missed = np.abs(solution.displacement - expected) / part**2
             self.deviation = np.repeat(missed.reshape(-1, 3).max(axis=1), 3)
             return

@@ -1,4 +1,4 @@
-"""What a component's compliance does as its cells become smaller, and what its own mesh lacks.
+"""Convergence of a component's compliance with smaller cells, and the error of its own mesh.
 
 Two or three meshes give the change; three also give the order p at which it shrinks, and with it
 the value at cells without size (Richardson 1911; Roache 1994). A linear problem is enough: the
@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from wrenchbook.fea.accuracy.second_mesh import finer
-from wrenchbook.fea.component import ComponentModel, build
+from wrenchbook.fea.component import build
 from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import Bundle
 
 Array = np.ndarray
@@ -39,31 +41,22 @@ LEAST_RATIO = 1.1
 
 
 class Study(NamedTuple):
-    """Compliances on meshes from the component's own to the finest.
+    """Compliances on meshes from the component's own to the finest."""
 
-    Attributes
-    ----------
-    nodes
-        Of each mesh.
-    sizes
-        Of the cells, the cube root of their mean volume, m.
-    compliance
-        Shape (meshes, 6 i, k): m/N, rad/N, m/(N·m), rad/(N·m), and by further inputs.
-    """
-
-    nodes: list[int]
-    sizes: list[float]
+    nodes: list[int]  # of each mesh
+    sizes: list[float]  # of the cells, the cube root of their mean volume, m
+    # Shape (meshes, 6 i, k): m/N, rad/N, m/(N·m), rad/(N·m), and by further inputs
     compliance: Array
 
     @property
     def lacking(self) -> Array:
-        """What the own mesh lacks, shape (6 i, k).
+        """Error of the component's own mesh, shape (6 i, k).
 
         The finest is taken to lack what an error of first order would still, the slowest: it rules
         where stresses are singular, at clamped and at re-entrant edges.
         """
-        own, before, last = self.compliance[0], self.compliance[-2], self.compliance[-1]
-        return last - own + (last - before) / (self.sizes[-2] / self.sizes[-1] - 1)
+        coarsest, before, last = self.compliance[0], self.compliance[-2], self.compliance[-1]
+        return last - coarsest + (last - before) / (self.sizes[-2] / self.sizes[-1] - 1)
 
     @property
     def order(self) -> Array:
@@ -71,14 +64,14 @@ class Study(NamedTuple):
 
         It is NaN with two meshes, and where changes differ in sign or do not shrink.
         """
-        found = np.full(self.compliance.shape[1], np.nan)
+        order = np.full(self.compliance.shape[1], np.nan)
         if len(self.sizes) < 3:
-            return found
+            return order
         values = np.diagonal(self.compliance, axis1=1, axis2=2)
         first, last = np.diff(values[-3:], axis=0)
         for i in np.flatnonzero(first * last > 0):
-            found[i] = _order(first[i] / last[i], *self.sizes[-3:])
-        return found
+            order[i] = _order(first[i] / last[i], *self.sizes[-3:])
+        return order
 
     @property
     def extrapolated(self) -> Array:
@@ -120,37 +113,37 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
         If a mesh cannot be read, lacks a group, or cannot be solved.
     """
     solvers = [Solver(build(bundle))]
-    solvers += [Solver(_read(bundle, path)) for path in finer_meshes]
+    for path in finer_meshes:
+        source = bundle.mesh
+        if source is None:
+            raise ValueError("a component without a [mesh] is a table: nothing is meshed")
+        try:
+            mesh = read_mesh(path, source.unit)
+            mesh = mesh if source.order is None else second_order(mesh)
+            solvers.append(Solver(build(bundle, mesh)))
+        except BundleError as error:
+            named = [
+                replace(problem, where=f"{path.name}: {problem.where}")
+                for problem in error.problems
+            ]
+            raise BundleError(named) from None
     while not finer_meshes and len(solvers) < 3:
-        found = finer(solvers[-1], MOST_UNKNOWNS if len(solvers) > 1 else None, _STEP)
-        if found is None:
+        refined = finer(solvers[-1], MOST_UNKNOWNS if len(solvers) > 1 else None, _STEP)
+        if refined is None:
             break
-        solvers.append(found)
-    sizes = [_size(one) for one in solvers]
-    for coarse, fine, one in zip(sizes, sizes[1:], solvers[1:], strict=False):
+        solvers.append(refined)
+    volumes = [np.concatenate([cells for _, cells in solver.volumes]) for solver in solvers]
+    sizes = [float(np.cbrt(cells.mean())) for cells in volumes]
+    for coarse, fine, fine_solver in zip(sizes, sizes[1:], solvers[1:], strict=False):
         if coarse < LEAST_RATIO * fine:
-            nodes = len(one.component.mesh.points)
+            nodes = len(fine_solver.component.mesh.points)
             message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
             raise ValueError(
                 f"{message}, the one before of {1e3 * coarse:.4g} mm: give one with cells at most "
                 "0.9 times as large"
             )
-    compliance = np.array([one.linear.compliance for one in solvers])
-    return Study([len(one.component.mesh.points) for one in solvers], sizes, compliance)
-
-
-def _read(bundle: Bundle, path: Path) -> ComponentModel:
-    source = bundle.mesh
-    if source is None:
-        raise ValueError("a component without a [mesh] is a table: nothing is meshed")
-    mesh = read_mesh(path, source.unit)
-    return build(bundle, mesh if source.order is None else second_order(mesh))
-
-
-def _size(solver: Solver) -> float:
-    """Return the cube root of the cells' mean volume, m."""
-    cells = np.concatenate([own for _, own in solver.volumes])
-    return float(np.cbrt(cells.mean()))
+    compliance = np.array([solver.linear.compliance for solver in solvers])
+    return Study([len(solver.component.mesh.points) for solver in solvers], sizes, compliance)
 
 
 def write(bundle: Bundle, study: Study) -> Path:
@@ -179,21 +172,18 @@ def write(bundle: Bundle, study: Study) -> Path:
 
 def names_of(bundle: Bundle) -> list[str]:
     """Return the names of the responses to their own loads, such as tool.uz/Fz; (6 i,)."""
-    own = [f"{one.name}." if bundle.others else "" for one in bundle.interfaces]
-    return [f"{name}{one}" for name in own for one in _RESPONSES]
+    prefixes = [f"{interface.name}." if bundle.others else "" for interface in bundle.interfaces]
+    return [f"{name}{response}" for name in prefixes for response in _RESPONSES]
 
 
 def _or_null(values: Array) -> list[float | None]:
-    return [float(one) if np.isfinite(one) else None for one in values]
+    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def kept(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
     """Return the error kept for this setup, shape `shape`, and its basis; None if none was.
 
-    Raises
-    ------
-    ValueError
-        If the file is damaged.
+    Raises ValueError if the file is damaged.
     """
     if bundle is None or not (bundle.folder / FILE).is_file():
         return None

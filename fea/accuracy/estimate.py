@@ -25,7 +25,7 @@ _MARGIN = 1.25
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
-    """Return what a component's own answers may be wrong by.
+    """Return the estimated error of a component's own answers.
 
     What `fea.accuracy.convergence` found of this setup is taken as it is. Else a second mesh is
     made: of a small mesh a finer one, of a large one a coarser one where one can be made. What the
@@ -75,15 +75,15 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     result["cell_size"] = float(np.median(np.concatenate(lengths)))
     if bundle is None or solver.component.analysis.nonlinear:
         return result
-    found = beyond_linear(second or solver, bundle.acting)
-    known = bool(np.isfinite(found.deviation).all())
+    beyond = beyond_linear(second or solver, bundle.acting)
+    known = bool(np.isfinite(beyond.deviation).all())
     basis = "nonlinear solves at two opposite corners of the load range"
-    if found.why:
-        basis += f", a part of them since {found.why}"
+    if beyond.why:
+        basis += f", a part of them since {beyond.why}"
     return result | {
-        "linearity": found.deviation.tolist() if known else None,
+        "linearity": beyond.deviation.tolist() if known else None,
         "linearity_basis": basis,
-        "buckling": found.buckling,
+        "buckling": beyond.buckling,
     }
 
 
@@ -97,30 +97,30 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
         return _report(compliance, np.array(errors), basis)
     errors.append(_ROUND * round_.change)
     # What straight edges across round surfaces change, and the cells round for 1 %.
-    own = np.diag(compliance)
-    share = float(np.abs(np.diag(round_.change)[own > 0] / own[own > 0]).max())
-    words = (
+    diagonal = np.diag(compliance)
+    share = float(np.abs(np.diag(round_.change)[diagonal > 0] / diagonal[diagonal > 0]).max())
+    cause = (
         f"straight edges across round surfaces, which turn by up to {np.degrees(round_.turn):.3g} "
         f"degrees a cell, change it by {100 * share:.2g} %"
     )
     if share > FINE:
         # The change grows with the square of the turn.
         cells = int(np.ceil(2 * np.pi / (round_.turn * np.sqrt(FINE / share))))
-        words = f"{words}; with {cells} cells round it is 1 %"
-    found = _report(compliance, np.array(errors), f"{basis}; {words}")
-    rounded = {"mesh": np.abs(errors[-1]).tolist(), "share": share, "basis": words}
-    return found | {"rounded": rounded}
+        cause = f"{cause}; with {cells} cells round it is 1 %"
+    report = _report(compliance, np.array(errors), f"{basis}; {cause}")
+    rounded = {"mesh": np.abs(errors[-1]).tolist(), "share": share, "basis": cause}
+    return report | {"rounded": rounded}
 
 
 def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     """Return the parts of the error that the size of cells makes, each (6 i, k), and the basis.
 
-    There are no parts where nothing tells the error.
+    There are no parts where the error is not known.
     """
     compliance, bundle = solver.linear.compliance, solver.component.bundle
-    found = kept(bundle, compliance.shape)
-    if found is not None:
-        return [found[0]], found[1]
+    study = kept(bundle, compliance.shape)
+    if study is not None:
+        return [study[0]], study[1]
     recovered = recovered_error(solver)
     lacks = 0.5 * _MARGIN * recovered.total[: len(compliance)]
     try:
@@ -166,7 +166,7 @@ def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
     mesh = np.abs(errors).sum(axis=0)
     own = np.sqrt(np.diag(mesh))
     mesh[:, : len(own)] += _MIXED * np.outer(own, own)
-    found = {"mesh": mesh.tolist(), "mesh_basis": basis}
+    report = {"mesh": mesh.tolist(), "mesh_basis": basis}
     # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.
     loads = len(compliance)
     diagonal = np.diag(compliance)
@@ -179,11 +179,11 @@ def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
     # Further inputs are no generalised forces of an interface: their rows are zero.
     added = np.zeros(compliance.T.shape)
     added[:loads] = stiffness @ errors.sum(axis=0)[:, :loads] @ stiffness
-    return found | {"mesh_stiffness": added.tolist()}
+    return report | {"mesh_stiffness": added.tolist()}
 
 
 def accuracy_or_why(solver: Solver) -> dict[str, Any]:
-    """Return what `accuracy_of` does, or ``mesh`` None and in ``mesh_basis`` why not.
+    """Return the result of `accuracy_of`, or ``mesh`` None and in ``mesh_basis`` why not.
 
     A part that can be solved has an answer whatever happens here: a coarser mesh can be too coarse
     for the shape, and memory can end.
@@ -197,8 +197,8 @@ def accuracy_or_why(solver: Solver) -> dict[str, Any]:
 
 def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:
     """Return the same of a component that an outside solver answers for: nothing is known."""
-    words = "an outside solver's own mesh: the deck's author knows how far it is off"
-    return {"mesh": None, "mesh_basis": words, **_largest(bundle)}
+    why = "an outside solver's own mesh: the deck's author knows how far it is off"
+    return {"mesh": None, "mesh_basis": why, **_largest(bundle)}
 
 
 def _largest(bundle: Bundle | None) -> dict[str, list[float]]:
@@ -210,7 +210,7 @@ def _largest(bundle: Bundle | None) -> dict[str, list[float]]:
     if bundle is None:
         return {"loads": [1.0] * len(FREEDOMS)}
     largest = np.maximum(np.abs(bundle.acting.low), np.abs(bundle.acting.high))
-    idle = [one in own.locked for own in bundle.interfaces for one in FREEDOMS]
+    idle = [freedom in interface.locked for interface in bundle.interfaces for freedom in FREEDOMS]
     largest[: len(idle)][idle] = 0.0
-    zero = [0.0] * len(bundle.range.low) + [one.reference for one in bundle.further]
+    zero = [0.0] * len(bundle.range.low) + [scalar.reference for scalar in bundle.further]
     return {"loads": largest.tolist()} | ({"zero": zero} if any(zero) else {})

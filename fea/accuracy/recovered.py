@@ -32,44 +32,24 @@ _KINDS = {nodes: kind for kind, nodes in NODES_PER_CELL.items()}
 
 
 class _Piece(NamedTuple):
-    """Cells of one kind and material.
+    """Cells of one kind and material."""
 
-    Attributes
-    ----------
-    fields
-        Shape (2, loads, cells, points, 3, 3): strains and stresses of the unit loads.
-    weights
-        Shape (cells, points), m^3.
-    corners
-        Shape (cells, corners), int64: nodes.
-    functions
-        Shape (points, corners): the linear shape functions of the corners.
-    material
-        Its number.
-    projected
-        Whether volumetric strains are projected: those at the points then tell nothing.
-    """
-
-    fields: Array
-    weights: Array
-    corners: Array
-    functions: Array
-    material: int
+    fields: Array  # shape (2, loads, cells, points, 3, 3): strains and stresses of the unit loads
+    weights: Array  # shape (cells, points), m^3
+    corners: Array  # shape (cells, corners), int64: nodes
+    functions: Array  # shape (points, corners): the linear shape functions of the corners
+    material: int  # its number
+    # Whether volumetric strains are projected: those at the points then show nothing
     projected: bool
 
 
 class RecoveredError(NamedTuple):
-    """The mesh's error at unit inputs, and where it is.
+    """The mesh's error at unit inputs, and where it is."""
 
-    Attributes
-    ----------
-    total
-        Shape (k, k), SI, symmetric: the first 6 i rows are displacements of i interfaces.
-    cells, centres, sizes
-        Each cell's part of the diagonal, (k, cells), its centre, (cells, 3), and diameter, m.
-    """
-
+    # Shape (k, k), SI, symmetric: the first 6 i rows are displacements of i interfaces
     total: Array
+    # cells, centres, sizes: each cell's part of the diagonal, (k, cells), its centre, (cells, 3),
+    # and diameter, m.
     cells: Array
     centres: Array
     sizes: Array
@@ -91,14 +71,39 @@ def recovered_error(solver: Solver) -> RecoveredError:
 
     A strain of heat is the same in both fields that are compared, and cancels.
 
-    Raises
-    ------
-    SolveFailed
-        As `Solver.linear` does.
+    Raises SolveFailed as `Solver.linear` does.
     """
     pieces = list(_pieces(solver))
     points = solver.component.mesh.points
-    smooth = _at_corners(pieces, len(points))
+    # For each material the means of its fields at the nodes, (nodes, 2, loads, 3, 3).
+    nodes = len(points)
+    totals: dict[int, Array] = {}
+    volumes: dict[int, Array] = {}
+    for piece in pieces:
+        loads = piece.fields.shape[1]
+        total = totals.setdefault(piece.material, np.zeros((nodes, 2 * loads * 9)))
+        volume = volumes.setdefault(piece.material, np.zeros(nodes))
+        volumes_of_cells = piece.weights.sum(axis=1)
+        fit = np.linalg.pinv(piece.functions)
+        cells, places = piece.weights.shape
+        by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, places, -1)
+        recovered = (fit @ by_cell) * volumes_of_cells[:, None, None]  # at each cell's corners
+        count = piece.corners.size
+        entries = (np.ones(count), (piece.corners.ravel(), np.arange(count)))
+        total += coo_array(entries, shape=(nodes, count)).tocsr() @ recovered.reshape(
+            piece.corners.size, -1
+        )
+        volume += np.bincount(
+            piece.corners.ravel(),
+            np.repeat(volumes_of_cells, piece.corners.shape[1]),
+            minlength=nodes,
+        )
+    smooth = {
+        material: (
+            total / np.where(volumes[material] > 0, volumes[material], 1.0)[:, None]
+        ).reshape(nodes, 2, -1, 3, 3)
+        for material, total in totals.items()
+    }
     found = [_energy(piece, smooth[piece.material]) for piece in pieces]
     total = np.sum([energy for energy, _ in found], axis=0)
     return RecoveredError(
@@ -111,9 +116,9 @@ def recovered_error(solver: Solver) -> RecoveredError:
 def _centres_and_diameters(points: Array, blocks: list[Array]) -> tuple[Array, Array]:
     """Return the centres and the largest distances between corners of cells, by their corners."""
     places = [points[corners] for corners in blocks]
-    apart = [np.linalg.norm(own[:, :, None] - own[:, None], axis=-1) for own in places]
-    centres = np.concatenate([own.mean(axis=1) for own in places])
-    return centres, np.concatenate([own.max(axis=(1, 2)) for own in apart])
+    apart = [np.linalg.norm(place[:, :, None] - place[:, None], axis=-1) for place in places]
+    centres = np.concatenate([place.mean(axis=1) for place in places])
+    return centres, np.concatenate([distances.max(axis=(1, 2)) for distances in apart])
 
 
 def _pieces(solver: Solver) -> Iterator[_Piece]:
@@ -130,11 +135,11 @@ def _pieces(solver: Solver) -> Iterator[_Piece]:
         functions = _corner_functions(kind, component.analysis.integration)
         corners = nodes[:, : functions.shape[1]]
         for material in np.unique(numbers).tolist():
-            own = numbers == material
+            chosen = numbers == material
             yield _Piece(
-                fields[:, :, own],
-                weights[own],
-                corners[own],
+                fields[:, :, chosen],
+                weights[chosen],
+                corners[chosen],
                 functions,
                 material,
                 part.projected,
@@ -148,35 +153,6 @@ def _corner_functions(kind: str, integration: str) -> Array:
     functions = tabulate(_FIRST_ORDER[kind[:3]], places)[0]
     assert functions.shape[1] == int(np.max(EDGES[kind])) + 1
     return functions
-
-
-def _at_corners(pieces: list[_Piece], nodes: int) -> dict[int, Array]:
-    """Return for each material the means of its fields at the nodes, (nodes, 2, loads, 3, 3)."""
-    totals: dict[int, Array] = {}
-    volumes: dict[int, Array] = {}
-    for piece in pieces:
-        loads = piece.fields.shape[1]
-        total = totals.setdefault(piece.material, np.zeros((nodes, 2 * loads * 9)))
-        volume = volumes.setdefault(piece.material, np.zeros(nodes))
-        own = piece.weights.sum(axis=1)
-        fit = np.linalg.pinv(piece.functions)
-        cells, points = piece.weights.shape
-        by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, points, -1)
-        recovered = (fit @ by_cell) * own[:, None, None]  # at each cell's corners
-        count = piece.corners.size
-        entries = (np.ones(count), (piece.corners.ravel(), np.arange(count)))
-        total += coo_array(entries, shape=(nodes, count)).tocsr() @ recovered.reshape(
-            piece.corners.size, -1
-        )
-        volume += np.bincount(
-            piece.corners.ravel(), np.repeat(own, piece.corners.shape[1]), minlength=nodes
-        )
-    return {
-        material: (
-            total / np.where(volumes[material] > 0, volumes[material], 1.0)[:, None]
-        ).reshape(nodes, 2, -1, 3, 3)
-        for material, total in totals.items()
-    }
 
 
 def _energy(piece: _Piece, smooth: Array) -> tuple[Array, Array]:

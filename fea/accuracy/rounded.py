@@ -1,4 +1,4 @@
-"""What straight edges across a round surface change: the same cells, their edges bent.
+"""Effect of straight edges across a round surface: the same cells, their edges bent.
 
 Midside nodes that a first-order mesh is given, here or by another program, lie in the middle of
 straight edges. Where the facets of the surface turn little from one to the next they approximate a
@@ -36,29 +36,19 @@ changes in proportion."""
 
 
 class Roundness(NamedTuple):
-    """What bending the edges changes.
+    """Effect of bending the edges."""
 
-    Attributes
-    ----------
-    change
-        Shape (6 i, k): the compliance with straight edges, less that with bent ones, in its units.
-    turn
-        The largest turn from facet to facet that was taken for a round surface, rad.
-    """
-
+    # Shape (6 i, k): the compliance with straight edges, less that with bent ones, in its units
     change: Array
-    turn: float
+    turn: float  # the largest turn from facet to facet that was taken for a round surface, rad
 
 
 def roundness(solver: Solver) -> Roundness | None:
-    """Return what straight edges across round surfaces change; None if there are none.
+    """Return the effect of straight edges across round surfaces; None if there are none.
 
     It costs a linear solve. Of mesh files alone: other meshes are made on their geometry.
 
-    Raises
-    ------
-    SolveFailed
-        If the bent cells cannot be solved however little they are bent.
+    Raises SolveFailed if the bent cells cannot be solved however little they are bent.
     """
     component = solver.component
     source = component.bundle and component.bundle.mesh
@@ -70,12 +60,12 @@ def roundness(solver: Solver) -> Roundness | None:
     for part in _PARTS:
         mesh = replace(component.mesh, points=component.mesh.points + part * bows)
         try:
-            bent = Solver(replace(component, mesh=mesh)).linear.compliance
+            curved = Solver(replace(component, mesh=mesh)).linear.compliance
         except SolveFailed:
             if part == _PARTS[-1]:
                 raise
             continue
-        return Roundness((solver.linear.compliance - bent) / part, turn)
+        return Roundness((solver.linear.compliance - curved) / part, turn)
     raise AssertionError("the last part raises")
 
 
@@ -112,9 +102,9 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     before, after = np.roll(points, 1, axis=1), np.roll(points, -1, axis=1)
     before[triangle, 3] = points[triangle, 1]
     after[triangle, 2] = points[triangle, 0]
-    one, other = before - points, after - points
-    cosine = np.einsum("fci,fci->fc", one, other)
-    size = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)
+    back, ahead = before - points, after - points
+    cosine = np.einsum("fci,fci->fc", back, ahead)
+    size = np.linalg.norm(back, axis=2) * np.linalg.norm(ahead, axis=2)
     angles = np.arccos(np.clip(cosine / np.where(size > 0, size, 1.0), -1.0, 1.0))
     angles[triangle, 2:] /= 2
     facet, corner = np.divmod(np.argsort(corners, axis=None, kind="stable"), 4)
@@ -140,11 +130,11 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         if (apart > STRAIGHT * length[:, 0]).any():
             return np.zeros_like(bows), 0.0
         size = np.linalg.norm(bow, axis=1)
-        bent = np.flatnonzero(size > STRAIGHT * length[:, 0])
+        curved = np.flatnonzero(size > STRAIGHT * length[:, 0])
         # Of the facets at an edge that which bends it most counts.
-        bent = bent[np.argsort(size[bent])]
-        nodes = middles[bent, side]
-        bent = bent[size[bent] > np.linalg.norm(bows[nodes], axis=1)]
-        bows[middles[bent, side]] = bow[bent]
-        largest = max(largest, float(turn[bent].max(initial=0.0)))
+        curved = curved[np.argsort(size[curved])]
+        nodes = middles[curved, side]
+        curved = curved[size[curved] > np.linalg.norm(bows[nodes], axis=1)]
+        bows[middles[curved, side]] = bow[curved]
+        largest = max(largest, float(turn[curved].max(initial=0.0)))
     return bows, largest

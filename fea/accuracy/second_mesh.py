@@ -27,11 +27,11 @@ def coarser(solver: Solver) -> Solver | None:
         if other is None:
             return None
         try:
-            found = Solver(build(other))
-            _ = found.linear
+            second = Solver(build(other))
+            _ = second.linear
         except (BundleError, SolveFailed):
             continue  # too coarse for the shape, or for reduced integration to hold it
-        return found
+        return second
     return None
 
 
@@ -45,10 +45,7 @@ def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solve
     Generators and geometries make the mesh anew with cells `factor` times as small; a mesh file's
     cells are halved, its edges kept as they are.
 
-    Raises
-    ------
-    BundleError
-        If the mesh fails.
+    Raises BundleError if the mesh fails.
     """
     component = solver.component
     bundle, limit = component.bundle, float("inf") if most is None else most
@@ -58,5 +55,5 @@ def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solve
     # In a plane alone, as thin parts have it, unknowns grow by the square.
     if (factor if again else 2.0) ** 2 * component.mesh.unknowns > limit:
         return None
-    found = build(again) if again is not None else build(bundle, halved(component.mesh))
-    return Solver(found) if found.mesh.unknowns <= limit else None
+    model = build(again) if again is not None else build(bundle, halved(component.mesh))
+    return Solver(model) if model.mesh.unknowns <= limit else None

@@ -30,40 +30,28 @@ def filled_cells(
 ) -> list[tuple[CellBlock, CellStiffness]]:
     """Return the cells in parts of one law each, with their stiffness.
 
-    Parameters
-    ----------
-    mesh
-        The cells.
-    materials
-        What they may be made of.
-    numbers
-        For each block of the mesh, shape (cells,): the index of each cell's material.
-    integration
-        ``"reduced"`` or ``"full"``, for hex20.
-    axes
-        Shape (3, 3): row i is the mesh's axis i in those that the bundle is written in; the same
-        unless given.
-    origin
-        Shape (3,), m: where the mesh's points are counted from, in the bundle's axes.
-
-    Raises
-    ------
-    SolveFailed
-        ``inverted_elements`` or ``locking_material``.
+    mesh: the cells.
+    materials: what they may be made of.
+    numbers: for each block of the mesh, shape (cells,): the index of each cell's material.
+    integration: ``"reduced"`` or ``"full"``, for hex20.
+    axes: shape (3, 3): row i is the mesh's axis i in those that the bundle is written in; the same
+    unless given.
+    origin: shape (3,), m: where the mesh's points are counted from, in the bundle's axes.
+    Raises SolveFailed: ``inverted_elements`` or ``locking_material``.
     """
     frame = np.eye(3) if axes is None else axes
     start = np.zeros(3) if origin is None else origin
     filled = []
     for block, number, chosen, law, projected in sorted_cells(mesh, materials, numbers):
-        own = CellBlock(block.kind, block.nodes[chosen])
+        part = CellBlock(block.kind, block.nodes[chosen])
         one_each = [materials[i] for i in number[chosen]]
-        gradients = cell_gradients(mesh.points, own, integration)
+        gradients = cell_gradients(mesh.points, part, integration)
         modes = None
         if projected:
-            modes = volume_modes(mesh.points, own, gradients.weights, integration)
-        values = reference_element(own.kind, integration).values
-        places = values @ mesh.points[own.nodes] @ frame + start
-        filled.append((own, _stiffness(law, gradients, one_each, modes, (frame, places))))
+            modes = volume_modes(mesh.points, part, gradients.weights, integration)
+        values = reference_element(part.kind, integration).values
+        places = values @ mesh.points[part.nodes] @ frame + start
+        filled.append((part, _stiffness(law, gradients, one_each, modes, (frame, places))))
     return filled
 
 
@@ -76,10 +64,7 @@ def sorted_cells(
     shape (cells,), bool (both dimensionless), their law, and whether their volumetric strain is
     projected.
 
-    Raises
-    ------
-    SolveFailed
-        ``locking_material``.
+    Raises SolveFailed: ``locking_material``.
     """
     poisson = np.array([material.poisson_ratio for material in materials])
     laws = np.array([LAWS.index(material.law) for material in materials])
@@ -87,10 +72,10 @@ def sorted_cells(
         require_no_locking(block, poisson[number])
         for law in np.unique(laws[number]):
             projected = projects(block, poisson[number])
-            for own in (~projected, projected):
-                chosen = own & (laws[number] == law)
+            for sort in (~projected, projected):
+                chosen = sort & (laws[number] == law)
                 if chosen.any():
-                    yield block, number, chosen, LAWS[law], own is projected
+                    yield block, number, chosen, LAWS[law], sort is projected
 
 
 def _stiffness(
@@ -102,7 +87,7 @@ def _stiffness(
 ) -> CellStiffness:
     """Return the cells of one law; `where` is as of `_directions`."""
     # Thermal strains per kelvin, (cells, points or 1, 3, 3), 1/K; None for none.
-    if any(one.thermal_expansion is None for one in materials):
+    if any(material.thermal_expansion is None for material in materials):
         expansion = None
     else:
         expansion = _by_cell(
@@ -130,28 +115,28 @@ def _directions(
     axes, (cells, points, 3), m. Directions that are everywhere the same stand once a cell.
     """
     frame, places = where
-    found = []
-    for one in {id(material): material for material in materials}.values():
-        cells = np.array([k for k, material in enumerate(materials) if material is one])
-        own = one.orthotropic
-        if own is None:
+    groups = []
+    for chosen in {id(material): material for material in materials}.values():
+        cells = np.array([k for k, material in enumerate(materials) if material is chosen])
+        orthotropic = chosen.orthotropic
+        if orthotropic is None:
             directions = np.broadcast_to(np.eye(3), (len(cells), 1, 3, 3))
         else:
-            at = places[cells] if own.cylinder else places[cells, :1]
-            directions = own.directions(at) @ frame.T
-        found.append((one, cells, directions))
-    return found
+            at = places[cells] if orthotropic.cylinder else places[cells, :1]
+            directions = orthotropic.directions(at) @ frame.T
+        groups.append((chosen, cells, directions))
+    return groups
 
 
 def _by_cell(
     parts: list[tuple[Material, Array, Array]], tensor: Callable[[Material, Array], Array]
 ) -> Array:
     """Return a tensor of each material's directions, by cell, (cells, points or 1, ...)."""
-    made = [(cells, tensor(one, directions)) for one, cells, directions in parts]
-    points = max(own.shape[1] for _, own in made)
-    out = np.empty((sum(len(cells) for cells, _ in made), points, *made[0][1].shape[2:]))
-    for cells, own in made:
-        out[cells] = own
+    tensors = [(cells, tensor(material, directions)) for material, cells, directions in parts]
+    points = max(tensor_of_cells.shape[1] for _, tensor_of_cells in tensors)
+    out = np.empty((sum(len(cells) for cells, _ in tensors), points, *tensors[0][1].shape[2:]))
+    for cells, tensor_of_cells in tensors:
+        out[cells] = tensor_of_cells
     return out
 
 

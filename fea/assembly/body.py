@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.assembly.movable import Movable
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
 from wrenchbook.fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
@@ -29,19 +28,58 @@ _FIELDS_AT_A_TIME = 1024
 _STEP = 0.05  # K: the difference's error is the square of the thermal strain in it
 
 
+class Movable:
+    """The free nodes, and the directions in which sliding ones are held.
+
+    A sliding node keeps its three unknowns: in a held direction the stiffness is replaced by a
+    number that joins it to nothing, so no other displacement depends on it.
+
+    free: shape (n,), bool: the nodes whose displacement is unknown.
+    held: of a component: sliding nodes, shape (k,), and projectors on their held directions, shape
+    (k, 3, 3), dimensionless. Those that are not free count for nothing.
+    """
+
+    def __init__(self, free: Array, held: tuple[Array, Array]) -> None:
+        self.free = free
+        chosen = free[held[0]]
+        self._nodes, self._held = held[0][chosen], held[1][chosen]
+        self._place = np.full(free.size, -1)
+        self._place[self._nodes] = np.arange(self._nodes.size)
+
+    def released(self, fields: Array) -> Array:
+        """Return fields (n, 3, ...) without what acts on, or moves, held nodes and directions."""
+        free = np.where(self.free.reshape(-1, *[1] * (fields.ndim - 1)), fields, 0.0)
+        if self._nodes.size:
+            free[self._nodes] -= np.einsum("nij,nj...->ni...", self._held, free[self._nodes])
+        return free
+
+    def apart(self, matrices: Array, nodes: Array) -> Array:
+        """Return cells' matrices (m, 3 s, 3 s), N/m, of nodes (m, s), with held directions apart.
+
+        A row of a cell's matrix is a component and a node, the node running faster.
+        """
+        places = self._place[nodes]
+        touched = np.flatnonzero((places >= 0).any(axis=1))
+        if not touched.size:
+            return matrices
+        local, size = matrices[touched], matrices.shape[1]
+        held = np.zeros((touched.size, 3, nodes.shape[1], 3, nodes.shape[1]))
+        cells, corners = np.nonzero(places[touched] >= 0)
+        held[cells, :, corners, :, corners] = self._held[places[touched][cells, corners]]
+        held = held.reshape(local.shape)
+        free = np.eye(size) - held
+        stiffness = np.abs(np.trace(local, axis1=1, axis2=2)) / size
+        matrices[touched] = free @ local @ free + stiffness[:, None, None] * held
+        return matrices
+
+
 class ElasticBody:
     """Cells, and the free nodes in their order of elimination.
 
-    Parameters
-    ----------
-    mesh
-        Every point belongs to a cell.
-    filled
-        Its cells with their material, see `fea.assembly.blocks.filled_cells`.
-    free
-        Shape (n,), bool: the nodes whose displacement is unknown.
-    held
-        The nodes that slide, see `Movable`.
+    mesh: every point belongs to a cell.
+    filled: its cells with their material, see `fea.assembly.blocks.filled_cells`.
+    free: shape (n,), bool: the nodes whose displacement is unknown.
+    held: the nodes that slide, see `Movable`.
     """
 
     def __init__(
@@ -127,21 +165,10 @@ class ElasticBody:
     ) -> tuple[Array, float, float]:
         """Return the internal nodal forces, the strain energy and the least det F.
 
-        Parameters
-        ----------
-        displacement
-            Shape (n, 3), m.
-        step
-            The last step of Newton's method, two fields of shape (n, 3), m: see `tangent`.
-
-        Returns
-        -------
-        forces
-            Shape (n, 3), N.
-        energy
-            J.
-        least
-            Smallest determinant of the deformation gradient over all quadrature points.
+        displacement: shape (n, 3), m.
+        step: the last step of Newton's method, two fields of shape (n, 3), m: see `tangent`.
+        Returns forces: shape (n, 3), N. energy: J. least: Smallest determinant of the deformation
+        gradient over all quadrature points.
         """
         total, energy, least = np.zeros_like(displacement), 0.0, np.inf
         for part, nodes in zip(self.parts, self.cells, strict=True):
@@ -160,17 +187,13 @@ class ElasticBody:
     ) -> Tangent:
         """Return the tangent stiffness.
 
-        Parameters
-        ----------
-        displacement
-            Shape (n, 3), m; None for the undeformed state.
-        step
-            Of Newton's method, the last one: the displacement it aimed at and the change, both
-            linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is the one
-            extrapolated linearly from the state before that step: the iteration of Magisano,
-            Leonetti and Garcea ("mixed integration points", 2017). Slender parts need several
-            times fewer iterations with it, as a large step's false membrane strain no longer
-            stiffens the next one. The two tangents agree as the steps vanish.
+        displacement: shape (n, 3), m; None for the undeformed state.
+        step: of Newton's method, the last one: the displacement it aimed at and the change, both
+        linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is the one
+        extrapolated linearly from the state before that step: the iteration of Magisano, Leonetti
+        and Garcea ("mixed integration points", 2017). Slender parts need several times fewer
+        iterations with it, as a large step's false membrane strain no longer stiffens the next one.
+        The two tangents agree as the steps vanish.
         """
         return Tangent(self, displacement, step)
 
@@ -180,37 +203,23 @@ class ElasticBody:
         More exact than the stiffness matrix times the field: the matrix holds a rigid motion's zero
         force only to roundoff of its entries.
 
-        Parameters
-        ----------
-        fields
-            Shape (n, 3, k), m.
-
-        Returns
-        -------
-        Array
-            Shape (n, 3, k), N.
+        fields: shape (n, 3, k), m.
+        Result: shape (n, 3, k), N.
         """
         total = np.zeros_like(fields)
         for part, nodes in zip(self.parts, self.cells, strict=True):
             for first in range(0, len(nodes), _FIELDS_AT_A_TIME):
-                own = nodes[first : first + _FIELDS_AT_A_TIME]
-                moved = np.moveaxis(gather(fields, own), -1, 0)
+                local = nodes[first : first + _FIELDS_AT_A_TIME]
+                moved = np.moveaxis(gather(fields, local), -1, 0)
                 for k, forces in enumerate(part.small_strain_forces(moved, first)):
-                    total[:, :, k] += self._sum(forces, own)
+                    total[:, :, k] += self._sum(forces, local)
         return total
 
     def strain_energy_products(self, fields: Array) -> Array:
         """Return twice the mutual strain energies of small displacements, from their strains.
 
-        Parameters
-        ----------
-        fields
-            Shape (n, 3, k), m.
-
-        Returns
-        -------
-        Array
-            Shape (k, k), J.
+        fields: shape (n, 3, k), m.
+        Result: shape (k, k), J.
         """
         total = np.zeros((fields.shape[2],) * 2)
         for part, nodes in zip(self.parts, self.cells, strict=True):
@@ -226,17 +235,9 @@ class ElasticBody:
     def third(self, displacement: Array, fields: Array) -> Array:
         """Return the strain energy's third derivatives along fields.
 
-        Parameters
-        ----------
-        displacement
-            Shape (n, 3), m.
-        fields
-            Shape (n, 3, k), m.
-
-        Returns
-        -------
-        Array
-            Shape (k, k, k), J.
+        displacement: shape (n, 3), m.
+        fields: shape (n, 3, k), m.
+        Result: shape (k, k, k), J.
         """
         return self._integral(CellStiffness.third, displacement, fields)
 
@@ -249,9 +250,9 @@ class ElasticBody:
         total = 0.0
         for part, nodes in zip(self.parts, self.cells, strict=True):
             for first in range(0, len(nodes), _FIELDS_AT_A_TIME):
-                own = nodes[first : first + _FIELDS_AT_A_TIME]
-                moved = np.moveaxis(gather(fields, own), -1, 0)
-                total = total + derivatives(part, gather(displacement, own), moved, first)
+                local = nodes[first : first + _FIELDS_AT_A_TIME]
+                moved = np.moveaxis(gather(fields, local), -1, 0)
+                total = total + derivatives(part, gather(displacement, local), moved, first)
         return np.asarray(total)
 
     def _sum(self, forces: Array, nodes: Array) -> Array:
@@ -297,63 +298,53 @@ class Tangent:
             for cells in _batches(np.arange(len(scatter.diagonal))):
                 places = scatter.diagonal[cells]
                 sizes = self._cells(number, cells)
-                own = (np.abs(sizes, out=sizes) @ scale[places][..., None])[..., 0]
-                sums += np.bincount(places.ravel(), own.ravel(), minlength=sums.size)
+                scaled = (np.abs(sizes, out=sizes) @ scale[places][..., None])[..., 0]
+                sums += np.bincount(places.ravel(), scaled.ravel(), minlength=sums.size)
         return float((scale * sums).max(initial=1.0))
 
     def _cells(self, number: int, cells: Array) -> Array:
         """Return the matrices of some cells of a block, shape (k, size, size), N/m."""
         nodes = self._body.cells[number][cells]
         moved = None if self._displacement is None else gather(self._displacement, nodes)
-        own = self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
-        return self._body.movable.apart(own, nodes)
+        matrices = self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
+        return self._body.movable.apart(matrices, nodes)
 
     def _leaf(self, number: int) -> Array:
         """Return the matrix of one leaf; a few leaves are made at once."""
         if number not in self._ready:
             self._ready.clear()  # what a factorisation that was given up has left
-            self._make_ready(self._body.leaves_from(number))
+            leaves = self._body.leaves_from(number)
+            for group, scatter in enumerate(self._body.scatter):
+                due = [leaf for leaf in leaves if leaf in scatter.leaves]
+                if not due:
+                    continue
+                counts = np.cumsum([0, *(len(scatter.leaves[leaf].cells) for leaf in due)])
+                matrices = self._cells(
+                    group, np.concatenate([scatter.leaves[leaf].cells for leaf in due])
+                )
+                for leaf, (first, last) in zip(due, pairwise(counts), strict=True):
+                    part = scatter.leaves[leaf].sum(matrices[first:last])
+                    self._ready[leaf] = self._ready[leaf] + part if leaf in self._ready else part
         return self._ready.pop(number)
-
-    def _make_ready(self, leaves: list[int]) -> None:
-        for number, scatter in enumerate(self._body.scatter):
-            own = [leaf for leaf in leaves if leaf in scatter.leaves]
-            if not own:
-                continue
-            counts = np.cumsum([0, *(len(scatter.leaves[leaf].cells) for leaf in own)])
-            matrices = self._cells(
-                number, np.concatenate([scatter.leaves[leaf].cells for leaf in own])
-            )
-            for leaf, (first, last) in zip(own, pairwise(counts), strict=True):
-                part = scatter.leaves[leaf].sum(matrices[first:last])
-                self._ready[leaf] = self._ready[leaf] + part if leaf in self._ready else part
 
     def times(self, fields: Array, nodes: Array) -> Array:
         """Multiply by displacement fields that are zero at all but the given nodes.
 
         Of other fields the product is right at the given nodes alone.
 
-        Parameters
-        ----------
-        fields
-            Shape (n, 3, k), m.
-        nodes
-            Where a field may differ from zero.
-
-        Returns
-        -------
-        Array
-            Shape (n, 3, k), N.
+        fields: shape (n, 3, k), m.
+        nodes: where a field may differ from zero.
+        Result: shape (n, 3, k), N.
         """
         total = np.zeros_like(fields)
         moved = np.zeros(len(fields), dtype=bool)
         moved[nodes] = True
         for number, cells in enumerate(self._body.cells):
             for touched in _batches(np.flatnonzero(moved[cells].any(axis=1))):
-                own = gather(fields, cells[touched])
+                local = gather(fields, cells[touched])
                 matrices = self._cells(number, touched)
-                forces = matrices @ own.reshape(*matrices.shape[:2], fields.shape[2])
-                np.add.at(total, cells[touched], np.moveaxis(forces.reshape(own.shape), 1, 2))
+                forces = matrices @ local.reshape(*matrices.shape[:2], fields.shape[2])
+                np.add.at(total, cells[touched], np.moveaxis(forces.reshape(local.shape), 1, 2))
         return total
 
     def solve(self, loads: Array) -> Array:
@@ -384,8 +375,8 @@ class _Scatter:
             if part.children or not cells.size:
                 continue
             size = part.eliminated + part.boundary.size
-            own = positions[cells]
-            local = np.where(own < 0, size, part.find(np.maximum(own, 0)))
+            columns = positions[cells]
+            local = np.where(columns < 0, size, part.find(np.maximum(columns, 0)))
             self.leaves[number] = _Leaf(cells, local, size)
 
 

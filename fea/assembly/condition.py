@@ -68,12 +68,8 @@ def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
 def unheld(what: str, energy: float) -> SolveFailed:
     """Name what is wrong if elimination leaves a motion no stiffness.
 
-    Parameters
-    ----------
-    what
-        What moves.
-    energy
-        Relative strain energy of that motion.
+    what: what moves.
+    energy: relative strain energy of that motion.
     """
     if energy < MECHANISM:
         return mechanism(f"{what} can move without any resistance.")

@@ -16,35 +16,20 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """A state and the forces in it under one wrench.
+    """A state and the forces in it under one wrench."""
 
-    Attributes
-    ----------
-    state
-        The configuration.
-    wrench
-        Shape (k,): the inputs, N and N·m of i interfaces; behind them the temperature, K from the
-        reference, if the body expands, and the accelerations that are inputs, m/s^2.
-    forces
-        Shape (n, 3), N: internal nodal forces, less those of weight and acceleration.
-    energy
-        Strain energy, J.
-    least_stretch
-        Smallest determinant of the deformation gradient.
-    nodal, border
-        What is out of balance: shape (n, 3), N, at the free nodes, zero at others; and shape
-        (border,), N and N·m for interface freedoms, m and m^2 for constraints.
-    heat
-        Norm of the nodal forces, N, and the energy, J, that heat alone has in a body held all over.
-    """
-
-    state: CoupledState
+    state: CoupledState  # the configuration
+    # Shape (k,): the inputs, N and N·m of i interfaces; behind them the temperature, K from the
+    # reference, if the body expands, and the accelerations that are inputs, m/s^2.
     wrench: Array
-    forces: Array
-    energy: float
-    least_stretch: float
+    forces: Array  # shape (n, 3), N: internal nodal forces, less those of weight and acceleration
+    energy: float  # Strain energy, J
+    least_stretch: float  # Smallest determinant of the deformation gradient
+    # nodal, border: what is out of balance: shape (n, 3), N, at the free nodes, zero at others; and
+    # shape (border,), N and N·m for interface freedoms, m and m^2 for constraints.
     nodal: Array
     border: Array
+    # Norm of the nodal forces, N, and the energy, J, that heat alone has in a body held all over
     heat: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -122,10 +107,10 @@ class Linearisation:
 
     @property
     def _softest_interface(self) -> tuple[float, Array]:
-        own = np.diagonal(self._block)
-        if not own.size or (own <= 0).any():
-            return 1.0, np.zeros(own.size)
-        scale = 1.0 / np.sqrt(own)
+        diagonal = np.diagonal(self._block)
+        if not diagonal.size or (diagonal <= 0).any():
+            return 1.0, np.zeros(diagonal.size)
+        scale = 1.0 / np.sqrt(diagonal)
         scaled = self.schur * scale[:, None] * scale
         ratios, motions = np.linalg.eigh(0.5 * (scaled + scaled.T))
         return float(ratios[0]), scale * motions[:, 0]
@@ -144,8 +129,8 @@ class Linearisation:
         if not (constraints or factor.definite) or not np.isfinite(self.schur).all():
             return False
         scale = self._border_scale
-        own = np.linalg.eigvalsh((self.schur + self.schur.T) * scale[:, None] * scale)
-        return factor.negatives + int((own < 0).sum()) == constraints
+        eigenvalues = np.linalg.eigvalsh((self.schur + self.schur.T) * scale[:, None] * scale)
+        return factor.negatives + int((eigenvalues < 0).sum()) == constraints
 
     @property
     def _least_compliance(self) -> float:
@@ -153,23 +138,19 @@ class Linearisation:
         active = self._coupling.active
         if not active.size:
             return 1.0
-        own = (self.wrench_columns.T @ self.border_response)[np.ix_(active, active)]
-        own = 0.5 * (own + own.T)
-        diagonal = np.diagonal(own)
+        compliance = (self.wrench_columns.T @ self.border_response)[np.ix_(active, active)]
+        compliance = 0.5 * (compliance + compliance.T)
+        diagonal = np.diagonal(compliance)
         if (diagonal <= 0).any():
             return -1.0
         scale = 1.0 / np.sqrt(diagonal)
-        return float(np.linalg.eigvalsh(own * scale[:, None] * scale)[0])
+        return float(np.linalg.eigvalsh(compliance * scale[:, None] * scale)[0])
 
     def correction(self, balance: Balance) -> tuple[Array, Array]:
         """Return the changes that bring a nearby state into balance.
 
-        Returns
-        -------
-        nodes
-            Shape (n, 3), m: of the free nodes; the others are zero.
-        border
-            Shape (border,): of interface freedoms, m and rad, and of multipliers, N and N/m.
+        Returns nodes: shape (n, 3), m: of the free nodes; the others are zero. border: shape
+        (border,): of interface freedoms, m and rad, and of multipliers, N and N/m.
         """
         nodes, border = self.solve(balance.nodal[:, :, None], balance.border[:, None])
         return -nodes[:, :, 0], -border[:, 0]
@@ -177,19 +158,10 @@ class Linearisation:
     def solve(self, nodal: Array, border: Array) -> tuple[Array, Array]:
         """Solve the bordered equations for k load cases.
 
-        Parameters
-        ----------
-        nodal
-            Shape (n, 3, k), N.
-        border
-            Shape (border, k): N and N·m for interface freedoms, m and m^2 for constraints.
-
-        Returns
-        -------
-        nodes
-            Shape (n, 3, k), m: of the free nodes; the others are zero.
-        border
-            Shape (border, k).
+        nodal: shape (n, 3, k), N.
+        border: shape (border, k): N and N·m for interface freedoms, m and m^2 for constraints.
+        Returns nodes: shape (n, 3, k), m: of the free nodes; the others are zero. border: shape
+        (border, k).
         """
         moved = self.tangent.solve(nodal)
         carried = self._solve_border(border - contract(self._columns, moved))

@@ -21,20 +21,13 @@ _LEAST_PIVOT = 1e-13
 class System:
     """The equations of one component.
 
-    Parameters
-    ----------
-    body
-        The cells; its free nodes are those neither fixed nor tied by the coupling.
-    coupling
-        How the wrench gets in.
-    places
-        Shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
-    weight
-        Shape (n, 3), N: the nodal forces of the body's own weight; None for none.
-    pull
-        Shape (n, 3, p), N: nodal forces per unit of each acceleration that is an input; None for
-        none. Those and the weight keep their direction: `Balance.forces` are the internal forces
-        less these.
+    body: the cells; its free nodes are those neither fixed nor tied by the coupling.
+    coupling: how the wrench gets in.
+    places: shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
+    weight: shape (n, 3), N: the nodal forces of the body's own weight; None for none.
+    pull: shape (n, 3, p), N: nodal forces per unit of each acceleration that is an input; None for
+    none. Those and the weight keep their direction: `Balance.forces` are the internal forces less
+    these.
     """
 
     def __init__(
@@ -98,13 +91,9 @@ class System:
     ) -> Linearisation:
         """Return the tangent at a state.
 
-        Parameters
-        ----------
-        balance
-            The state and its forces.
-        step
-            The last step of Newton's method, two fields of shape (n, 3), m: see
-            `ElasticBody.tangent`.
+        balance: the state and its forces.
+        step: the last step of Newton's method, two fields of shape (n, 3), m: see
+        `ElasticBody.tangent`.
         """
         body = self.body.at(self.temperature(balance.wrench))
         if step is not None:
@@ -118,11 +107,8 @@ class System:
     def undeformed(self) -> Linearisation:
         """The linearisation of the undeformed, unloaded state.
 
-        Raises
-        ------
-        SolveFailed
-            ``mechanism`` if the supports leave a motion free, ``ill_conditioned`` if roundoff
-            does.
+        Raises SolveFailed: ``mechanism`` if the supports leave a motion free, ``ill_conditioned``
+        if roundoff does.
         """
         start = Linearisation(
             self.body, self.coupling, self.balance_at_rest, self.body.tangent(None), self.pull
@@ -130,7 +116,10 @@ class System:
         factor = start.tangent.factor
         if factor.pivot_ratio < _LEAST_PIVOT:
             energy = softest_energy(self.body, start.tangent)
-            raise unheld(f"Near {self._place(factor.weakest)} m the mesh", energy)
+            weakest = factor.weakest
+            node = self.body.dissection.nodes[weakest // 3] if weakest >= 0 else 0
+            place = ", ".join(f"{x:.4g}" for x in self._places[node])
+            raise unheld(f"Near ({place}) m the mesh", energy)
         if not np.isfinite(start.compliance).all():
             raise unheld("The interface", 0.0)
         if start.interface_ratio < _LEAST_PIVOT:
@@ -173,7 +162,3 @@ class System:
         if temperature:
             heat = abs(temperature) * self._heat[0], temperature**2 * self._heat[1]
         return Balance(state, wrench, forces, energy, least, nodal, border, heat)
-
-    def _place(self, position: int) -> str:
-        node = self.body.dissection.nodes[position // 3] if position >= 0 else 0
-        return "(" + ", ".join(f"{x:.4g}" for x in self._places[node]) + ")"

@@ -99,16 +99,16 @@ def _choices(keys: Keys, key: str, ways: tuple[str, ...]) -> dict[str, Selector]
     table = keys.table(key, required=False)
     if table is None:
         return {}
-    found = {}
+    selectors = {}
     for name in table:
         ways_of_one = table.table(name)
         if ways_of_one is not None:
-            given = [way for way in ways if way in ways_of_one]
-            if not given:
+            chosen_ways = [way for way in ways if way in ways_of_one]
+            if not chosen_ways:
                 ways_of_one.wrong(
                     ways[0], f"missing; choose by {', '.join(ways[:-1])} or {ways[-1]}"
                 )
-            found[name] = Selector(
+            selectors[name] = Selector(
                 numbers=_numbers(ways_of_one, ways[0]),
                 near=_points(ways_of_one),
                 plane=_plane(ways_of_one) if "plane" in ways else None,
@@ -117,7 +117,7 @@ def _choices(keys: Keys, key: str, ways: tuple[str, ...]) -> dict[str, Selector]
                 else None,
             )
             ways_of_one.close()
-    return found
+    return selectors
 
 
 def _numbers(keys: Keys, key: str) -> tuple[int, ...]:

@@ -10,28 +10,35 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.bundle.inputs_table import read_expansion
+from wrenchbook.fea.readers.registry import reader_named, reader_names
 from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import (
+    ACCELERATIONS,
     COUPLINGS,
     FREEDOMS,
     INTEGRATIONS,
     LAWS,
+    MOMENTS,
     ON_YIELD,
+    TEMPERATURE,
+    UNITS,
     Analysis,
     Bushing,
+    Deck,
     DeclaredRange,
     DeclaredTolerance,
     Interface,
     Material,
+    ScalarInput,
     Sliding,
     Supports,
 )
-from wrenchbook.fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.toml_table import Keys, bundle_file
 
 # Tables square loads and divide by them; the square root of the largest double, 1e154, is too near
 # since sums of such squares must be numbers too.
@@ -69,8 +76,8 @@ def read_supports(keys: Keys | None) -> Supports | None:
     if keys is None:
         return None
     fixed = keys.texts("fixed", required=False, least=1)
-    sliding = [_sliding(own) for own in keys.tables("sliding", required=False)]
-    bushings = [_bushing(own) for own in keys.tables("bushing", required=False)]
+    sliding = [_sliding(table) for table in keys.tables("sliding", required=False)]
+    bushings = [_bushing(entry) for entry in keys.tables("bushing", required=False)]
     if not any(keys):
         message = "holds nothing; write fixed, [[supports.sliding]] or [[supports.bushing]]"
         keys.problems.append(BundleProblem(keys.where, message))
@@ -110,8 +117,8 @@ def _stiffness(keys: Keys) -> np.ndarray | None:
         read = [keys.as_numbers(f"stiffness[{i}]", row, count, unit) for i, row in enumerate(rows)]
         matrix = None if None in read else np.array(read)
     else:
-        own = keys.as_numbers("stiffness", rows, len(FREEDOMS), unit)
-        matrix = None if own is None else np.diag(own)
+        diagonal = keys.as_numbers("stiffness", rows, len(FREEDOMS), unit)
+        matrix = None if diagonal is None else np.diag(diagonal)
     if matrix is None:
         return None
     scale = np.sqrt(np.where(np.diagonal(matrix) > 0, np.diagonal(matrix), 1.0))
@@ -133,15 +140,15 @@ def read_interfaces(top: Keys) -> list[tuple[Interface | None, DeclaredRange | N
         keys = top.table("interface", required=False)
         return [] if keys is None else [(_interface(keys), None)]
     has_mesh = "mesh" in top or "deck" in top
-    found = [_named_interface(keys, has_mesh) for keys in top.tables("interface")]
-    if len(found) == 1:
+    pairs = [_named_interface(keys, has_mesh) for keys in top.tables("interface")]
+    if len(pairs) == 1:
         top.wrong("interface", "is one alone; write [interface], without a name, or add others")
-    names = [own.name for own, _ in found if own is not None]
+    names = [interface.name for interface, _ in pairs if interface is not None]
     if len(set(names)) < len(names):
         top.wrong("interface", "a name is there twice; each interface needs its own")
-    if sum(own is not None and own.held for own, _ in found) > 1:
+    if sum(interface is not None and interface.held for interface, _ in pairs) > 1:
         top.wrong("interface", "only one can be held: it is the reference of all displacements")
-    return found
+    return pairs
 
 
 def _named_interface(keys: Keys, has_mesh: bool) -> tuple[Interface | None, DeclaredRange | None]:
@@ -162,12 +169,14 @@ def read_range(
     top: Keys, interfaces: list[tuple[Interface | None, DeclaredRange | None]]
 ) -> DeclaredRange | None:
     """Return ``[range]``, or the ranges of several interfaces, as `read_interfaces` has them."""
-    own = [one for _, one in interfaces if one is not None]
-    if not own:
+    ranges = [loads for _, loads in interfaces if loads is not None]
+    if not ranges:
         return _loads(top.table("range"))
     if top.table("range", required=False) is not None:
         top.wrong("range", "each [[interface]] has its own; write range = {force, moment} there")
-    low, high = (np.concatenate([getattr(one, end) for one in own]) for end in ("low", "high"))
+    low, high = (
+        np.concatenate([getattr(loads, end) for loads in ranges]) for end in ("low", "high")
+    )
     return DeclaredRange(low, high)
 
 
@@ -235,11 +244,11 @@ def _bounds(keys: Keys, key: str, unit: str, may_rest: bool) -> list[tuple[float
     if len(loads) != 3:
         keys.wrong(key, f"must be three loads in {unit}, each a number or [low, high]")
         return []
-    found = [
+    pairs = [
         (0.0, 0.0) if may_rest and load == 0 else _bound(keys, f"{key}[{i}]", load, unit)
         for i, load in enumerate(loads)
     ]
-    return [pair for pair in found if pair is not None]
+    return [pair for pair in pairs if pair is not None]
 
 
 def _bound(keys: Keys, key: str, load: object, unit: str) -> tuple[float, float] | None:
@@ -287,19 +296,26 @@ def read_material(keys: Keys) -> Material | None:
     region = keys.text("region")
     law = keys.choice("law", LAWS, required=False) or "isotropic"
     if law == "orthotropic":
-        own = _orthotropic(keys)
-        constants = None if own is None else (max(own.youngs_moduli), own.isotropic_ratio)
+        orthotropic = _orthotropic(keys)
+        constants = (
+            None
+            if orthotropic is None
+            else (max(orthotropic.youngs_moduli), orthotropic.isotropic_ratio)
+        )
     else:
         modulus = keys.number("youngs_modulus", "Pa", above=0.0)
         ratio = keys.number("poisson_ratio", "no unit", above=-1.0, below=0.5)
-        own, constants = None, None if modulus is None or ratio is None else (modulus, ratio)
+        orthotropic, constants = (
+            None,
+            None if modulus is None or ratio is None else (modulus, ratio),
+        )
     density = keys.number("density", "kg/m^3", above=0.0, required=False)
     strength = keys.number("yield_strength", "Pa", above=0.0, required=False)
     expansion = read_expansion(keys, law)
     keys.close()
     if region is None or constants is None:
         return None
-    return Material(region, *constants, density, strength, law, own, expansion)
+    return Material(region, *constants, density, strength, law, orthotropic, expansion)
 
 
 def _orthotropic(keys: Keys) -> Orthotropic | None:
@@ -320,7 +336,7 @@ def _orthotropic(keys: Keys) -> Orthotropic | None:
             )
         if point is None or axis is None:
             cylinder = None
-        elif not 1e-6 < math.sqrt(sum(one * one for one in axis)) < 1e6:
+        elif not 1e-6 < math.sqrt(sum(x * x for x in axis)) < 1e6:
             table.wrong("axis", "must be a direction: three numbers that are not all zero")
             cylinder = None
         else:
@@ -330,22 +346,22 @@ def _orthotropic(keys: Keys) -> Orthotropic | None:
     if young is None or ratios is None or shears is None or axes is None:
         return None
     x, y, z = ((float(row[0]), float(row[1]), float(row[2])) for row in axes)
-    own = Orthotropic(young, ratios, shears, (x, y, z), cylinder)
-    if not own.stable:
+    material = Orthotropic(young, ratios, shears, (x, y, z), cylinder)
+    if not material.stable:
         message = (
             "no material has these: some strain would give energy back. Each |nu_ij| must be below "
             "sqrt(E_i / E_j); nu12 is the strain along 2 when pulled along 1 (nu21 = nu12 E2 / E1)"
         )
         keys.wrong("poisson_ratio", message)
         return None
-    if own.isotropic_ratio > MOST_ISOTROPIC_RATIO:
+    if material.isotropic_ratio > MOST_ISOTROPIC_RATIO:
         message = (
-            f"the material keeps its volume like an isotropic one of {own.isotropic_ratio:.3g}; "
-            f"orthotropic cells lock (are too stiff) above {MOST_ISOTROPIC_RATIO:g}"
+            f"the material keeps its volume like an isotropic one of {material.isotropic_ratio:.3g}"
+            f"; orthotropic cells lock (are too stiff) above {MOST_ISOTROPIC_RATIO:g}"
         )
         keys.wrong("poisson_ratio", message)
         return None
-    return own
+    return material
 
 
 def _three(
@@ -378,19 +394,13 @@ def read_axes(keys: Keys) -> np.ndarray | None:
     elif np.linalg.det(axes) < 0.0:
         keys.wrong("axes", "must be right-handed; turn one direction round")
     else:
-        return _orthonormal(axes.tolist())
+        # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so
+        # they must not depend on a machine's linear algebra library.
+        first, second, _ = axes.tolist()
+        x = _unit(first)
+        z = _unit(_cross(x, second))
+        return np.array([x, _unit(_cross(z, x)), z])
     return None
-
-
-def _orthonormal(axes: list[list[float]]) -> np.ndarray:
-    """Return directions written to a few digits as an exact frame with the same x.
-
-    In plain floats: the digits go into the fingerprint, so they must not depend on a machine's
-    linear algebra library.
-    """
-    x = _unit(axes[0])
-    z = _unit(_cross(x, axes[1]))
-    return np.array([x, _unit(_cross(z, x)), z])
 
 
 def _unit(v: list[float]) -> list[float]:
@@ -400,3 +410,143 @@ def _unit(v: list[float]) -> list[float]:
 
 def _cross(a: list[float], b: list[float]) -> list[float]:
     return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
+
+
+_LONGEST = 1e7  # seconds
+
+
+def read_deck(keys: Keys | None, folder: Path) -> Deck | None:
+    """Return ``[deck]``."""
+    if keys is None:
+        return None
+    file = bundle_file(keys, "file", folder)
+    command = keys.texts("command", least=1, repeats=True)
+    output = keys.table("output")
+    reader, options = None, {}
+    name = None if output is None else output.choice("reader", reader_names())
+    if output is not None and name is not None:
+        reader = reader_named(name)
+        read = {key: output.text(key) for key in reader.keys}
+        output.close()
+        options = {"reader": name} | {key: text for key, text in read.items() if text is not None}
+    # The further files; all are put into one folder, so none may be in a subfolder.
+    names = keys.texts("files", required=False) or ()
+    others = []
+    for i, name in enumerate(names):
+        key = f"files[{i}]"
+        if Path(name).name != name:
+            keys.wrong(key, f'"{name}" is not directly in the bundle\'s folder; put it there')
+        elif file is not None and name == file.name:
+            keys.wrong(key, "is the deck itself; leave it out")
+        else:
+            each = bundle_file(Keys({key: name}, keys.problems, keys.where), key, folder)
+            others += [] if each is None else [each]
+    files = tuple(others)
+    unit = keys.choice("unit", tuple(UNITS), required=False) or "m"
+    timeout = keys.number("timeout", "s", above=0.0, below=_LONGEST, required=False)
+    moment = keys.choice("moment", MOMENTS, required=False)
+    keys.close()
+    if file is None or command is None or reader is None:
+        return None
+    moment = moment or reader.moment
+    return Deck(file, command, options, files, unit, timeout or 3600.0, moment)
+
+
+_UNITS = ("degC", "K")
+_ABSOLUTE_ZERO = {"degC": -273.15, "K": 0.0}
+_LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
+
+
+def read_inputs(top: Keys, folder: Path) -> tuple[ScalarInput, ...]:
+    """Return ``[inputs]``: the temperature and the three accelerations, those that are given."""
+    keys = top.table("inputs", required=False)
+    if keys is None:
+        return ()
+    warm = keys.table(TEMPERATURE, required=False)
+    pulled = keys.table("acceleration", required=False)
+    keys.close()
+    further = [] if warm is None else [_temperature(top, warm, folder)]
+    if pulled is not None:
+        sizes = pulled.numbers("range", len(ACCELERATIONS), "m/s^2") or []
+        pulled.close()
+        if sizes and min(sizes) <= 0:
+            message = "must be three numbers above 0 in m/s^2: each plus and minus its own"
+            pulled.wrong("range", message)
+        pairs = zip(ACCELERATIONS, sizes, strict=False)
+        further += [ScalarInput(name, "m/s^2", -size, size) for name, size in pairs]
+    return tuple(filter(None, further))
+
+
+def _temperature(top: Keys, keys: Keys, folder: Path) -> ScalarInput | None:
+    unit = keys.choice("unit", _UNITS, required=False) or _UNITS[0]
+    ends = keys.numbers("range", 2, unit)
+    reference = keys.number("reference", unit)
+    field = bundle_file(keys, "field", folder, required=False)
+    if field is not None and "mesh" not in top:
+        keys.wrong("field", "needs a [mesh]: a measured part has no nodes; leave it out")
+    keys.close()
+    if ends is None or reference is None:
+        return None
+    if ends[0] >= ends[1]:
+        keys.wrong("range", f"must rise from low to high, not [{ends[0]:g}, {ends[1]:g}]")
+    for key, lowest in (("range", min(ends)), ("reference", reference)):
+        if lowest < _ABSOLUTE_ZERO[unit]:
+            message = f"{lowest:g} {unit} is below absolute zero, {_ABSOLUTE_ZERO[unit]:g} {unit}"
+            keys.wrong(key, message)
+    return ScalarInput(TEMPERATURE, unit, ends[0], ends[1], reference, field)
+
+
+def read_expansion(keys: Keys, law: str | None) -> tuple[float, float, float] | None:
+    """Return a material's ``thermal_expansion`` in 1/K: a number, or three if it is orthotropic."""
+    key = "thermal_expansion"
+    if law == "orthotropic":
+        values = keys.numbers(key, 3, "1/K (along its axes)", required=False)
+    else:
+        value = keys.number(key, "1/K", required=False)
+        values = None if value is None else [value] * 3
+    if values is None:
+        return None
+    if max(map(abs, values)) > _LARGEST_EXPANSION:
+        message = f"is above {_LARGEST_EXPANSION:g} 1/K, more than any solid's; aluminium has 23e-6"
+        keys.wrong(key, message)
+    return values[0], values[1], values[2]
+
+
+def check_inputs(
+    top: Keys,
+    further: tuple[ScalarInput, ...],
+    materials: tuple[Material | None, ...],
+    interfaces: list[Interface | None],
+) -> None:
+    """Note what a component with further inputs lacks, or cannot have."""
+    names = [scalar.name for scalar in further]
+    if not names:
+        return
+    if "deck" in top:
+        message = "a [deck] takes none; the embedded solver and measured tables do"
+        top.wrong(further[0].key, message)
+    for interface in interfaces:
+        if interface is not None and interface.name in names:
+            top.wrong(
+                "interface", f'none may have the name "{interface.name}", which is an input\'s'
+            )
+    if TEMPERATURE in names:
+        for i, material in enumerate(materials):
+            if material is not None and material.thermal_expansion is None:
+                message = "missing; with [inputs.temperature] every material needs it, in 1/K"
+                top.wrong(f"material[{i}].thermal_expansion", message)
+            if material is not None and material.law == "neo-hookean":
+                message = (
+                    'takes no [inputs.temperature]; of small strains "isotropic" is the same law'
+                )
+                top.wrong(f"material[{i}].law", message)
+    if ACCELERATIONS[0] in names:
+        check_densities(top, materials, "[inputs.acceleration]")
+
+
+def check_densities(top: Keys, materials: tuple[Material | None, ...], key: str) -> None:
+    """Note the materials without the density that `key` needs."""
+    for i, material in enumerate(materials):
+        if material is not None and material.density is None:
+            message = f"missing; {key} needs each material's density, in kg/m^3"
+            top.wrong(f"material[{i}].density", message)

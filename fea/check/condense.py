@@ -34,20 +34,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not options.out.absolute().parent.is_dir():
         parser.error(f"{options.out}: there is no folder {options.out.absolute().parent}")
     try:
-        found = vars(Solver(read_bundle(options.folder)).craig_bampton(options.modes))
+        content = vars(Solver(read_bundle(options.folder)).craig_bampton(options.modes))
         with options.out.open("wb") as file:
-            np.savez(file, **found)
+            np.savez(file, **content)
     except (BundleError, SolveFailed, ValueError, OSError) as error:
         kind, message = type(error).__name__, str(error)
-        words = json.dumps({"error": {"title": kind, "detail": message}})
-        print(words if options.json else message)
+        reply = json.dumps({"error": {"title": kind, "detail": message}})
+        print(reply if options.json else message)
         return 1
-    first = {name: [float(f"{f:.6g}") for f in found[name][:_SHOWN]] for name in ("free", "held")}
-    about = {"file": str(options.out), "frames": list(found["names"]), "modes": options.modes}
+    first = {name: [float(f"{f:.6g}") for f in content[name][:_SHOWN]] for name in ("free", "held")}
+    header = {"file": str(options.out), "frames": list(content["names"]), "modes": options.modes}
     if options.json:
-        print(json.dumps(about | first))
+        print(json.dumps(header | first))
         return 0
-    print(f"{options.out}: frames {', '.join(found['names'])}; {options.modes} modes")
+    print(f"{options.out}: frames {', '.join(content['names'])}; {options.modes} modes")
     print(f"first frequencies with the first frame held: {first['free']} Hz")
     print(f"with all frames held: {first['held']} Hz")
     return 0

@@ -43,13 +43,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
         file = write(bundle, studied(bundle, options.finer))
     except (BundleError, SolveFailed, ValueError, OSError, MemoryError) as error:
         kind, message = type(error).__name__, str(error)
-        words = json.dumps({"error": {"title": kind, "detail": message}})
-        print(words if options.json else message)
+        reply = json.dumps({"error": {"title": kind, "detail": message}})
+        print(reply if options.json else message)
         return 1
-    found = json.loads(file.read_text(encoding="utf-8"))
+    study = json.loads(file.read_text(encoding="utf-8"))
     if options.plot is not None:
-        write_plot(found, options.plot)
-    print(json.dumps({"file": str(file)} | found) if options.json else _as_text(file, found))
+        write_plot(study, options.plot)
+    if options.json:
+        print(json.dumps({"file": str(file)} | study))
+        return 0
+    # A line a mesh, the order, and what the component's own mesh lacks of each response.
+    rows = [("response, SI", study["outputs"])]
+    for count, size, values in zip(study["nodes"], study["sizes"], study["values"], strict=True):
+        rows.append((f"{count} nodes, {1e3 * size:.4g} mm", [f"{value:.6g}" for value in values]))
+    if len(study["nodes"]) > 2:
+        rows.append(("order", _known(study["order"], ".2g")))
+        rows.append(("at cells without size", _known(study["extrapolated"], ".6g")))
+    else:
+        rows.append(("two meshes show no order: give a third by --finer", []))
+    pairs = zip(study["first_lacks"], study["values"][0], strict=True)
+    rows.append(
+        (
+            "the first mesh lacks",
+            [f"{100 * lack / first_value:.2g} %" for lack, first_value in pairs],
+        )
+    )
+    for label, texts in rows:
+        print(f"{label:<26}{''.join(f'{text:>13}' for text in texts)}".rstrip())
+    print(f"{file}: error bars of this component take it from here")
     return 0
 
 
@@ -68,32 +89,8 @@ def write_plot(study: dict[str, Any], page: Path) -> None:
     figure.write_html(page, include_plotlyjs=True)
 
 
-def _as_text(file: Path, found: dict[str, Any]) -> str:
-    """Return a line a mesh, the order, and what the component's own mesh lacks of each response."""
-    sizes = zip(found["nodes"], found["sizes"], found["values"], strict=True)
-    lines = [_line("response, SI", found["outputs"])]
-    lines += [
-        _line(f"{n} nodes, {1e3 * h:.4g} mm", [f"{one:.6g}" for one in row]) for n, h, row in sizes
-    ]
-    if len(found["nodes"]) > 2:
-        lines.append(_line("order", _known(found["order"], ".2g")))
-        lines.append(_line("at cells without size", _known(found["extrapolated"], ".6g")))
-    else:
-        lines.append("two meshes show no order: give a third by --finer")
-    shares = [
-        f"{100 * a / b:.2g} %"
-        for a, b in zip(found["first_lacks"], found["values"][0], strict=True)
-    ]
-    lines.append(_line("the first mesh lacks", shares))
-    return "\n".join([*lines, f"{file}: error bars of this component take it from here"])
-
-
 def _known(values: Sequence[float | None], digits: str) -> list[str]:
-    return ["none" if one is None else format(one, digits) for one in values]
-
-
-def _line(first: str, words: Sequence[str]) -> str:
-    return f"{first:<26}" + "".join(f"{one:>13}" for one in words)
+    return ["none" if value is None else format(value, digits) for value in values]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a solve will take, from the order of elimination alone.
+"""Time and memory of a solve, from the order of elimination alone.
 
 The factorisation's operations and the numbers it holds follow exactly from the tree of nested
 substructures (`fea.linalg.nested_dissection`): a front that eliminates m of m + b unknowns takes
@@ -38,11 +38,8 @@ _PROJECTED = 2.0  # times that where pressure is an unknown of its own: more, an
 def estimate(component: ComponentModel) -> dict[str, Any]:
     """Return the estimated seconds and bytes of one solve.
 
-    Returns
-    -------
-    dict
-        ``unknowns`` (without fixed nodes), ``linear_seconds``, ``nonlinear_seconds``,
-        ``memory_bytes`` and ``basis``, a sentence.
+    Result: ``unknowns`` (without fixed nodes), ``linear_seconds``, ``nonlinear_seconds``,
+    ``memory_bytes`` and ``basis``, a sentence.
     """
     mesh = component.mesh
     free = np.ones(len(mesh.points), dtype=bool)
@@ -50,12 +47,24 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     unknowns = 3 * int(free.sum())
     entries = sum(len(block) * (3 * block.nodes.shape[1]) ** 2 for block in mesh.blocks)
     if sum(len(block) for block in mesh.blocks) <= _MOST_CELLS:
-        operations, numbers = _counted(component, free)
+        cells = [nodes for block in mesh.blocks for nodes in block.nodes]
+        centres = np.concatenate([mesh.points[block.nodes].mean(axis=1) for block in mesh.blocks])
+        operations = numbers = 0.0
+        for part in dissect(cells, centres, free).substructures:
+            m, b = float(part.eliminated), float(part.boundary.size)
+            operations += m**3 / 3 + m * m * b + m * b * b
+            numbers += m * m / 2 + m * b
     else:
         operations, numbers = 37e9 * (unknowns / 34611) ** 2, 28e6 * (unknowns / 34611) ** (4 / 3)
     count = sum(len(block) for block in mesh.blocks)
     work = 7.2e-8 * entries + 1e-5 * count * np.log2(count + 1) + operations / 19e9
-    times = _NONLINEAR * (_PROJECTED if _projects(component) else 1.0)
+    # Some cells take the pressure for an unknown of its own.
+    kinds = {"hex20", "hex27"} & set(mesh.cell_counts)
+    ratios = [
+        material.poisson_ratio for material in component.materials if material.law != "orthotropic"
+    ]
+    projects = kinds and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
+    times = _NONLINEAR * (_PROJECTED if projects else 1.0)
     memory = 100e6 + 9 * numbers + 8 * entries
     return {
         "unknowns": unknowns,
@@ -64,22 +73,3 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
         "memory_bytes": int(float(f"{memory:.3g}")),
         "basis": "an estimate from the order of elimination, within 1.5 on a like machine",
     }
-
-
-def _projects(component: ComponentModel) -> bool:
-    """Return whether some cells take the pressure for an unknown of its own."""
-    kinds = {"hex20", "hex27"} & set(component.mesh.cell_counts)
-    ratios = [one.poisson_ratio for one in component.materials if one.law != "orthotropic"]
-    return bool(kinds) and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
-
-
-def _counted(component: ComponentModel, free: np.ndarray) -> tuple[float, float]:
-    mesh = component.mesh
-    cells = [nodes for block in mesh.blocks for nodes in block.nodes]
-    centres = np.concatenate([mesh.points[block.nodes].mean(axis=1) for block in mesh.blocks])
-    operations = numbers = 0.0
-    for part in dissect(cells, centres, free).substructures:
-        m, b = float(part.eliminated), float(part.boundary.size)
-        operations += m**3 / 3 + m * m * b + m * b * b
-        numbers += m * m / 2 + m * b
-    return operations, numbers

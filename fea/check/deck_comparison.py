@@ -1,4 +1,4 @@
-"""What of an input deck a component reads and ignores, and where the two contradict each other."""
+"""Keywords of an input deck that a component reads or ignores, and their contradictions."""
 
 from __future__ import annotations
 
@@ -25,22 +25,19 @@ _COMPARED = ("youngs_modulus", "poisson_ratio", "density", "thermal_expansion", 
 def listing(deck: DeckContent) -> dict[str, Any]:
     """Return the lines of each keyword that is read or compared, and ignored, and the elements.
 
-    Returns
-    -------
-    dict
-        ``read`` and ``ignored``: line numbers by keyword. ``elements``: by type, their number and
-        what else they are than in the deck, often nothing.
+    Result: ``read`` and ``ignored``: line numbers by keyword. ``elements``: by type, their number
+    and what else they are than in the deck, often nothing.
     """
     elements = {name: {"count": n, "instead": _instead(name)} for name, n in deck.elements.items()}
     read, ignored = (
-        {word: sorted(set(lines)) for word, lines in found.items()}  # of all instances of a part
-        for found in (deck.taken, deck.ignored)
+        {word: sorted(set(lines)) for word, lines in lines_of.items()}  # of all instances of a part
+        for lines_of in (deck.taken, deck.ignored)
     )
     return {"read": read, "ignored": ignored, "elements": elements}
 
 
 def _instead(name: str) -> str:
-    """Say what an element of a deck is here, where it is not the same."""
+    """Return the element solved in place of a deck's, in words; empty where it is the same."""
     solid = _SOLID.fullmatch(name)
     if solid is None:
         return ""
@@ -55,88 +52,90 @@ def _instead(name: str) -> str:
 
 
 def contradictions(component: ComponentModel) -> list[BundleProblem]:
-    """Return what a component leaves out of its deck, and does in another way."""
+    """Return the contradictions of a component and its deck, and what of the deck it leaves out."""
     deck = component.mesh.deck
     if deck is None:
         return []
-    found = [f"{where} {words}" for where, words in deck.missing.items()]
-    found += _integrated(component, deck)
-    found += [words for one in deck.sections for words in _other_material(component, deck, one)]
+    messages = [f"{where} {text}" for where, text in deck.missing.items()]
+    integration = component.analysis.integration
+    messages += [
+        f'has {name}; [analysis] says integration = "{integration}" for it'
+        for name in deck.elements
+        if name.startswith("C3D20") and ("R" in name) != (integration == "reduced")
+    ]
+    messages += [
+        text for section in deck.sections for text in _other_material(component, deck, section)
+    ]
     cases = [
-        [words for one in case.supports for words in _freed(component, one)]
-        + [words for one in case.couplings for words in _uncoupled(component, one)]
+        [text for support in case.supports for text in _freed(component, support)]
+        + [text for coupled in case.couplings for text in _uncoupled(component, coupled)]
         for case in deck.cases
     ]
-    found += min(cases, key=len)  # a component is of one case of its deck
-    return [BundleProblem("mesh.file", words) for words in found]
+    messages += min(cases, key=len)  # a component is of one case of its deck
+    return [BundleProblem("mesh.file", text) for text in messages]
 
 
-def _integrated(component: ComponentModel, deck: DeckContent) -> Iterator[str]:
-    own = component.analysis.integration
-    for name in deck.elements:
-        if name.startswith("C3D20") and ("R" in name) != (own == "reduced"):
-            yield f'has {name}; [analysis] says integration = "{own}" for it'
-
-
-def _other_material(component: ComponentModel, deck: DeckContent, one: Any) -> Iterator[str]:
-    cells = component.mesh.regions.get(one.region, ())
-    numbers = [own[c] for own, c in zip(component.material_of_cells, cells, strict=False)]
+def _other_material(component: ComponentModel, deck: DeckContent, section: Any) -> Iterator[str]:
+    cells = component.mesh.regions.get(section.region, ())
+    numbers = [value[c] for value, c in zip(component.material_of_cells, cells, strict=False)]
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
-    constants = deck.materials.get(one.material, {})
+    constants = deck.materials.get(section.material, {})
     for number in np.unique(np.concatenate([np.empty(0, dtype=int), *numbers])).tolist():
         material = component.bundle.materials[number]
-        words = f'{one.where} gives "{one.region}" the material "{one.material}"'
+        start = f'{section.where} gives "{section.region}" the material "{section.material}"'
         if material.law == "orthotropic":
             if "youngs_modulus" in constants:
-                yield f'{words}, which is isotropic; the component has law = "orthotropic"'
+                yield f'{start}, which is isotropic; the component has law = "orthotropic"'
             continue
         for key in filter(constants.__contains__, _COMPARED):
-            own, other = getattr(material, key), constants[key] * in_si(key, unit)
-            own = own[0] if isinstance(own, tuple) else own
-            if own is None and key == "yield_strength":
+            value, other = getattr(material, key), constants[key] * in_si(key, unit)
+            value = value[0] if isinstance(value, tuple) else value
+            if value is None and key == "yield_strength":
                 continue  # named with *PLASTIC itself
-            if own is None or abs(own - other) > _SAME * abs(other):
+            if value is None or abs(value - other) > _SAME * abs(other):
                 yield (
-                    f"{words}: {key} {constants[key]:g}, with lengths in {unit} {other:.4g} in SI; "
-                    f"the component has {'none' if own is None else format(own, '.4g')}"
+                    f"{start}: {key} {constants[key]:g}, with lengths in {unit} {other:.4g} in SI; "
+                    f"the component has {'none' if value is None else format(value, '.4g')}"
                 )
 
 
-def _freed(component: ComponentModel, one: HeldGroup) -> Iterator[str]:
-    nodes = _nodes(component.mesh, one.group)
+def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
+    nodes = _nodes(component.mesh, group.group)
     nodes = np.setdiff1d(nodes, component.fixed_nodes)
-    held_ones = [own for own in component.interfaces if len(own.locked) == 6]
-    for interface in (*held_ones, *(own for own, _ in component.bushings)):
+    held_ones = [attached for attached in component.interfaces if len(attached.locked) == 6]
+    for interface in (*held_ones, *(bushing for bushing, _ in component.bushings)):
         nodes = np.setdiff1d(nodes, interface.section.node_ids)
     held = np.zeros((len(component.mesh.points), 3))
     sliding, projectors = component.sliding
     held[sliding] = np.diagonal(projectors, axis1=1, axis2=2)
-    ways = ["xyz".index(letter) for letter in one.directions]
+    ways = ["xyz".index(letter) for letter in group.directions]
     free = int((held[nodes][:, ways] < 1 - _NEAR).any(axis=1).sum())
     if free:
         yield (
-            f'{one.where} holds "{one.group}" along {", ".join(one.directions)}; {free} of its '
-            "nodes are free in the component: name it under [supports]"
+            f'{group.where} holds "{group.group}" along {", ".join(group.directions)}; {free} of '
+            "its nodes are free in the component: name it under [supports]"
         )
 
 
-def _uncoupled(component: ComponentModel, one: CoupledGroup) -> Iterator[str]:
-    nodes = _nodes(component.mesh, one.group)
-    attached = [*component.interfaces, *(own for own, _ in component.bushings)]
-    same = [own for own in attached if np.array_equal(own.section.node_ids, nodes)]
-    words = f'{one.where} makes "{one.group}" follow a point'
+def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
+    nodes = _nodes(component.mesh, group.group)
+    attached = [*component.interfaces, *(bushing for bushing, _ in component.bushings)]
+    same = [
+        interface for interface in attached if np.array_equal(interface.section.node_ids, nodes)
+    ]
+    start = f'{group.where} makes "{group.group}" follow a point'
     if not same:
         if np.setdiff1d(nodes, component.fixed_nodes).size:
-            yield f"{words}; no interface or bushing of the component has these nodes"
+            yield f"{start}; no interface or bushing of the component has these nodes"
         return
-    if same[0].coupling != one.kind:
-        yield f'{words} as a "{one.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
+    if same[0].coupling != group.kind:
+        yield f'{start} as a "{group.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
-    point = np.array(one.point) * in_si("length", unit)
+    point = np.array(group.point) * in_si("length", unit)
     size = np.ptp(component.mesh.points, axis=0).max()
-    if one.point and np.abs(point - same[0].point).max() > _NEAR * size:
+    if group.point and np.abs(point - same[0].point).max() > _NEAR * size:
         here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
-        yield f"{words} at ({here}) m; {same[0].key}.point is ({there}) m"
+        yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
 
 
 def _nodes(mesh: Mesh, group: str) -> Array:

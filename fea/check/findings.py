@@ -1,4 +1,17 @@
-"""What is wrong with a mesh and its supports, in an FEA engineer's words."""
+"""Faults of a mesh and its supports: bodies that can move, found from the nodes alone.
+
+Each body of the mesh counts as rigid, which it is at most, so every motion found here is a
+mechanism of the real part too; nothing is assembled or factorised. A body's motion is
+q = (t, L theta) about the mesh's centre with L the mesh's size, and moves a node at x by
+
+    N(x) q = t + theta x (x - centre).
+
+Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
+of section and interface, a distributed one that the interface moves as the section does in the
+mean (least squares), and locked freedoms hold the interface; each of several likewise. A bushing is
+tied to its group as an interface is, and held where its spring resists. What satisfies all of this
+is the null space of a small dense matrix.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.check.motions import describe, free_motions, middle, simplest, size_of
-from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.inspection.bodies import Bodies, gap
 from wrenchbook.fea.inspection.warnings import place_in_words
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
@@ -35,13 +48,9 @@ def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
 def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
     """Return a problem for each body that supports and coupling do not hold.
 
-    Parameters
-    ----------
-    component, bodies
-        What is looked at, and the bodies it falls into.
-    pairs
-        Shape (k, 2), int64: indices of nodes in one place
-        (`fea.inspection.bodies.coincident_nodes`).
+    component, bodies: what is looked at, and the bodies it falls into.
+    pairs: shape (k, 2), int64: indices of nodes in one place
+    (`fea.inspection.bodies.coincident_nodes`).
     """
     if bodies.count > _MOST_BODIES:
         message = (
@@ -50,23 +59,19 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         )
         return [BundleProblem("mesh", message)]
     motions = free_motions(component, bodies)
-    loose = [number for number, own in enumerate(motions) if len(own)]
+    loose = [number for number, motion in enumerate(motions) if len(motion)]
     if not loose:
         return []
     if bodies.count == 1:
-        return [_too_few_supports(component, motions[0])]
+        mechanism = f"the part is a mechanism, {_motions_in_words(component, motions[0])}"
+        if len(component.sliding[0]) or component.bushings:
+            return [BundleProblem("supports", f"{mechanism}; hold these as well")]
+        message = f"{mechanism}; fix at least three points that are not on one line"
+        return [BundleProblem("supports.fixed", message)]
     problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_REPORTED]]
     if len(loose) > _MOST_REPORTED:
         problems.append(BundleProblem("mesh", f"{len(loose) - _MOST_REPORTED} more parts are free"))
     return problems
-
-
-def _too_few_supports(component: ComponentModel, motions: Array) -> BundleProblem:
-    words = f"the part is a mechanism, {_motions_in_words(component, motions)}"
-    if len(component.sliding[0]) or component.bushings:
-        return BundleProblem("supports", f"{words}; hold these as well")
-    message = f"{words}; fix at least three points that are not on one line"
-    return BundleProblem("supports.fixed", message)
 
 
 def _free_part(
@@ -86,30 +91,210 @@ def _motions_in_words(component: ComponentModel, motions: Array) -> str:
     if len(motions) == 6:
         return "it can move in all six ways, nothing holds it"
     points = component.mesh.points
-    told = [describe(one, middle(points), size_of(points)) for one in simplest(motions)]
-    if len(told) == 1:
-        return f"it can {told[0]}"
-    return f"{len(told)} of its six rigid motions meet no resistance: {', '.join(told)}"
+    texts = [describe(motion, middle(points), size_of(points)) for motion in simplest(motions)]
+    if len(texts) == 1:
+        return f"it can {texts[0]}"
+    return f"{len(texts)} of its six rigid motions meet no resistance: {', '.join(texts)}"
 
 
 def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
-    """Say how a free body lies to the others: apart, on shared nodes, or on coincident ones."""
-    own = bodies.nodes[number]
+    """Return how a free body touches the others: not at all, at shared or coincident nodes."""
+    mine_nodes = bodies.nodes[number]
     others = [n for n in range(bodies.count) if n != number]
-    shared = {n: len(np.intersect1d(own, bodies.nodes[n])) for n in others}
+    shared = {n: len(np.intersect1d(mine_nodes, bodies.nodes[n])) for n in others}
     joined = max(shared, key=lambda n: shared[n])
     if shared[joined]:
         return (
             f"It hangs on part {joined + 1} by {shared[joined]} nodes on one line or point only: "
             "a hinge; join them by whole faces"
         )
-    mine = np.isin(pairs, own)
+    mine = np.isin(pairs, mine_nodes)
     twins = int((mine[:, 0] != mine[:, 1]).sum())
     if twins:
         return f"It has {twins} nodes in the places of another part's nodes: merge them"
-    gaps = {n: gap(mesh, own, bodies.nodes[n]) for n in others}
+    gaps = {n: gap(mesh, mine_nodes, bodies.nodes[n]) for n in others}
     nearest = min(gaps, key=lambda n: gaps[n])
     return (
         f"The nearest is part {nearest + 1}, {1e3 * gaps[nearest]:.3g} mm away and without a "
         "common node: mesh them as one, leave the part out or fix it"
     )
+
+
+_ZERO = 1e-7
+"""Singular value, relative to the largest, that counts as none."""
+
+_ROUNDOFF = 1e-14  # of a stiffness, relative to the largest
+
+
+def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
+    """Return for each body the motions left to it.
+
+    Result: each of shape (k, 6), m: translation of the mesh's centre and rotation times the mesh's
+    size, orthonormal; k = 0 for a body without free motion.
+    """
+    equations = _Equations(component, bodies)
+    equations.hold_supports()
+    equations.join_bodies()
+    for number, interface in enumerate(component.interfaces, start=bodies.count):
+        equations.tie_interface(interface, number)
+    first = bodies.count + len(component.interfaces)
+    for number, (bushing, stiffness) in enumerate(component.bushings, start=first):
+        equations.tie_interface(bushing, number)
+        equations.hold_bushing(bushing, stiffness, number)
+    free = equations.null_space()
+    motions = []
+    for number in range(bodies.count):
+        _, size, rows = np.linalg.svd(free[:, 6 * number : 6 * number + 6])
+        motions.append(rows[: int((size > 1e-6).sum())])
+    return motions
+
+
+def describe(motion: Array, centre: Array, extent: float) -> str:
+    """Return a motion of `free_motions` in words.
+
+    The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
+    """
+    shift, rotation = motion[:3], motion[3:] / extent
+    if np.linalg.norm(motion[3:]) < 1e-6:
+        return f"slide along {_direction(shift)}"
+    square = rotation @ rotation
+    at = centre + np.cross(rotation, shift) / square
+    pitch = shift @ rotation / square
+    line = f"turn about the line through {_place(at)} m along {_direction(rotation)}"
+    return line if abs(pitch) < 1e-6 * extent else f"{line}, sliding along it"
+
+
+def simplest(motions: Array) -> Array:
+    """Return motions, shape (k, 6), of the same space: about and along axes as far as they can.
+
+    By row reduction, rotations first, so what only slides comes last.
+    """
+    rows, done = motions.copy(), 0
+    for column in (3, 4, 5, 0, 1, 2):
+        if done == len(rows):
+            break
+        best = done + int(np.abs(rows[done:, column]).argmax())
+        if abs(rows[best, column]) < 1e-6:
+            continue
+        rows[[done, best]] = rows[[best, done]]
+        rows[done] /= rows[done, column]
+        others = np.arange(len(rows)) != done
+        rows[others] -= np.outer(rows[others, column], rows[done])
+        done += 1
+    return rows
+
+
+class _Equations:
+    """Rows of a matrix over the motions of all bodies, interfaces and bushings."""
+
+    def __init__(self, component: ComponentModel, bodies: Bodies) -> None:
+        self.component = component
+        self.bodies = bodies
+        points = component.mesh.points
+        self.centre = middle(points)
+        self.extent = size_of(points)
+        self.rows: list[Array] = []
+        self.owner = np.full(len(points), -1)
+        for number in reversed(range(bodies.count)):
+            self.owner[bodies.nodes[number]] = number
+
+    def hold_supports(self) -> None:
+        for number, nodes in enumerate(self.bodies.nodes):
+            fixed = nodes[np.isin(nodes, self.component.fixed_nodes)]
+            if fixed.size:
+                self._add({number: _condensed(self._moves(fixed))})
+            chosen = np.isin(self.component.sliding[0], nodes)
+            if chosen.any():
+                sliding, held = (part[chosen] for part in self.component.sliding)
+                rows = held @ self._moves(sliding).reshape(-1, 3, 6)
+                self._add({number: _condensed(rows.reshape(-1, 6))})
+
+    def join_bodies(self) -> None:
+        if self.bodies.count == 1:
+            return
+        for number, nodes in enumerate(self.bodies.nodes):
+            shared = nodes[self.owner[nodes] != number]
+            for other in np.unique(self.owner[shared]).tolist():
+                moves = _condensed(self._moves(shared[self.owner[shared] == other]))
+                self._add({number: moves, other: -moves})
+
+    def tie_interface(self, attached: AttachedInterface, interface: int) -> None:
+        """Tie an interface, the motion of that number, to its section; hold locked freedoms."""
+        section = attached.section
+        owner = self.owner[section.node_ids]
+        moves_of = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
+        if attached.coupling == "rigid":
+            for number, moves in moves_of.items():
+                tie = _condensed(moves)
+                self._add({number: tie, interface: -tie})
+        else:
+            weights = {n: np.repeat(section.weights[owner == n], 3) for n in moves_of}
+            inertias = {n: (moves.T * weights[n]) @ moves for n, moves in moves_of.items()}
+            mean = np.linalg.inv(sum(inertias.values(), np.zeros((6, 6))))
+            self._add(
+                {n: -mean @ inertia for n, inertia in inertias.items()} | {interface: np.eye(6)}
+            )
+        for name in attached.locked:
+            self._add({interface: self._freedoms(attached)[FREEDOMS.index(name)][None]})
+
+    def hold_bushing(self, attached: AttachedInterface, stiffness: Array, number: int) -> None:
+        lengths = np.repeat([1.0, self.extent], 3)
+        sizes, motions = np.linalg.eigh(stiffness / lengths / lengths[:, None])
+        resisted = motions[:, sizes > _ROUNDOFF * sizes[-1]].T
+        self._add({number: resisted @ self._freedoms(attached)})
+
+    def _freedoms(self, attached: AttachedInterface) -> Array:
+        """Return ux to rz of a point by a motion, (6, 6), the rotations times the mesh's size."""
+        turns = np.concatenate([np.zeros((3, 3)), attached.axes], axis=1)
+        return np.concatenate([attached.axes @ self._moves_of(attached.point[None]), turns])
+
+    def null_space(self) -> Array:
+        matrix = np.concatenate(self.rows)
+        _, size, rows = np.linalg.svd(matrix, full_matrices=True)
+        rank = int((size > _ZERO * size[0]).sum())
+        return rows[rank:]
+
+    def _moves(self, nodes: Array) -> Array:
+        return self._moves_of(self.component.mesh.points[nodes])
+
+    def _moves_of(self, places: Array) -> Array:
+        """Return N of each place, stacked, shape (3 k, 6)."""
+        x, y, z = ((places - self.centre) / self.extent).T
+        moves = np.zeros((len(places), 3, 6))
+        moves[:, :, :3] = np.eye(3)
+        moves[:, 0, 4], moves[:, 0, 5] = z, -y
+        moves[:, 1, 3], moves[:, 1, 5] = -z, x
+        moves[:, 2, 3], moves[:, 2, 4] = y, -x
+        return moves.reshape(-1, 6)
+
+    def _add(self, parts: dict[int, Array]) -> None:
+        count = self.bodies.count + len(self.component.interfaces) + len(self.component.bushings)
+        rows = np.zeros((len(next(iter(parts.values()))), 6 * count))
+        for number, part in parts.items():
+            rows[:, 6 * number : 6 * number + 6] = part
+        self.rows.append(rows)
+
+
+def _condensed(moves: Array) -> Array:
+    """Return at most six rows with the same null space, of about unit size."""
+    return np.asarray(np.linalg.qr(moves / np.sqrt(len(moves)), mode="r"))
+
+
+def middle(points: Array) -> Array:
+    """Return the middle, shape (3,), m, of the box around points of shape (n, 3), m."""
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
+def size_of(points: Array) -> float:
+    """Return the diagonal, m, of the box around points of shape (n, 3), m."""
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def _direction(vector: Array) -> str:
+    unit = vector / np.linalg.norm(vector)
+    largest = unit[np.abs(unit).argmax()]
+    return _place(np.round(unit * np.sign(largest), 4) + 0.0)
+
+
+def _place(place: Array) -> str:
+    return "(" + ", ".join(f"{x:.4g}" for x in np.where(np.abs(place) < 1e-9, 0.0, place)) + ")"

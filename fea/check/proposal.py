@@ -64,16 +64,17 @@ class _Proposal:
 
     def chosen(self, name: str | None) -> LoadCase:
         """Return the case of a name, else the last; where cases differ, `decide` lists them."""
-        cases = {own.name.upper(): own for own in self.deck.cases}
+        cases = {case.name.upper(): case for case in self.deck.cases}
         if name is not None and name.upper() not in cases:
-            names = ", ".join(f'"{own.name}"' for own in cases.values())
-            raise BundleError([BundleProblem("case", f'the deck has no "{name}"; it has {names}')])
+            names = ", ".join(f'"{case.name}"' for case in cases.values() if case.name)
+            there = f"it has {names}" if names else "it has no steps: leave --case out"
+            raise BundleError([BundleProblem("case", f'the deck has no "{name}"; {there}')])
         case = cases[name.upper()] if name is not None else self.deck.cases[-1]
         alike: dict[str, list[str]] = {}
-        for own in self.deck.cases:
-            alike.setdefault(own.summary(), []).append(f'"{own.name}"')
+        for other in self.deck.cases:
+            alike.setdefault(other.summary(), []).append(f'"{other.name}"')
         if len(alike) > 1 and name is None:
-            parts = [f"{', '.join(names)} {words}" for words, names in alike.items()]
+            parts = [f"{', '.join(names)} {summary}" for summary, names in alike.items()]
             more = [f"{len(parts) - _MOST_CASES} more"][: len(parts) > _MOST_CASES]
             self.decide.append(
                 f'case: the deck has several, which differ; "{case.name}" stands (--case NAME). '
@@ -110,19 +111,21 @@ class _Proposal:
             stacked_singly(second_order(self.mesh) if first else self.mesh)
         ):
             return []
-        words = "cells follow each other singly; by reduced integration they have hourglass motions"
-        self.decide.append(f'integration = "full": {words}')
+        why = "cells follow each other singly; by reduced integration they have hourglass motions"
+        self.decide.append(f'integration = "full": {why}')
         return ['integration = "full"']
 
     def materials(self) -> list[str]:
-        sections = [one for one in self.deck.sections if one.region in self.mesh.regions]
-        alone = len({one.material for one in sections}) == 1 and self.filled(sections)
-        pairs = [("all" if alone else one.region, one.material) for one in sections]
+        sections = [
+            section for section in self.deck.sections if section.region in self.mesh.regions
+        ]
+        alone = len({section.material for section in sections}) == 1 and self.filled(sections)
+        pairs = [("all" if alone else section.region, section.material) for section in sections]
         lines = []
         for region, name in dict(pairs).items() if pairs else [("all", "")]:
-            own = self.deck.materials.get(name, {})
-            values = [f"{key} = {own[key] * in_si(key, self.unit):.9g}" for key in own]
-            lacking = [key for key in _ELASTIC if key not in own]
+            constants = self.deck.materials.get(name, {})
+            values = [f"{key} = {constants[key] * in_si(key, self.unit):.9g}" for key in constants]
+            lacking = [key for key in _ELASTIC if key not in constants]
             if lacking:
                 self.decide.append(f'material of "{region}": write its {" and ".join(lacking)}')
             lines += ["", "[[material]]", f"region = {_text(region)}", *values]
@@ -130,70 +133,77 @@ class _Proposal:
 
     def filled(self, sections: list[SolidSection]) -> bool:
         """Return whether each cell is in a section."""
-        own = zip(*(self.mesh.regions[one.region] for one in sections), strict=True)
-        pairs = zip(own, self.mesh.blocks, strict=True)
+        by_block = zip(*(self.mesh.regions[section.region] for section in sections), strict=True)
+        pairs = zip(by_block, self.mesh.blocks, strict=True)
         return all(np.unique(np.concatenate(cells)).size == len(block) for cells, block in pairs)
 
     def supports(self) -> list[str]:
-        own = [one for one in self.case.supports if one.group in self.groups]
-        fixed = [one.group for one in own if one.directions == "xyz"]
-        sliding = [one for one in own if one.directions != "xyz"]
-        if not own:
+        held = [support for support in self.case.supports if support.group in self.groups]
+        fixed = [slide.group for slide in held if slide.directions == "xyz"]
+        sliding = [slide for slide in held if slide.directions != "xyz"]
+        if not held:
             self.decide.append("supports: the deck holds nothing; name fixed groups")
             fixed = [_CHOOSE]
         names = ", ".join(map(_text, dict.fromkeys(fixed)))
         lines = ["", "[supports]", *([f"fixed = [{names}]"] if fixed else [])]
-        for one in sliding:
-            ways = ", ".join(_text(way) for way in one.directions)
+        for support in sliding:
+            ways = ", ".join(_text(way) for way in support.directions)
             lines += [
                 "[[supports.sliding]]",
-                f"group = {_text(one.group)}",
+                f"group = {_text(support.group)}",
                 f"directions = [{ways}]",
             ]
         return lines
 
     def interfaces(self) -> list[str]:
         """Return each coupling that is free, else the group with forces, as an interface."""
-        own = [one for one in self.case.couplings if one.group in self.groups]
-        sections = {one.group for one in own} or set(list(self.case.loads)[:1])
+        groups = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
+        sections = {one.group for one in groups} or set(list(self.case.loads)[:1])
         self.left += [
             f'forces on "{group}", which is no interface'
             for group, loads in self.case.loads.items()
             if any(loads) and group not in sections
         ]
-        if not own:
+        if not groups:
             group, loads = next(iter(self.case.loads.items()), (_CHOOSE, [0.0] * 6))
             group = group if group in self.groups else _CHOOSE
             self.decide.append(f"interface: no free coupling in the deck; section = {group}")
-            own = [CoupledGroup("", group, "distributed", (), set(), loads)]
-        if len(own) == 1:
-            return ["", "[interface]", *self.interface(own[0]), "", "[range]", *self.range(own[0])]
+            groups = [CoupledGroup("", group, "distributed", (), set(), loads)]
+        if len(groups) == 1:
+            return [
+                "",
+                "[interface]",
+                *self.interface(groups[0]),
+                "",
+                "[range]",
+                *self.range(groups[0]),
+            ]
         lines = []
-        for one in own:
+        for one in groups:
             lines += ["", "[[interface]]", f"name = {_text(_name(one.group))}"]
             lines += [*self.interface(one), "[interface.range]", *self.range(one)]
         return lines
 
-    def interface(self, one: CoupledGroup) -> list[str]:
-        place = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in one.point)
-        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(one.held))
+    def interface(self, group: CoupledGroup) -> list[str]:
+        place = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
+        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
         return [
-            f"section = {_text(one.group)}",
+            f"section = {_text(group.group)}",
             *([f"point = [{place}]"] if place else []),
-            f"coupling = {_text(one.kind)}",
+            f"coupling = {_text(group.kind)}",
             *([f"locked = [{locked}]"] if locked else []),
         ]
 
-    def range(self, one: CoupledGroup) -> list[str]:
+    def range(self, group: CoupledGroup) -> list[str]:
         """Return plus and minus the largest force and moment, or those of a lever."""
-        force = max(map(abs, one.loads[:3])) * in_si("force", self.unit)
-        moment = max(map(abs, one.loads[3:])) * in_si("moment", self.unit)
-        whole = force and moment
+        force = max(map(abs, group.loads[:3])) * in_si("force", self.unit)
+        moment = max(map(abs, group.loads[3:])) * in_si("moment", self.unit)
+        complete = force and moment
         force = force or moment / _LEVER or _FORCE
         moment = moment or force * _LEVER
-        if not whole:
-            words = f"the deck lacks force or moment; {force:.4g} N and {moment:.4g} N·m stand"
-            self.decide.append(f'range at "{one.group}": {words}')
+        if not complete:
+            why = f"the deck lacks force or moment; {force:.4g} N and {moment:.4g} N·m stand"
+            self.decide.append(f'range at "{group.group}": {why}')
         return [
             f"{k} = [{v:.4g}, {v:.4g}, {v:.4g}]" for k, v in (("force", force), ("moment", moment))
         ]
@@ -229,15 +239,19 @@ def propose(
     if (folder / FILE_NAME).exists():
         raise BundleError([BundleProblem(str(folder), f"has a {FILE_NAME}; name a new folder")])
     text, left, decide = _deck_text(file)
-    folder.mkdir(parents=True, exist_ok=True)
     deck = folder / f"{file.stem}.inp"
-    deck.write_text(text, encoding="utf-8")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        deck.write_text(text, encoding="utf-8")
+    except OSError as error:
+        message = f"cannot be written ({error.strerror}); name a new folder"
+        raise BundleError([BundleProblem(str(folder), message)]) from None
     proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m", case)
     proposal.decide += decide
     if unit is None:
         materials = proposal.deck.materials.values()
-        largest = max((own.get("youngs_modulus", 0.0) for own in materials), default=0.0)
-        density = max((own.get("density", 0.0) for own in materials), default=0.0)
+        largest = max([0.0, *(material.get("youngs_modulus", 0.0) for material in materials)])
+        density = max((material.get("density", 0.0) for material in materials), default=0.0)
         unit = next(unit for least, unit in _UNITS if largest > least)
         if density > _IN_KILOGRAMS:
             unit = "m"
@@ -250,9 +264,9 @@ def propose(
         proposal.decide.append(f"unit: a deck names none{why}{pounds} (--unit)")
         proposal.unit = unit
     lines = proposal.lines(_name(file.stem), deck.name)
-    left += proposal.left + [f"{where} {words}" for where, words in proposal.deck.missing.items()]
-    notes = [f"# DECIDE: {words}" for words in proposal.decide]
-    notes += [f"# not taken over: {words}" for words in left]
+    left += proposal.left + [f"{where} {note}" for where, note in proposal.deck.missing.items()]
+    notes = [f"# DECIDE: {note}" for note in proposal.decide]
+    notes += [f"# not taken over: {note}" for note in left]
     (folder / FILE_NAME).write_text("\n".join([*lines, "", *notes, ""]), encoding="utf-8")
     files = [str(folder / FILE_NAME), str(deck)]
     return {"files": files, "left": left, "decide": proposal.decide, "check": report(folder)}
@@ -266,13 +280,16 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
             if include := _INCLUDE.search(text):
                 where = f"line {text.count(chr(10), 0, include.start()) + 1}: {include[0].strip()}"
                 raise MeshFileError(f"{where} is not read; paste that file's lines in its place")
-            found = translate(text)
-            left = [f"{what} ({count})" for what, count in found.left.items() if count]
-            return "\n".join(found.lines()), left, found.decide
+            translated = translate(text)
+            left = [f"{what} ({count})" for what, count in translated.left.items() if count]
+            return "\n".join(translated.lines()), left, translated.decide
         if file.suffix.lower() != ".inp":
             raise MeshFileError(f"is no .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand")
         return text, [], []
-    except (OSError, MeshFileError) as error:
+    except OSError as error:
+        message = f"cannot be read ({error.strerror}); name an input deck"
+        raise BundleError([BundleProblem(str(file), message)]) from None
+    except MeshFileError as error:
         raise BundleError([BundleProblem(file.name, str(error))]) from None
 
 
@@ -299,7 +316,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     options.folder = options.folder or Path(options.deck.stem)
     try:
-        found = propose(options.deck, options.folder, options.unit, options.case)
+        proposal = propose(options.deck, options.folder, options.unit, options.case)
     except BundleError as error:
         message = str(error)
         print(
@@ -309,24 +326,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         return 1
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(proposal))
     else:
-        check = found["check"]
+        check = proposal["check"]
         print(
             "\n".join(
                 [
-                    *(f"wrote {file}" for file in found["files"]),
-                    *(f"not taken over: {one}" for one in found["left"]),
-                    *(f"decide: {one}" for one in found["decide"]),
-                    *(f"warning: {one['where']}: {one['message']}" for one in check["warnings"]),
-                    *(f"error: {one['where']}: {one['message']}" for one in check["problems"]),
+                    *(f"wrote {file}" for file in proposal["files"]),
+                    *(f"not taken over: {text}" for text in proposal["left"]),
+                    *(f"decide: {text}" for text in proposal["decide"]),
+                    *(
+                        f"warning: {warning['where']}: {warning['message']}"
+                        for warning in check["warnings"]
+                    ),
+                    *(
+                        f"error: {problem['where']}: {problem['message']}"
+                        for problem in check["problems"]
+                    ),
                     "ready to solve"
                     if check["ok"]
-                    else f"then: wrenchbook check {Path(found['files'][0]).parent}",
+                    else f"then: wrenchbook check {Path(proposal['files'][0]).parent}",
                 ]
             )
         )
-    return 0 if found["check"]["ok"] else 1
+    return 0 if proposal["check"]["ok"] else 1
 
 
 if __name__ == "__main__":

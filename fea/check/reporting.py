@@ -25,7 +25,7 @@ from wrenchbook.fea.check.trial import (
     weight_warnings,
 )
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of
-from wrenchbook.fea.deck.checking import deck_report
+from wrenchbook.fea.deck.running import deck_report
 from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import quality, quality_warnings
 from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings, stack_problems
@@ -70,37 +70,35 @@ def report(
         given ``strength`` (see `fea.check.strength`), and where it takes no longer than a check may
         ``solver_error``
         (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
-        ``deck`` (see `fea.deck.checking`).
+        ``deck`` (see `fea.deck.running`).
     """
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
     try:
-        _look(folder, riding, nonlinear, summary)
+        try:
+            bundle = read_bundle(folder)
+        except BundleError:
+            _list_geometry(_geometry_named_in(folder), summary)
+            raise
+        summary |= {
+            "name": bundle.name,
+            "fingerprint": bundle.fingerprint,
+            "has_fea": bundle.has_fea,
+        }
+        if bundle.deck is not None:  # it answers in place of the embedded solver
+            summary["deck"], warnings = deck_report(bundle.deck)
+            if riding is not None:
+                message = "no natural frequency: its solver gives none, the mass counts for nothing"
+                warnings.append(BundleProblem("deck", message))
+            _warn(summary, warnings)
+        elif bundle.mesh is not None:
+            if bundle.mesh.geometry is not None:
+                _list_geometry(bundle.mesh.file, summary)
+            _look_at_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, summary)
     except BundleError as error:
         summary["problems"] += [_entry(problem) for problem in error.problems]
     summary["ok"] = not summary["problems"]
     return summary
-
-
-def _look(folder: Path, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]) -> None:
-    """Fill in `summary`, ending where something stops the way."""
-    try:
-        bundle = read_bundle(folder)
-    except BundleError:
-        _list_geometry(_geometry_named_in(folder), summary)
-        raise
-    summary |= {
-        "name": bundle.name,
-        "fingerprint": bundle.fingerprint,
-        "has_fea": bundle.has_fea,
-    }
-    if bundle.deck is not None:  # it answers in place of the embedded solver
-        summary["deck"], warnings = deck_report(bundle.deck)
-        _warn(summary, warnings)
-    elif bundle.mesh is not None:
-        if bundle.mesh.geometry is not None:
-            _list_geometry(bundle.mesh.file, summary)
-        _look_at_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, summary)
 
 
 def _geometry_named_in(folder: Path) -> Path | None:
@@ -137,7 +135,10 @@ def _look_at_mesh(
         },
     }
     summary["quality"] = quality(mesh)
-    _warn(summary, [BundleProblem("mesh", words) for words in quality_warnings(summary["quality"])])
+    _warn(
+        summary,
+        [BundleProblem("mesh", message) for message in quality_warnings(summary["quality"])],
+    )
     bodies = bodies_of(mesh)
     pairs = coincident_nodes(mesh)
     summary["parts"] = findings.parts(mesh, bodies)
@@ -181,13 +182,13 @@ def _look_at_component(
     component: ComponentModel, bodies: Bodies, pairs: Any, summary: dict[str, Any]
 ) -> None:
     numbers = component.material_of_cells
-    attached = [_section(one) for one in component.interfaces]
+    attached = [_section(interface) for interface in component.interfaces]
     # The ranges of the inputs behind the loads, where there are any.
-    found: dict[str, Any] = {}
-    if own := component.temperature:
-        found["temperature"] = {"low": own.low, "high": own.high, "reference": own.reference}
+    inputs: dict[str, Any] = {}
+    if warm := component.temperature:
+        inputs["temperature"] = {"low": warm.low, "high": warm.high, "reference": warm.reference}
     if component.accelerated:
-        found["acceleration"] = [one.high for one in component.further[-3:]]
+        inputs["acceleration"] = [scalar.high for scalar in component.further[-3:]]
     counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
     summary |= {
         "materials": [
@@ -204,7 +205,7 @@ def _look_at_component(
         ],
         "supports": {"nodes": len(component.fixed_nodes)}
         | {name: count for name, count in counts.items() if count},
-        **found,
+        **inputs,
         **({"sections": attached} if component.others else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
     }
@@ -252,7 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("folder", type=Path, metavar="FOLDER", help="folder of the component bundle")
     try:
         options = parser.parse_args(arguments)
-        # The mass that the arguments tell; None if they tell none.
+        # The mass of the arguments; None without any.
         if options.mass is None and options.inertia is None and options.centre is None:
             riding = None
         else:
@@ -270,4 +271,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _numbers(text: str) -> list[float]:
-    return [float(word) for word in text.split(",")]
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        message = f'"{text}" must be numbers with commas between them, such as 1,1,0.5'
+        raise argparse.ArgumentTypeError(message) from None

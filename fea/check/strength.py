@@ -25,21 +25,13 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     To first order stresses are linear in the wrench, and the von Mises stress is a norm of them:
     no wrench of the range has a larger one than the worst of its corners.
 
-    Parameters
-    ----------
-    solver
-        Nothing is made of a component whose bundle tells no `yield_strength`.
-    nonlinear
-        Whether a nonlinear component is solved at that corner; else its stresses stay first order.
-
-    Returns
-    -------
-    strength
-        For each material that has cells: ``region``, ``largest`` (Pa), ``at`` (m, in the mesh's
-        axes), ``wrench`` (N and N·m), each further input by its name, ``yield_strength``
-        (Pa or None), ``first_order``.
-    warnings
-        Where a material yields, or von Mises says nothing of it; why stresses are first order.
+    solver: Nothing is made of a component whose bundle tells no `yield_strength`.
+    nonlinear: whether a nonlinear component is solved at that corner; else its stresses stay first
+    order.
+    Returns strength: for each material that has cells: ``region``, ``largest`` (Pa), ``at`` (m, in
+    the mesh's axes), ``wrench`` (N and N·m), each further input by its name, ``yield_strength`` (Pa
+    or None), ``first_order``. warnings: where a material yields, or von Mises says nothing of it;
+    why stresses are first order.
     """
     component = solver.component
     if all(material.yield_strength is None for material in component.materials):
@@ -56,19 +48,19 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
             unit = np.concatenate((unit, sag), axis=2)
             loads = np.column_stack((corners, np.ones(len(corners))))
         places, numbers = places_of(component, component.mesh.points)
-        found = []
+        stresses = []
         for number in np.unique(numbers):
-            own = np.flatnonzero(numbers == number)
-            largest, corner, point = _worst(unit[own], loads)
+            points = np.flatnonzero(numbers == number)
+            largest, corner, point = _worst(unit[points], loads)
             material = component.materials[number]
             pairs = zip(component.further, corners[corner][count:].tolist(), strict=True)
-            found.append(
+            stresses.append(
                 {
                     "region": material.region,
                     "largest": largest,
-                    "at": places[own[point]].tolist(),
+                    "at": places[points[point]].tolist(),
                     "wrench": corners[corner][:count].tolist(),
-                    **{one.name: value + one.reference for one, value in pairs},
+                    **{scalar.name: value + scalar.reference for scalar, value in pairs},
                     "yield_strength": material.yield_strength,
                     "first_order": component.analysis.nonlinear,
                 }
@@ -79,8 +71,8 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
         return [], [BundleProblem("material", f"no largest stress: {error}")]
     warnings: list[BundleProblem] = []
     if nonlinear and component.analysis.nonlinear:
-        warnings += _at_large(component, solver, found)
-    return found, warnings + _yielding(component, found)
+        warnings += _at_large(component, solver, stresses)
+    return stresses, warnings + _yielding(component, stresses)
 
 
 def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
@@ -93,31 +85,31 @@ def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
     top = unit[np.argsort(bound)[-_FIRST_POINTS:]]
     least = max(von_mises(top @ corner).max() for corner in corners)
     points = np.flatnonzero(bound >= (1 - 1e-9) * least)
-    looked_at, found = unit[points], (-1.0, 0, 0)
+    looked_at, worst_yet = unit[points], (-1.0, 0, 0)
     for i, corner in enumerate(corners):
         equivalent = von_mises(looked_at @ corner)
         worst = int(equivalent.argmax())
-        if equivalent[worst] > found[0]:
-            found = float(equivalent[worst]), i, int(points[worst])
-    return found
+        if equivalent[worst] > worst_yet[0]:
+            worst_yet = float(equivalent[worst]), i, int(points[worst])
+    return worst_yet
 
 
 def _at_large(
-    component: ComponentModel, solver: Solver, found: list[dict[str, Any]]
+    component: ComponentModel, solver: Solver, stresses: list[dict[str, Any]]
 ) -> list[BundleProblem]:
     """Put the nonlinear stresses at the worst corners in place of the first-order ones."""
     regions = [material.region for material in component.materials]
     places, numbers = places_of(component, component.mesh.points)
-    for one in found:
-        worst = [*one["wrench"], *(one[own.name] for own in component.further)]
+    for row in stresses:
+        worst = [*row["wrench"], *(row[scalar.name] for scalar in component.further)]
         try:
             stress = solver.stresses(solver.solve(worst))
         except SolveFailed as error:
             message = f'are of first order: the solve at a corner of [range] fails ("{error}")'
             return [BundleProblem("stresses", message)]
-        equivalent = np.where(numbers == regions.index(one["region"]), von_mises(stress), -1.0)
+        equivalent = np.where(numbers == regions.index(row["region"]), von_mises(stress), -1.0)
         point = int(equivalent.argmax())
-        one |= {
+        row |= {
             "largest": float(equivalent[point]),
             "at": places[point].tolist(),
             "first_order": False,
@@ -125,7 +117,7 @@ def _at_large(
     return []
 
 
-def _yielding(component: ComponentModel, found: list[dict[str, Any]]) -> list[BundleProblem]:
+def _yielding(component: ComponentModel, stresses: list[dict[str, Any]]) -> list[BundleProblem]:
     problems = []
     for number, material in enumerate(component.materials):
         key, strength = f"material[{number}].yield_strength", material.yield_strength
@@ -134,11 +126,11 @@ def _yielding(component: ComponentModel, found: list[dict[str, Any]]) -> list[Bu
         if material.law == "orthotropic":
             message = "is compared with the von Mises stress, a poor measure for such a material"
             problems.append(BundleProblem(key, message))
-        for one in found:
-            if one["region"] == material.region and one["largest"] > strength:
+        for row in stresses:
+            if row["region"] == material.region and row["largest"] > strength:
                 message = (
-                    f"is exceeded under the full range: {one['largest']:.4g} Pa, "
-                    f"{one['largest'] / strength:.2g} times it; materials here do not yield: "
+                    f"is exceeded under the full range: {row['largest']:.4g} Pa, "
+                    f"{row['largest'] / strength:.2g} times it; materials here do not yield: "
                     "answers there are too stiff. Narrow [range], or strengthen the part"
                 )
                 problems.append(BundleProblem(key, message))

@@ -33,33 +33,24 @@ def solver_of(component: ComponentModel) -> tuple[Solver | None, list[BundleProb
 
 
 def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[BundleProblem]]:
-    """Solve six unit loads and return what that tells, and what would stop a solve.
+    """Solve six unit loads; return size, mass and deflection, and problems that stop a solve.
 
-    Parameters
-    ----------
-    solver
-        The component's.
-    cost
-        As `fea.check.cost.estimate` has it: what takes too long is not tried.
-
-    Returns
-    -------
-    result
-        ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a material tells no
-        density), ``sag``: the interfaces' displacement under own weight, where ``gravity`` is
-        given; ``deflection``: the largest of each output over the load range by the linear
-        compliance, six numbers an interface, m and rad; None where it was not tried or ``failed``
-        (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone, where
-        they are inputs.
-    problems
-        ``mechanism`` and ``ill_conditioned``, in the words of the failure.
+    solver: the component's.
+    cost: as `fea.check.cost.estimate` has it: what takes too long is not tried.
+    Returns result: ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a
+    material tells no density), ``sag``: the interfaces' displacement under own weight, where
+    ``gravity`` is given; ``deflection``: the largest of each output over the load range by the
+    linear compliance, six numbers an interface, m and rad; None where it was not tried or
+    ``failed`` (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone,
+    where they are inputs. problems: ``mechanism`` and ``ill_conditioned``, in the words of the
+    failure.
     """
     points, bundle = solver.component.mesh.points, solver.component.bundle
     component = solver.component
     volumes = np.zeros(len(component.materials))
     for numbers, volume in solver.volumes:
         np.add.at(volumes, numbers, volume)
-    densities = [one.density for one in component.materials]
+    densities = [material.density for material in component.materials]
     known = None if None in densities else float(volumes @ np.array(densities, dtype=float))
     size = np.ptp(points, axis=0).tolist()
     result = {"size": size, "volume": float(volumes.sum()), "mass": known, "deflection": None}
@@ -77,9 +68,9 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     first = len(bundle.range.low)
     groups = {"by_temperature": slice(first, first + 1), "by_acceleration": slice(-3, None)}
     present = solver.component.temperature is not None, solver.component.accelerated
-    for (name, own), there in zip(groups.items(), present, strict=True):
+    for (name, columns), there in zip(groups.items(), present, strict=True):
         if there:
-            result[name] = largest(compliance[:, own], low[own], high[own]).tolist()
+            result[name] = largest(compliance[:, columns], low[columns], high[columns]).tolist()
     return result, []
 
 
@@ -133,27 +124,18 @@ def _problem(failure: SolveFailed) -> BundleProblem:
 
 
 def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], list[BundleProblem]]:
-    """Return what the component weighs and how slowly it swings, and what stands in the way.
+    """Return mass and first natural frequency of the component, and warnings.
 
-    Parameters
-    ----------
-    solver
-        Of the component; its materials without a density weigh nothing.
-    riding
-        The rigid mass on the interface; None for none.
-
-    Returns
-    -------
-    vibration
-        ``mass`` (kg, of the component; None without any density), ``first_frequency`` (Hz),
-        ``motion`` of the interfaces (6 numbers each, m and rad, of length one), ``riding_mass``
-        (kg), ``condensed_mass`` to the interfaces (6 x 6 each, kg to kg·m^2); empty where neither
-        bundle nor argument tells a mass, or no frequency was found.
-    warnings
-        Why not, or that some materials count as weightless.
+    solver: of the component; its materials without a density weigh nothing.
+    riding: the rigid mass on the interface; None for none.
+    Returns vibration: ``mass`` (kg, of the component; None without any density),
+    ``first_frequency`` (Hz), ``motion`` of the interfaces (6 numbers each, m and rad, of length
+    one), ``riding_mass`` (kg), ``condensed_mass`` to the interfaces (6 x 6 each, kg to kg·m^2);
+    empty where neither bundle nor argument tells a mass, or no frequency was found. warnings: Why
+    not, or that some materials count as weightless.
     """
     component = solver.component
-    silent = [one.region for one in component.materials if one.density is None]
+    silent = [material.region for material in component.materials if material.density is None]
     if riding is None and len(silent) == len(component.materials):
         return {}, []
     carried = riding or Riding.of()
@@ -163,15 +145,15 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
         message = f"no density for {names}: it counts as weightless in mass and frequency"
         warnings.append(BundleProblem("material", message))
     try:
-        found = solver.vibration(carried)
+        vibration = solver.vibration(carried)
     except (ValueError, SolveFailed) as error:
         return {}, [*warnings, BundleProblem("material", f"no natural frequency: {error}")]
     result = {
-        "mass": found.mass if len(silent) < len(component.materials) else None,
-        "first_frequency": found.frequency,
-        "motion": found.interface.tolist(),
+        "mass": vibration.mass if len(silent) < len(component.materials) else None,
+        "first_frequency": vibration.frequency,
+        "motion": vibration.interface.tolist(),
         "riding_mass": carried.mass,
-        "condensed_mass": found.condensed.tolist(),
+        "condensed_mass": vibration.condensed.tolist(),
     }
     return result, warnings
 
@@ -190,24 +172,20 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     """Return a warning where own weight without ``gravity`` moves more than the tolerance."""
     component = solver.component
     limit = component.bundle.tolerance
-    known = all(one.density is not None for one in component.materials)
+    known = all(material.density is not None for material in component.materials)
     if component.analysis.gravity or component.accelerated or limit is None or not known:
         return []
     by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver)
     moved, turned = (np.linalg.svd(half)[1][0] for half in (by_gravity[:3], by_gravity[3:]))
     if moved <= limit.translation and turned <= limit.rotation:
         return []
-    down = np.linalg.svd(by_gravity[:3])[2][0] @ component.axes
+    direction = np.linalg.svd(by_gravity[:3])[2][0] @ component.axes
+    down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _STANDARD_GRAVITY
+    gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
         f"is not given: own weight at 9.81 m/s^2 moves the interface by up to {moved:.2g} m and "
-        f"{turned:.2g} rad, with {_shown(down)} m/s^2 in the mesh's axes, more than the "
+        f"{turned:.2g} rad, with [{gravity}] m/s^2 in the mesh's axes, more than the "
         "tolerance; answers leave it out. If the part hangs in one direction, write it: "
         "gravity = [0, 0, -9.81] under [analysis]; if it turns, take [inputs.acceleration]"
     )
     return [BundleProblem("analysis.gravity", message)]
-
-
-def _shown(direction: Array) -> str:
-    largest = np.abs(direction).argmax()
-    down = -np.sign(direction[largest]) * direction * _STANDARD_GRAVITY
-    return "[" + ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6)) + "]"

@@ -26,26 +26,18 @@ def each_interface(vector: Array) -> Array:
 
 def largest_rotation(displacement: Array) -> float:
     """Return the largest rotation, rad, among displacements of shape (6 i,), m and rad."""
-    return float(max(np.linalg.norm(own[3:]) for own in each_interface(displacement)))
+    return float(max(np.linalg.norm(interface[3:]) for interface in each_interface(displacement)))
 
 
 @dataclass(frozen=True, eq=False)
 class CoupledState:
-    """One configuration.
+    """One configuration."""
 
-    Attributes
-    ----------
-    nodes
-        Shape (n, 3), m: nodal displacements.
-    interface
-        Shape (6 i,), m and rad: translation and rotation vector of each of the i interfaces.
-    multipliers
-        Shape (6 i,), N and N/m: a distributed coupling's; node i feels w_i (l + m x b_i). Zero in a
-        rigid one. Those of bushings follow, then the bushings' motions, six each, m and rad.
-    """
-
-    nodes: Array
+    nodes: Array  # shape (n, 3), m: nodal displacements
+    # Shape (6 i,), m and rad: translation and rotation vector of each of the i interfaces
     interface: Array
+    # Shape (6 i,), N and N/m: a distributed coupling's; node i feels w_i (l + m x b_i). Zero in a
+    # rigid one. Those of bushings follow, then the bushings' motions, six each, m and rad.
     multipliers: Array
 
 
@@ -54,21 +46,15 @@ class Border(NamedTuple):
 
     With ties T, columns c and block d the whole tangent is
     [[K, K T + c], [(K T + c)^T, T^T K T + d]].
-
-    Attributes
-    ----------
-    ties
-        Shape (n, 3, border): how nodes that are no unknowns move with the border; dimensionless for
-        translations, m/rad for rotations.
-    columns
-        Shape (n, 3, border): the border's forces on free nodes, N over the unit of each unknown.
-    block
-        Shape (border, border): J over the units of both unknowns, so N/m, N and N·m for interface
-        freedoms.
     """
 
+    # Shape (n, 3, border): how nodes that are no unknowns move with the border; dimensionless for
+    # translations, m/rad for rotations.
     ties: Array
+    # Shape (n, 3, border): the border's forces on free nodes, N over the unit of each unknown
     columns: Array
+    # Shape (border, border): J over the units of both unknowns, so N/m, N and N·m for interface
+    # freedoms.
     block: Array
 
 
@@ -91,7 +77,7 @@ class SectionCoupling(ABC):
 
     @abstractmethod
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what the coupling adds to the nodes, and what is out of balance in the border.
+        """Return the coupling's nodal forces, and the forces out of balance in the border.
 
         Internal forces have shape (s, 3), N, the wrench (6,), N and N·m; the results (s, 3), N, and
         (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
@@ -117,25 +103,17 @@ class SectionCoupling(ABC):
     ) -> tuple[Array, Array, Array]:
         """Return N, 3x3: the coupling's energy is linear in the rotation matrix R, and R : N in it.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shapes (s, 3), N, and (s, 3, k): internal nodal forces, and their change with k inputs.
-        fields
-            Shape (s, 3, k), m per unit of each: the nodes' change with the inputs.
-        border
-            Shape (6 + multipliers, k): the border's change with them.
-
-        Returns
-        -------
-        moments, changes, second
-            Shapes (3, 3), (3, 3, k) and (3, 3, k, k), N·m: N and its derivatives along the inputs.
+        state: the configuration.
+        forces: Shapes (s, 3), N, and (s, 3, k): internal nodal forces, and their change with k
+        inputs.
+        fields: shape (s, 3, k), m per unit of each: the nodes' change with the inputs.
+        border: shape (6 + multipliers, k): the border's change with them.
+        Returns moments, changes, second: Shapes (3, 3), (3, 3, k) and (3, 3, k, k), N·m: N and its
+        derivatives along the inputs.
         """
 
 
-class _Seat(NamedTuple):
+class _Attachment(NamedTuple):
     """One section's place in the body and in the border.
 
     `turn` times a vector of the body is the interface's, None if equal; `freedoms` are those of
@@ -153,8 +131,8 @@ class _Seat(NamedTuple):
 
     def inwards(self, field: Array) -> Array:
         """Take a nodal field (n, 3, ...) of the body to the section: (s, 3, ...), in its axes."""
-        own = field[self.nodes]
-        return own if self.turn is None else np.einsum("ij,sj...->si...", self.turn, own)
+        local = field[self.nodes]
+        return local if self.turn is None else np.einsum("ij,sj...->si...", self.turn, local)
 
     def outwards(self, field: Array) -> Array:
         """Turn a field of the section, (s, 3) or (s, 3, k), into the body's axes."""
@@ -172,25 +150,14 @@ class Coupling:
     A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
     border moves all components, leave one that has.
 
-    Parameters
-    ----------
-    size
-        Number of the body's nodes.
-    sections
-        For each interface its coupling, its section's nodes, shape (s,), and its axes in those of
-        the body, shape (3, 3), a row each; None where they are the same. No two share a node.
-    active
-        Shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
-    anchors
-        Shape (a,), int64: nodes that are in no rigid section.
-    springs
-        The last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
-
-    Attributes
-    ----------
-    freedoms, motions, border
-        How many: 6 i of i interfaces; unknowns of the border that move something; all of them, the
-        multipliers last.
+    size: number of the body's nodes.
+    sections: for each interface its coupling, its section's nodes, shape (s,), and its axes in
+    those of the body, shape (3, 3), a row each; None where they are the same. No two share a node.
+    active: shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
+    anchors: shape (a,), int64: nodes that are in no rigid section.
+    springs: the last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
+    freedoms, motions, border: how many: 6 i of i interfaces; unknowns of the border that move
+    something; all of them, the multipliers last.
     """
 
     def __init__(
@@ -209,19 +176,21 @@ class Coupling:
         self._anchors = anchors
         self._anchored = np.arange(len(active), self.motions)
         self._size = size
-        self._seats: list[_Seat] = []
+        self._attachments: list[_Attachment] = []
         forced = [np.empty(0, dtype=int)]
         self.border = self.motions
         spring_of = [*[None] * (len(sections) - len(springs)), *springs]
         for number, (section, nodes, turn) in enumerate(sections):
             first = PER_INTERFACE * number
-            own = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
+            chosen_freedoms = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
             more = np.arange(section.multipliers)
-            chosen = np.concatenate([active[own] - first, PER_INTERFACE + more])
-            border = np.concatenate([own, self.border + more])
+            chosen = np.concatenate([active[chosen_freedoms] - first, PER_INTERFACE + more])
+            border = np.concatenate([chosen_freedoms, self.border + more])
             freedoms = slice(first, first + PER_INTERFACE)
             spring = spring_of[number]
-            self._seats.append(_Seat(section, nodes, turn, freedoms, chosen, border, spring))
+            self._attachments.append(
+                _Attachment(section, nodes, turn, freedoms, chosen, border, spring)
+            )
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
@@ -230,7 +199,11 @@ class Coupling:
     def tied(self) -> Array:
         """Nodes that follow an interface and are no unknowns, shape (k,), int64, indices."""
         still = np.zeros(PER_INTERFACE)
-        found = [seat.nodes for seat in self._seats if seat.section.placed(still) is not None]
+        found = [
+            attached.nodes
+            for attached in self._attachments
+            if attached.section.placed(still) is not None
+        ]
         return np.concatenate([self._anchors, *found])
 
     def start(self) -> CoupledState:
@@ -240,96 +213,83 @@ class Coupling:
 
     def spring_energy(self, state: CoupledState) -> float:
         """Return the energy of the bushings' springs, J."""
-        parts = [(seat.spring, own.interface) for seat, own in self._parts(state)]
+        parts = [(attached.spring, local.interface) for attached, local in self._parts(state)]
         return float(sum(0.5 * q @ spring @ q for spring, q in parts if spring is not None))
 
     def spring_energies(self, border: Array) -> Array:
         """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
-        for seat in self._seats:
-            if seat.spring is not None:
-                motions = border[seat.border[:PER_INTERFACE]]
-                total += motions.T @ seat.spring @ motions
+        for attached in self._attachments:
+            if attached.spring is not None:
+                motions = border[attached.border[:PER_INTERFACE]]
+                total += motions.T @ attached.spring @ motions
         return total
 
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction; rigid sections are placed exactly.
 
-        Parameters
-        ----------
-        state
-            The state before.
-        nodes
-            Shape (n, 3), m: the correction of the free nodes.
-        border
-            Shape (border,): that of the interface freedoms, m and rad, and multipliers, N and N/m.
+        state: the state before.
+        nodes: shape (n, 3), m: the correction of the free nodes.
+        border: shape (border,): that of the interface freedoms, m and rad, and multipliers, N and
+        N/m.
         """
         motions, multipliers = self._unknowns(state)
         motions[self._moving] += border[: len(self._moving)]
         multipliers[self._forced] += border[self.motions :]
         placed = state.nodes + nodes
         placed[self._anchors] += border[self._anchored].reshape(-1, 3)
-        for seat in self._seats:
-            own = seat.section.placed(motions[seat.freedoms])
-            if own is not None:
-                placed[seat.nodes] = seat.outwards(own)
+        for attached in self._attachments:
+            local = attached.section.placed(motions[attached.freedoms])
+            if local is not None:
+                placed[attached.nodes] = attached.outwards(local)
         interface, sprung = np.split(motions, [self.freedoms])
         return CoupledState(placed, interface, np.append(multipliers, sprung))
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what is out of balance.
+        """Return the forces out of balance.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shape (n, 3), N: internal nodal forces in it.
-        wrench
-            Shape (6 i,), N and N·m.
-
-        Returns
-        -------
-        nodal
-            Shape (n, 3), N.
-        border
-            Shape (border,): N and N·m for interface freedoms, m and m^2 for constraints.
+        state: the configuration.
+        forces: shape (n, 3), N: internal nodal forces in it.
+        wrench: shape (6 i,), N and N·m.
+        Returns nodal: shape (n, 3), N. border: shape (border,): N and N·m for interface freedoms, m
+        and m^2 for constraints.
         """
         nodal, border = forces.copy(), np.zeros(self.border)
         loads = np.append(wrench, np.zeros(self._sprung))
-        for seat, own in self._parts(state):
-            added, rest = seat.section.residual(own, seat.inwards(forces), loads[seat.freedoms])
-            nodal[seat.nodes] += seat.outwards(added)
-            if seat.spring is not None:
-                rest[:PER_INTERFACE] += seat.spring @ own.interface
-            border[seat.border] = rest[seat.chosen]
+        for attached, local in self._parts(state):
+            added, rest = attached.section.residual(
+                local, attached.inwards(forces), loads[attached.freedoms]
+            )
+            nodal[attached.nodes] += attached.outwards(added)
+            if attached.spring is not None:
+                rest[:PER_INTERFACE] += attached.spring @ local.interface
+            border[attached.border] = rest[attached.chosen]
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
 
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return how the border joins the body's tangent.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shape (n, 3), N: internal nodal forces in it.
-        wrench
-            Shape (6 i,), N and N·m.
+        state: the configuration.
+        forces: shape (n, 3), N: internal nodal forces in it.
+        wrench: shape (6 i,), N and N·m.
         """
         # Field by field in memory, as the factorisation takes them.
         ties, columns = np.moveaxis(np.zeros((2, self.border, self._size, 3)), 1, 3)
         block = np.zeros((self.border, self.border))
         loads = np.append(wrench, np.zeros(self._sprung))
-        for seat, own in self._parts(state):
-            found = seat.section.bordered(own, seat.inwards(forces), loads[seat.freedoms])
-            if seat.spring is not None:
-                found.block[:PER_INTERFACE, :PER_INTERFACE] += seat.spring
-            at = np.ix_(seat.nodes, np.arange(3), seat.border)
-            ties[at] = seat.outwards(found.ties[:, :, seat.chosen])
-            columns[at] = seat.outwards(found.columns[:, :, seat.chosen])
-            block[np.ix_(seat.border, seat.border)] = found.block[np.ix_(seat.chosen, seat.chosen)]
+        for attached, local in self._parts(state):
+            found = attached.section.bordered(
+                local, attached.inwards(forces), loads[attached.freedoms]
+            )
+            if attached.spring is not None:
+                found.block[:PER_INTERFACE, :PER_INTERFACE] += attached.spring
+            at = np.ix_(attached.nodes, np.arange(3), attached.border)
+            ties[at] = attached.outwards(found.ties[:, :, attached.chosen])
+            columns[at] = attached.outwards(found.columns[:, :, attached.chosen])
+            block[np.ix_(attached.border, attached.border)] = found.block[
+                np.ix_(attached.chosen, attached.chosen)
+            ]
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
@@ -342,9 +302,11 @@ class Coupling:
         Shape (border, 6 i), dimensionless; rows of constraints are zero.
         """
         columns = np.zeros((self.border, self.freedoms))
-        for seat, own in self._parts(state):
-            if seat.spring is None:
-                columns[seat.border, seat.freedoms] = seat.section.wrench_columns(own)[seat.chosen]
+        for attached, local in self._parts(state):
+            if attached.spring is None:
+                columns[attached.border, attached.freedoms] = attached.section.wrench_columns(
+                    local
+                )[attached.chosen]
         return columns
 
     def third(
@@ -354,28 +316,20 @@ class Coupling:
 
         Those of the springs, which are quadratic, are zero.
 
-        Parameters
-        ----------
-        state
-            The configuration.
-        forces
-            Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their change
-            with the inputs at the nodes that are `tied`.
-        fields, border
-            Shapes (n, 3, k), m per unit of each input, and (border, k): change with the inputs.
-
-        Returns
-        -------
-        Array
-            Shape (k, k, k), J over the units of three inputs.
+        state: the configuration.
+        forces: Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
+        change with the inputs at the nodes that are `tied`.
+        fields, border: Shapes (n, 3, k), m per unit of each input, and (border, k): change with the
+        inputs.
+        Result: shape (k, k, k), J over the units of three inputs.
         """
         total = np.zeros((border.shape[1],) * 3)
-        for seat, own in self._parts(state):
-            moved = np.zeros((PER_INTERFACE + seat.section.multipliers, border.shape[1]))
-            moved[seat.chosen] = border[seat.border]
-            acting = seat.inwards(forces[0]), seat.inwards(forces[1])
-            moments = seat.section.arm_moments(own, acting, seat.inwards(fields), moved)
-            total += _third_of_rotation(own.interface[3:], moved[3:6], *moments)
+        for attached, local in self._parts(state):
+            moved = np.zeros((PER_INTERFACE + attached.section.multipliers, border.shape[1]))
+            moved[attached.chosen] = border[attached.border]
+            acting = attached.inwards(forces[0]), attached.inwards(forces[1])
+            moments = attached.section.arm_moments(local, acting, attached.inwards(fields), moved)
+            total += _third_of_rotation(local.interface[3:], moved[3:6], *moments)
         return total
 
     def displacement_rows(self, border: Array) -> Array:
@@ -387,11 +341,16 @@ class Coupling:
         rows[self.active] = border[: len(self.active)]
         return rows
 
-    def _parts(self, state: CoupledState) -> Iterator[tuple[_Seat, CoupledState]]:
+    def _parts(self, state: CoupledState) -> Iterator[tuple[_Attachment, CoupledState]]:
         motions, multipliers = self._unknowns(state)
-        for seat in self._seats:
-            own = seat.freedoms
-            yield seat, CoupledState(seat.inwards(state.nodes), motions[own], multipliers[own])
+        for attached in self._attachments:
+            freedoms = attached.freedoms
+            yield (
+                attached,
+                CoupledState(
+                    attached.inwards(state.nodes), motions[freedoms], multipliers[freedoms]
+                ),
+            )
 
     def _unknowns(self, state: CoupledState) -> tuple[Array, Array]:
         """Return copies of the motions and multipliers of interfaces and bushings, six of each."""

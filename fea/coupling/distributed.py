@@ -26,12 +26,8 @@ class Distributed(SectionCoupling):
     Both are linear in u. Two multipliers l, m enforce them; node i then feels w_i (l + m x b_i).
     The interface displacement and the multipliers are the border.
 
-    Parameters
-    ----------
-    places
-        Shape (s, 3), m: the section's nodes, from the interface point.
-    weights
-        Shape (s,): area weights, of any scale.
+    places: shape (s, 3), m: the section's nodes, from the interface point.
+    weights: shape (s,): area weights, of any scale.
     """
 
     multipliers = PER_INTERFACE
@@ -43,50 +39,50 @@ class Distributed(SectionCoupling):
         self._arms = places - self._centre
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return what the multipliers push, and what is out of balance under a wrench (6,).
+        """Return the forces of the multipliers, and the forces out of balance under a wrench (6,).
 
         Shape (s, 3), N, at the nodes; shape (12,) in the interface freedoms, N and N·m, and in
         the six constraints, m and m^2.
         """
-        own = _Turned(self, state)
-        nodal = self._weights[:, None] * (own.force + np.cross(own.moment, own.arms))
-        turning = own.spin.T @ (own.carried_moment() - wrench[3:])
+        turned = _Turned(self, state)
+        nodal = self._weights[:, None] * (turned.force + np.cross(turned.moment, turned.arms))
+        turning = turned.spin.T @ (turned.carried_moment() - wrench[3:])
         gaps = [
             self._weights @ state.nodes
             - state.interface[:3]
             - rotation_less_identity(state.interface[3:]) @ self._centre,
-            self._weights @ np.cross(own.arms, own.places),
+            self._weights @ np.cross(turned.arms, turned.places),
         ]
-        return nodal, np.concatenate([-own.force - wrench[:3], turning, *gaps])
+        return nodal, np.concatenate([-turned.force - wrench[:3], turning, *gaps])
 
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return the derivatives of the residual by the border; nothing is tied.
 
         Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
         """
-        own = _Turned(self, state)
-        weighted_arms = self._weights[:, None, None] * skew(own.arms)
+        turned = _Turned(self, state)
+        weighted_arms = self._weights[:, None, None] * skew(turned.arms)
         columns = np.zeros((len(self.places), 3, 2 * PER_INTERFACE))
-        columns[:, :, 3:6] = -skew(own.moment) @ weighted_arms @ own.spin
+        columns[:, :, 3:6] = -skew(turned.moment) @ weighted_arms @ turned.spin
         columns[:, :, 6:9] = self._weights[:, None, None] * np.eye(3)
         columns[:, :, 9:] = -weighted_arms
         block = np.zeros((2 * PER_INTERFACE, 2 * PER_INTERFACE))
         # Write the border's own derivatives, less those of the spin itself.
-        centre = skew(own.centre) @ own.spin
-        inertia = own.inertia()
-        turning = -skew(own.force) @ skew(own.centre) + np.einsum(
+        centre = skew(turned.centre) @ turned.spin
+        inertia = turned.inertia()
+        turning = -skew(turned.force) @ skew(turned.centre) + np.einsum(
             "i,iab,ibc->ac",
             self._weights,
-            skew(np.cross(own.places, own.moment)),
-            skew(own.arms),
+            skew(np.cross(turned.places, turned.moment)),
+            skew(turned.arms),
         )
-        block[3:6, 3:6] = own.spin.T @ turning @ own.spin
+        block[3:6, 3:6] = turned.spin.T @ turning @ turned.spin
         block[:3, 6:9] = block[6:9, :3] = -np.eye(3)
         block[6:9, 3:6] = centre
         block[3:6, 6:9] = centre.T
-        block[3:6, 9:] = own.spin.T @ inertia
-        block[9:, 3:6] = inertia.T @ own.spin
-        excess = own.carried_moment() - wrench[3:]
+        block[3:6, 9:] = turned.spin.T @ inertia
+        block[9:, 3:6] = inertia.T @ turned.spin
+        excess = turned.carried_moment() - wrench[3:]
         block[3:6, 3:6] += spin_slope(state.interface[3:], excess)
         return Border(np.zeros_like(columns), columns, block)
 

@@ -71,7 +71,7 @@ class Rigid(SectionCoupling):
         The forces f have shapes (s, 3), N, and (s, 3, k). The second is zero: the body's own third
         derivatives have it.
         """
-        moments, changes = (np.einsum("si...,sj->ij...", own, self.places) for own in forces)
+        moments, changes = (np.einsum("si...,sj->ij...", force, self.places) for force in forces)
         return moments, changes, np.zeros((3, 3, border.shape[1], border.shape[1]))
 
     def _turned(self, state: CoupledState) -> Array:

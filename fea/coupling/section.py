@@ -14,28 +14,16 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class InterfaceSection:
-    """The interface's nodes with area weights.
+    """The interface's nodes with area weights."""
 
-    Attributes
-    ----------
-    node_ids
-        Sorted, shape (s,), int64.
-    weights
-        Shape (s,), m^2: the integral of each node's shape function over the section. Those of the
-        corners of quad8 facets are negative, as they must be for a constant traction.
-    area
-        The sum of the weights, m^2.
-    centre
-        The area centre, shape (3,), m.
-    by_area
-        False where a bare node group left nothing to integrate over: then every node has the same
-        weight, their sum is 1, and `area` says nothing.
-    """
-
-    node_ids: Array
+    node_ids: Array  # sorted, shape (s,), int64
+    # Shape (s,), m^2: the integral of each node's shape function over the section. Those of the
+    # corners of quad8 facets are negative, as they must be for a constant traction.
     weights: Array
-    area: float
-    centre: Array
+    area: float  # the sum of the weights, m^2
+    centre: Array  # the area centre, shape (3,), m
+    # False where a bare node group left nothing to integrate over: then every node has the same
+    # weight, their sum is 1, and `area` says nothing.
     by_area: bool
 
 
@@ -44,14 +32,9 @@ def section_of_facets(
 ) -> InterfaceSection:
     """Return the section that the facets of `group` make.
 
-    Parameters
-    ----------
-    points
-        Shape (n, 3), m.
-    group
-        At least one facet.
-    node_ids
-        The section's nodes if it has more than the facets do; the others get no weight.
+    points: shape (n, 3), m.
+    group: at least one facet.
+    node_ids: the section's nodes if it has more than the facets do; the others get no weight.
     """
     covered, areas = area_weights(points, group)
     ids = covered if node_ids is None else np.unique(node_ids)
@@ -66,12 +49,8 @@ def section_of_facets(
 def section_of_nodes(points: Array, node_ids: Array) -> InterfaceSection:
     """Return the section of nodes that bound no facet: each counts the same.
 
-    Parameters
-    ----------
-    points
-        Shape (n, 3), m.
-    node_ids
-        Shape (k,), int64; in any order, twice if so.
+    points: shape (n, 3), m.
+    node_ids: shape (k,), int64; in any order, twice if so.
     """
     ids = np.unique(node_ids)
     weights = np.full(len(ids), 1.0 / len(ids))

@@ -32,9 +32,11 @@ def timed_out(program: str, seconds: float) -> SolveFailed:
     )
 
 
-def solver_failed(program: str, how: str, quoted: str, folder: Path) -> SolveFailed:
+def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:
     """Return the failure that a program reports, by its exit code or in its output."""
-    return SolveFailed("solver_failed", f'"{program}" {how}. It printed: {quoted}', _look(folder))
+    return SolveFailed(
+        "solver_failed", f'"{program}" {ending}. It printed: {quoted}', _look(folder)
+    )
 
 
 def not_converged(program: str, quoted: str) -> SolveFailed:
@@ -61,7 +63,7 @@ def moment_unsettled(runs: int, gap: float) -> SolveFailed:
     """Return the failure of the search for the conjugate moment."""
     return SolveFailed(
         "not_converged",
-        f"After {runs} runs the deck's moment is still {gap:.1e} off the one that was asked for.",
+        f"After {runs} runs the deck's moment is still {gap:.1e} off the required one.",
         'If the deck takes moments about fixed axes, say moment = "spatial" in [deck]; else the '
         "part turns too much for its moment.",
     )

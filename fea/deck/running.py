@@ -11,6 +11,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from wrenchbook.fea.deck import failures
 from wrenchbook.fea.readers.reader import DeckReader, DeckRun, OutputError, Reading
 from wrenchbook.fea.readers.registry import reader_named
 from wrenchbook.fea.solution import Progress
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import UNITS, Deck
 
 Array = np.ndarray
@@ -26,7 +28,7 @@ LOADS = ("FX", "FY", "FZ", "MX", "MY", "MZ")
 """The placeholders, each with a $ before it, in the order of the wrench contract."""
 
 PRINTED = "printed.txt"
-"""What the program wrote to its standard output and errors."""
+"""File of the program's standard output and errors."""
 
 _PLACEHOLDER = re.compile(rb"\$([FM][XYZ])\b")
 _MOST_QUOTED = 400  # characters
@@ -34,7 +36,7 @@ _MOST_QUOTED = 400  # characters
 
 def missing_placeholders(deck: bytes) -> list[str]:
     """Return the placeholders that a deck's text does not have."""
-    there = {found.decode() for found in _PLACEHOLDER.findall(deck)}
+    there = {name.decode() for name in _PLACEHOLDER.findall(deck)}
     return [f"${load}" for load in LOADS if load not in there]
 
 
@@ -43,10 +45,7 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
 
     A number has 20 characters at the most, which is all that CalculiX reads of one.
 
-    Raises
-    ------
-    SolveFailed
-        ``bad_deck`` if a placeholder is missing: its load would have no effect.
+    Raises SolveFailed: ``bad_deck`` if a placeholder is missing: its load would have no effect.
     """
     missing = missing_placeholders(deck)
     if missing:
@@ -63,27 +62,13 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
 def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tuple[Array, int]:
     """Run a deck once, in a folder made for it.
 
-    Parameters
-    ----------
-    deck
-        What to run.
-    wrench
-        Shape (6,), N and N·m, with the moment that the deck takes.
-    folder
-        Where its files are put and stay; must not exist yet.
-    progress
-        Called while it runs, as far as the reader can tell.
-
-    Returns
-    -------
-    displacement, unknowns
-        Shape (6,), m and rad; degrees of freedom, 0 if unknown.
-
-    Raises
-    ------
-    SolveFailed
-        ``bad_deck``, ``no_solver``, ``timed_out``, ``solver_failed``, ``not_converged`` or
-        ``bad_output``.
+    deck: what to run.
+    wrench: shape (6,), N and N·m, with the moment that the deck takes.
+    folder: where its files are put and stay; must not exist yet.
+    progress: called while it runs, as far as the reader knows.
+    Returns displacement, unknowns: shape (6,), m and rad; degrees of freedom, 0 if unknown.
+    Raises SolveFailed: ``bad_deck``, ``no_solver``, ``timed_out``, ``solver_failed``,
+    ``not_converged`` or ``bad_output``.
     """
     metres = UNITS[deck.unit]
     loads = np.concatenate([wrench[:3], wrench[3:] / metres])
@@ -168,26 +153,22 @@ def run_command(
     raises, whatever it raises, the program and all that it started in its process group are gone;
     they are also gone soon after this program is killed.
 
-    Parameters
-    ----------
-    command
-        The program and its arguments.
-    printed
-        File for its standard output and errors.
-    timeout
-        Seconds.
-    watch
-        Called a few times a second while it runs.
-
-    Raises
-    ------
-    OSError
-        If the program cannot be started.
-    OutOfTime
-        If `timeout` is over.
+    command: the program and its arguments.
+    printed: file for its standard output and errors.
+    timeout: seconds.
+    watch: called a few times a second while it runs.
+    Raises OSError if the program cannot be started. Raises OutOfTime if `timeout` is over.
     """
     deadline = time.monotonic() + timeout
-    child = _start(command, folder, printed)
+    with printed.open("wb") as file:
+        child = subprocess.Popen(
+            command,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
     try:
         with _guarded(child.pid):
             while True:
@@ -206,18 +187,6 @@ def run_command(
                 child.wait(_GRACE)
         _signal(child.pid, signal.SIGKILL)
         child.wait()
-
-
-def _start(command: Sequence[str], folder: Path, printed: Path) -> subprocess.Popen[bytes]:
-    with printed.open("wb") as file:
-        return subprocess.Popen(
-            command,
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=file,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
 
 
 @contextlib.contextmanager
@@ -241,3 +210,49 @@ def _signal(group: int, number: int) -> None:
     # Nobody left in it: gone; macOS says "not permitted" of a group of zombies.
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(group, number)
+
+
+def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
+    """Return a summary of a deck, and warnings.
+
+    A program that is not installed here is a warning and no mistake of the bundle: solves may run
+    elsewhere, and one that does not says so.
+
+    Result: its ``file``, ``program`` (the path found, or None), ``reader``, ``moment``, ``unit``
+    and ``timeout`` (s).
+    Result: what may keep a solve from working.
+    Raises BundleError if the deck lacks a placeholder, or what its reader depends on.
+    """
+    content = deck.file.read_bytes()
+    where = (
+        "put it where that load goes, or into a comment line that says what takes the load instead"
+    )
+    problems = [
+        BundleProblem("deck.file", f"has no {name}; {where}")
+        for name in missing_placeholders(content)
+    ]
+    text = "\n".join(
+        file.read_text(encoding="utf-8", errors="replace") for file in (deck.file, *deck.files)
+    )
+    mistakes = reader_named(deck.output["reader"]).mistakes(text, deck)
+    problems += [BundleProblem("deck.file", f"{deck.file.name} {mistake}") for mistake in mistakes]
+    if problems:
+        raise BundleError(problems)
+    program = deck.command[0]
+    files = [file for file in deck.files if Path(program) == Path(file.name)]
+    program = program if files and "/" in program else shutil.which(program)
+    summary = {
+        "file": deck.file.name,
+        "program": program,
+        "reader": deck.output["reader"],
+        "moment": deck.moment,
+        "unit": deck.unit,
+        "timeout": deck.timeout,
+    }
+    if program:
+        return summary, []
+    message = (
+        f'the program "{deck.command[0]}" is not on the PATH of this machine; install it where '
+        "solves run"
+    )
+    return summary, [BundleProblem("deck.command", message)]

@@ -68,7 +68,7 @@ def solve_deck(
         ``not_converged`` if no conjugate moment fits.
     """
     started = time.perf_counter()
-    whole = checked_wrench(wrench)
+    loads = checked_wrench(wrench)
     if bundle.deck is None:
         raise ValueError("the bundle has no deck")
     report = progress or (lambda fraction, message: None)
@@ -76,11 +76,11 @@ def solve_deck(
         # Run the deck as often as it takes, and gather what is known.
         runs = _Runs(bundle.deck, place, report, accept)
         if bundle.analysis.nonlinear:
-            displacement, compliance = _nonlinear(runs, whole), np.full((6, 6), np.nan)
+            displacement, compliance = _nonlinear(runs, loads), np.full((6, 6), np.nan)
             work = np.nan
         else:
             # Displacement and compliance of a linear deck.
-            displacement = runs.run("wrench", whole, 0.0, 1.0 / 7.0)
+            displacement = runs.run("wrench", loads, 0.0, 1.0 / 7.0)
             # Loads of the size expected, so that nothing in the deck is far from its purpose.
             sizes = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
             columns = []
@@ -90,14 +90,32 @@ def solve_deck(
                 columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
             compliance = np.stack(columns, axis=1)
             # Each entry against the largest of its kind: what symmetry forbids is only roundoff.
-            largest = (np.abs(compliance) @ np.abs(whole)).reshape(2, 3).max(axis=1)
-            gaps = np.abs(compliance @ whole - displacement).reshape(2, 3).max(axis=1)
+            largest = (np.abs(compliance) @ np.abs(loads)).reshape(2, 3).max(axis=1)
+            gaps = np.abs(compliance @ loads - displacement).reshape(2, 3).max(axis=1)
             if (gaps > _LINEAR_GAP * largest).any():
                 raise failures.not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
-            _require_reciprocal(compliance, sizes)
-            work = float(whole @ displacement)
-        found = Solution(
-            wrench=whole,
+            # A compliance is that of an elastic body if loads do no negative work, and as much on
+            # each other's displacements (Betti). Compared is the work (J) of loads of these sizes:
+            # a locked freedom may show roundoff.
+            exchange = compliance * np.outer(sizes, sizes)
+            works = np.diagonal(exchange)
+            floor = _ROUNDOFF * float(np.abs(works).max())
+            if (works < -floor).any():
+                freedom = FREEDOMS[int(np.argmin(works))]
+                raise failures.not_reciprocal(f"The load on {freedom} moves it backwards.")
+            works = np.maximum(works, 0.0)
+            gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(works, works))
+            i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
+            if gap[i, j] > floor:
+                first, second = FREEDOMS[i], FREEDOMS[j]
+                raise failures.not_reciprocal(
+                    f"A unit load on {second} moves {first} by {compliance[i, j]:.6e}, one on "
+                    f"{first} moves {second} by {compliance[j, i]:.6e}: in an elastic body the two "
+                    "agree."
+                )
+            work = float(loads @ displacement)
+        solution = Solution(
+            wrench=loads,
             displacement=displacement,
             compliance=compliance,
             strain_energy=0.5 * work,
@@ -107,9 +125,9 @@ def solve_deck(
             history=(),
             nodes=np.empty((0, 3)),
         )
-    accept(found.displacement)
+    accept(solution.displacement)
     report(1.0, "done")
-    return replace(found, seconds=time.perf_counter() - started)
+    return replace(solution, seconds=time.perf_counter() - started)
 
 
 class _Runs:
@@ -167,29 +185,6 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
         acting = acting + step
     runs.accept(displacement)
     raise failures.moment_unsettled(_MOST_RUNS, gap / size)
-
-
-def _require_reciprocal(compliance: Array, sizes: Array) -> None:
-    """Raise unless the compliance is one that an elastic body can have: Betti, and work done.
-
-    Compared is the work (J) that loads of these `sizes` do on each other's displacement, so a
-    locked freedom may show roundoff.
-    """
-    work = compliance * np.outer(sizes, sizes)
-    own = np.diagonal(work)
-    floor = _ROUNDOFF * float(np.abs(own).max())
-    if (own < -floor).any():
-        freedom = FREEDOMS[int(np.argmin(own))]
-        raise failures.not_reciprocal(f"The load on {freedom} moves it backwards.")
-    own = np.maximum(own, 0.0)
-    gap = np.abs(work - work.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(own, own))
-    i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
-    if gap[i, j] > floor:
-        one, other = FREEDOMS[i], FREEDOMS[j]
-        raise failures.not_reciprocal(
-            f"A unit load on {other} moves {one} by {compliance[i, j]:.6e}, one on {one} moves "
-            f"{other} by {compliance[j, i]:.6e}: in an elastic body the two agree."
-        )
 
 
 @contextlib.contextmanager

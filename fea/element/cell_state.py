@@ -16,18 +16,12 @@ Which = slice | np.ndarray
 class CellState(ABC):
     """Strains and stresses of a few cells at one displacement.
 
-    Attributes
-    ----------
-    slopes, weights
-        Of the cells, as in `Gradients`.
-    H, F, E
-        Shape (cells, points, 3, 3): gradient of the displacement, deformation gradient and
-        Green-Lagrange strain. The strain is never formed as (F^T F - I)/2: at small loads that
-        loses every digit to roundoff.
-    wS
-        Same shape, Pa times m^3: the second Piola-Kirchhoff stress times the weights.
-    thermal
-        Shape (cells, 1, 3, 3): the thermal strain, a part of E without stress; None for none.
+    slopes, weights: of the cells, as in `Gradients`.
+    H, F, E: shape (cells, points, 3, 3): gradient of the displacement, deformation gradient and
+    Green-Lagrange strain. The strain is never formed as (F^T F - I)/2: at small loads that loses
+    every digit to roundoff.
+    wS: same shape, Pa times m^3: the second Piola-Kirchhoff stress times the weights.
+    thermal: shape (cells, 1, 3, 3): the thermal strain, a part of E without stress; None for none.
     """
 
     def __init__(
@@ -78,16 +72,12 @@ class CellState(ABC):
         """Write the tangent stiffness, shape (cells, size, size), N/m."""
 
     def changes(self, fields: Array) -> tuple[Array, Array, Array]:
-        """Return what fields, m, shape (k, cells, 3, nodes), change.
+        """Return the changes by fields, m, shape (k, cells, 3, nodes).
 
         All fields' 3x3 matrices stand one below the other, so that each product is one for all.
 
-        Returns
-        -------
-        dF
-            Shape (cells, points, 3 k, 3): the deformation gradient, dimensionless.
-        dE, wdS
-            Shape (k, cells, points, 3, 3): the strain, dimensionless, and `wS`, Pa times m^3.
+        Returns dF: shape (cells, points, 3 k, 3): the deformation gradient, dimensionless. dE, wdS:
+        shape (k, cells, points, 3, 3): the strain, dimensionless, and `wS`, Pa times m^3.
         """
         cells, count = len(self.slopes), len(fields)
         below = fields.swapaxes(0, 1).reshape(cells, 1, 3 * count, fields.shape[3])
@@ -103,8 +93,8 @@ class CellState(ABC):
         They are the integral of E_a : C : E_b + S : E_ab, see `third`.
         """
         dF, dE, wdS = self.changes(fields)
-        own = dE.reshape(len(fields), -1) @ wdS.reshape(len(fields), -1).T
-        return own + _by_field(dF) @ _by_field(dF @ self.wS).T
+        along = dE.reshape(len(fields), -1) @ wdS.reshape(len(fields), -1).T
+        return along + _by_field(dF) @ _by_field(dF @ self.wS).T
 
     def third(self, fields: Array) -> Array:
         """Return the energy's third derivatives along k fields: (k, k, k), J.

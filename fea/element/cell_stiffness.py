@@ -1,4 +1,4 @@
-"""What the cells of every material share: forces, energies and stresses, total Lagrangian.
+"""Common part of the cells of all materials: forces, energies and stresses, total Lagrangian.
 
 The unknowns of a cell are ordered component first, (ux of all nodes, uy of all nodes, uz of all
 nodes), which lets the products run as matrix products without moving anything first. The material
@@ -23,21 +23,13 @@ _CHUNK = 64  # cells at a time: the temporaries of a chunk stay in cache
 
 @dataclass(frozen=True, eq=False)
 class CellStiffness(ABC):
-    """Cells of one block with their material.
+    """Cells of one block with their material."""
 
-    Attributes
-    ----------
-    gradients
-        Shape gradients and weights of the cells.
-    expansion
-        Shape (cells, points or 1, 3, 3), 1/K: thermal strain per kelvin; None where no temperature
-        is an input.
-    thermal
-        The same shape: the thermal strain; None for none. Neo-Hookean cells have none.
-    """
-
-    gradients: Gradients
+    gradients: Gradients  # shape gradients and weights of the cells
+    # Shape (cells, points or 1, 3, 3), 1/K: thermal strain per kelvin; None where no temperature is
+    # an input.
     expansion: Array | None = field(default=None, kw_only=True)
+    # The same shape: the thermal strain; None for none. Neo-Hookean cells have none
     thermal: Array | None = field(default=None, kw_only=True)
 
     @property
@@ -80,50 +72,27 @@ class CellStiffness(ABC):
     def state(self, part: Which, displacement: Array | None) -> CellState:
         """Return strains and stresses of a few cells.
 
-        Parameters
-        ----------
-        part
-            Which cells.
-        displacement
-            Theirs, shape (cells, 3, nodes), m; None for the undeformed state.
+        part: which cells.
+        displacement: Theirs, shape (cells, 3, nodes), m; None for the undeformed state.
         """
 
     @abstractmethod
     def small_stress(self, strain: Array, part: Which) -> Array:
         """Return the stresses of small strains times the weights, N·m.
 
-        Parameters
-        ----------
-        strain
-            Of a few cells, shape (k, cells, points, 3, 3), dimensionless.
-        part
-            Which cells.
-
-        Returns
-        -------
-        Array
-            Shape (k, cells, points, 3, 3), Pa times m^3.
+        strain: of a few cells, shape (k, cells, points, 3, 3), dimensionless.
+        part: which cells.
+        Result: shape (k, cells, points, 3, 3), Pa times m^3.
         """
 
     def forces(self, displacement: Array, step: Array | None = None) -> tuple[Array, float, float]:
         """Return the internal forces, the strain energy and the least det F.
 
-        Parameters
-        ----------
-        displacement
-            Shape (cells, 3, nodes), m.
-        step
-            Shape (2, cells, 3, nodes), m: the last step of Newton's method, see
-            `ElasticBody.tangent`; None for the forces proper.
-
-        Returns
-        -------
-        forces
-            Shape (cells, 3, nodes), N.
-        energy
-            J.
-        least
-            The smallest determinant of the deformation gradient.
+        displacement: shape (cells, 3, nodes), m.
+        step: shape (2, cells, 3, nodes), m: the last step of Newton's method, see
+        `ElasticBody.tangent`; None for the forces proper.
+        Returns forces: shape (cells, 3, nodes), N. energy: J. least: the smallest determinant of
+        the deformation gradient.
         """
         forces = np.empty_like(displacement)
         energy, least = 0.0, np.inf
@@ -139,48 +108,32 @@ class CellStiffness(ABC):
     def tangent(self, displacement: Array | None, step: Array | None, cells: Array) -> Array:
         """Return the tangent stiffness of some cells.
 
-        Parameters
-        ----------
-        displacement
-            Theirs, shape (k, 3, nodes), m; None for the undeformed state.
-        step
-            Theirs, shape (2, k, 3, nodes), m: the last step of Newton's method, see
-            `ElasticBody.tangent`; None for the tangent proper.
-        cells
-            Shape (k,), their numbers, dimensionless.
-
-        Returns
-        -------
-        Array
-            Shape (k, size, size), N/m.
+        displacement: Theirs, shape (k, 3, nodes), m; None for the undeformed state.
+        step: Theirs, shape (2, k, 3, nodes), m: the last step of Newton's method, see
+        `ElasticBody.tangent`; None for the tangent proper.
+        cells: shape (k,), their numbers, dimensionless.
+        Result: shape (k, size, size), N/m.
         """
         out = np.empty((len(cells), self.size, self.size))
         for start in range(0, len(cells), _CHUNK):
-            own = slice(start, start + _CHUNK)
-            state = self.state(cells[own], None if displacement is None else displacement[own])
+            chunk = slice(start, start + _CHUNK)
+            state = self.state(cells[chunk], None if displacement is None else displacement[chunk])
             if step is not None:
-                state.extrapolate(step[:, own])
-            state.tangent(out[own])
+                state.extrapolate(step[:, chunk])
+            state.tangent(out[chunk])
         return out
 
     def small_strain_forces(self, fields: Array, first: int = 0) -> Array:
         """Return the forces of several small displacement fields, by way of their stresses.
 
-        Parameters
-        ----------
-        fields
-            Shape (k, cells, 3, nodes), m: of the cells from `first` on.
-
-        Returns
-        -------
-        Array
-            Shape (k, cells, 3, nodes), N.
+        fields: shape (k, cells, 3, nodes), m: of the cells from `first` on.
+        Result: shape (k, cells, 3, nodes), N.
         """
         forces = np.empty_like(fields)
         for part in self._parts(fields.shape[1]):
-            own = slice(first + part.start, first + part.stop)
-            _, stress = self._small_strain(fields[:, part], own)
-            slopes = self.gradients.slopes[own]
+            chunk = slice(first + part.start, first + part.stop)
+            _, stress = self._small_strain(fields[:, part], chunk)
+            slopes = self.gradients.slopes[chunk]
             cells, points, _, nodes = slopes.shape
             stacked = stress.transpose(0, 1, 3, 2, 4).reshape(len(fields), cells, 3, 3 * points)
             forces[:, part] = stacked @ slopes.reshape(cells, 3 * points, nodes)
@@ -189,21 +142,14 @@ class CellStiffness(ABC):
     def strain_energy_products(self, fields: Array, first: int = 0) -> Array:
         """Integrate strain : C : strain for pairs of small displacement fields.
 
-        Parameters
-        ----------
-        fields
-            Shape (k, cells, 3, nodes), m: of the cells from `first` on.
-
-        Returns
-        -------
-        Array
-            Shape (k, k), J: twice the mutual strain energy of each pair.
+        fields: shape (k, cells, 3, nodes), m: of the cells from `first` on.
+        Result: shape (k, k), J: twice the mutual strain energy of each pair.
         """
         count = len(fields)
         total = np.zeros((count, count))
         for part in self._parts(fields.shape[1]):
-            own = slice(first + part.start, first + part.stop)
-            strain, stress = self._small_strain(fields[:, part], own)
+            chunk = slice(first + part.start, first + part.stop)
+            strain, stress = self._small_strain(fields[:, part], chunk)
             total += strain.reshape(count, -1) @ stress.reshape(count, -1).T
         return total
 
@@ -214,17 +160,9 @@ class CellStiffness(ABC):
     def third(self, displacement: Array, fields: Array, first: int = 0) -> Array:
         """Return the energy's third derivatives along fields; see `CellState.third`.
 
-        Parameters
-        ----------
-        displacement
-            Shape (cells, 3, nodes), m: of the cells from `first` on.
-        fields
-            Shape (k, cells, 3, nodes), m.
-
-        Returns
-        -------
-        Array
-            Shape (k, k, k), J.
+        displacement: shape (cells, 3, nodes), m: of the cells from `first` on.
+        fields: shape (k, cells, 3, nodes), m.
+        Result: shape (k, k, k), J.
         """
         return self._sum(CellState.third, displacement, fields, first)
 
@@ -237,22 +175,15 @@ class CellStiffness(ABC):
     ) -> Array:
         total = 0.0
         for part in self._parts(fields.shape[1]):
-            own = slice(first + part.start, first + part.stop)
-            total = total + derivatives(self.state(own, displacement[part]), fields[:, part])
+            chunk = slice(first + part.start, first + part.stop)
+            total = total + derivatives(self.state(chunk, displacement[part]), fields[:, part])
         return np.asarray(total)
 
     def small_stresses(self, fields: Array) -> Array:
         """Return the stresses of several small displacement fields at the quadrature points.
 
-        Parameters
-        ----------
-        fields
-            Shape (k, cells, 3, nodes), m.
-
-        Returns
-        -------
-        Array
-            Shape (k, cells, points, 3, 3), Pa.
+        fields: shape (k, cells, 3, nodes), m.
+        Result: shape (k, cells, points, 3, 3), Pa.
         """
         return np.concatenate(
             [
@@ -268,26 +199,17 @@ class CellStiffness(ABC):
 
         sigma = F S F^T / J, and d sigma = (dF S F^T + F dS F^T + F S dF^T) / J - sigma tr(dF F^-1).
 
-        Parameters
-        ----------
-        displacement
-            Shape (cells, 3, nodes), m.
-        fields
-            Shape (k, cells, 3, nodes): changes of the displacement, m over some unit.
-
-        Returns
-        -------
-        stresses
-            Shape (cells, points, 3, 3), Pa.
-        changes
-            Shape (k, cells, points, 3, 3), Pa over that unit.
+        displacement: shape (cells, 3, nodes), m.
+        fields: shape (k, cells, 3, nodes): changes of the displacement, m over some unit.
+        Returns stresses: shape (cells, points, 3, 3), Pa. changes: shape (k, cells, points, 3, 3),
+        Pa over that unit.
         """
-        found = [
+        pairs = [
             self.state(part, displacement[part]).cauchy(fields[:, part]) for part in self._parts()
         ]
         return (
-            np.concatenate([stress for stress, _ in found]),
-            np.concatenate([changes for _, changes in found], axis=1),
+            np.concatenate([stress for stress, _ in pairs]),
+            np.concatenate([changes for _, changes in pairs], axis=1),
         )
 
     def _small_strain(self, fields: Array, part: slice) -> tuple[Array, Array]:

@@ -16,40 +16,22 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """Gradients and weights of the cells of one block in the undeformed state.
+    """Gradients and weights of the cells of one block in the undeformed state."""
 
-    Attributes
-    ----------
-    slopes
-        Shape (cells, points, 3, nodes), 1/m: dN_a/dX_J at each quadrature point.
-    weights
-        Shape (cells, points), m^3: the volume that each point stands for.
-    values
-        Shape (points, nodes), dimensionless: the shape functions at the quadrature points.
-    """
-
-    slopes: Array
-    weights: Array
+    slopes: Array  # shape (cells, points, 3, nodes), 1/m: dN_a/dX_J at each quadrature point
+    weights: Array  # shape (cells, points), m^3: the volume that each point stands for
+    # Shape (points, nodes), dimensionless: the shape functions at the quadrature points
     values: Array
 
 
 def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradients:
     """Map the reference gradients of a block to its cells.
 
-    Parameters
-    ----------
-    points
-        Shape (n, 3), m.
-    block
-        The cells.
-    integration
-        ``"reduced"`` or ``"full"``, for hex20.
-
-    Raises
-    ------
-    SolveFailed
-        ``inverted_elements`` if the determinant of a cell's map is not positive at each node and
-        quadrature point.
+    points: shape (n, 3), m.
+    block: the cells.
+    integration: ``"reduced"`` or ``"full"``, for hex20.
+    Raises SolveFailed: ``inverted_elements`` if the determinant of a cell's map is not positive at
+    each node and quadrature point.
     """
     element = reference_element(block.kind, integration)
     jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes  # dX_i/dxi_j
@@ -69,13 +51,8 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
 def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:
     """Integrate each node's shape function over a section.
 
-    Returns
-    -------
-    nodes
-        Shape (k,): the section's nodes, ascending.
-    weights
-        Shape (k,), m^2; their sum is the area. Corner nodes of eight-node facets have negative
-        weights.
+    Returns nodes: shape (k,): the section's nodes, ascending. weights: shape (k,), m^2; their sum
+    is the area. Corner nodes of eight-node facets have negative weights.
     """
     nodes = group.node_ids
     weights = np.zeros(nodes.size)

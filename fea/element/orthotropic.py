@@ -27,15 +27,10 @@ _SHEARS_TWICE = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
 
 @dataclass(frozen=True, eq=False)
 class OrthotropicStiffness(CellStiffness):
-    """Orthotropic cells of one block.
+    """Orthotropic cells of one block."""
 
-    Attributes
-    ----------
-    elasticity
-        Shape (cells, points or 1, 6, 6), Pa: stresses (xx, yy, zz, xy, xz, yz) by strains, the
-        shears 2 E_ij, in the axes of the mesh.
-    """
-
+    # Shape (cells, points or 1, 6, 6), Pa: stresses (xx, yy, zz, xy, xz, yz) by strains, the shears
+    # 2 E_ij, in the axes of the mesh.
     elasticity: Array
 
     def state(self, part: Which, displacement: Array | None) -> CellState:
@@ -79,17 +74,9 @@ class _State(DenseState):
 def turned_elasticity(elasticity: Array, directions: Array) -> Array:
     """Return an elasticity in other axes.
 
-    Parameters
-    ----------
-    elasticity
-        Shape (6, 6), Pa: in the material's own directions, as in `OrthotropicStiffness`.
-    directions
-        Shape (..., 3, 3): row i is the material's direction i in the target axes.
-
-    Returns
-    -------
-    Array
-        Shape (..., 6, 6), Pa.
+    elasticity: shape (6, 6), Pa: in the material's own directions, as in `OrthotropicStiffness`.
+    directions: shape (..., 3, 3): row i is the material's direction i in the target axes.
+    Result: shape (..., 6, 6), Pa.
     """
     rows = directions[..., None, :, :]
     stresses = _stress(elasticity, rows @ UNIT_STRAINS @ rows.swapaxes(-1, -2))

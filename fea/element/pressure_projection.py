@@ -54,14 +54,10 @@ singular), hex20 by 10 % with the projection, and full integration of any kind b
 
 
 def locking(block: CellBlock, poisson: Array) -> str:
-    """Say which cells of a block would lock; an empty string if none would.
+    """Return which cells of a block would lock, in words; an empty string if none would.
 
-    Parameters
-    ----------
-    block
-        The cells.
-    poisson
-        Shape (cells,), dimensionless: their Poisson's ratios.
+    block: the cells.
+    poisson: shape (cells,), dimensionless: their Poisson's ratios.
     """
     limit = LARGEST_RATIO[block.kind]
     bad = poisson > limit + ROUNDING
@@ -76,10 +72,7 @@ def locking(block: CellBlock, poisson: Array) -> str:
 def require_no_locking(block: CellBlock, poisson: Array) -> None:
     """Refuse cells that would lock, by their Poisson's ratios, shape (cells,), dimensionless.
 
-    Raises
-    ------
-    SolveFailed
-        ``locking_material``.
+    Raises SolveFailed: ``locking_material``.
     """
     message = locking(block, poisson)
     if message:
@@ -108,21 +101,11 @@ def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
 def volume_modes(points: Array, block: CellBlock, weights: Array, integration: str) -> Array:
     """Return the functions onto which the volumetric strain of each cell is projected.
 
-    Parameters
-    ----------
-    points
-        Shape (n, 3), m.
-    block
-        Cells of a kind in `PRESSURES`.
-    weights
-        Shape (cells, points), m^3, from `fea.element.mapping`.
-    integration
-        ``"reduced"`` or ``"full"``.
-
-    Returns
-    -------
-    Array
-        Shape (cells, points, modes), m^1.5: w_p q_pi with sum_p w_p q_pi q_pj = delta_ij.
+    points: shape (n, 3), m.
+    block: cells of a kind in `PRESSURES`.
+    weights: shape (cells, points), m^3, from `fea.element.mapping`.
+    integration: ``"reduced"`` or ``"full"``.
+    Result: shape (cells, points, modes), m^1.5: w_p q_pi with sum_p w_p q_pi q_pj = delta_ij.
     """
     element = reference_element(block.kind, integration)
     places = element.values @ points[block.nodes]

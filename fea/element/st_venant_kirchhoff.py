@@ -25,19 +25,13 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Stiffness(CellStiffness):
-    """Isotropic cells of one block.
+    """Isotropic cells of one block."""
 
-    Attributes
-    ----------
-    first_lame, shear
-        Shape (cells,), Pa: lambda and mu.
-    volume_modes
-        Shape (cells, points, modes), m^1.5: orthonormal functions onto which the volumetric
-        strain is projected, times the weights; None takes it as it is.
-    """
-
+    # first_lame, shear: shape (cells,), Pa: lambda and mu
     first_lame: Array
     shear: Array
+    # Shape (cells, points, modes), m^1.5: orthonormal functions onto which the volumetric strain is
+    # projected, times the weights; None takes it as it is.
     volume_modes: Array | None = None
 
     @property

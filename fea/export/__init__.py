@@ -1,1 +1,1 @@
-"""What leaves the solver: VTK states, CalculiX decks, records of failures."""
+"""Exports: VTK states, CalculiX decks, records of failures."""

@@ -21,10 +21,9 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.spec.orthotropic import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE, Bundle
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
 
 Array = np.ndarray
 
@@ -69,20 +68,20 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
         report, interfaces of different axes, or cells it has no element for.
     """
     problems = []
-    for one in component.interfaces:
-        if one.coupling != "rigid":
+    for interface in component.interfaces:
+        if interface.coupling != "rigid":
             message = (
-                f'CalculiX does not report the motion of a "{one.coupling}" coupling; write the '
-                'deck of the component with coupling = "rigid"'
+                f'CalculiX does not report the motion of a "{interface.coupling}" coupling; write '
+                'the deck of the component with coupling = "rigid"'
             )
-            problems.append(BundleProblem(f"{one.key}.coupling", message))
-        if not np.array_equal(one.axes, component.axes):
+            problems.append(BundleProblem(f"{interface.key}.coupling", message))
+        if not np.array_equal(interface.axes, component.axes):
             message = "a deck has one frame; give every interface the axes of the first"
-            problems.append(BundleProblem(f"{one.key}.axes", message))
-    for one, _ in component.bushings:
-        if one.coupling != "rigid":
+            problems.append(BundleProblem(f"{interface.key}.axes", message))
+    for bushing, _ in component.bushings:
+        if bushing.coupling != "rigid":
             message = 'a deck has no spring on a mean motion; write it with coupling = "rigid"'
-            problems.append(BundleProblem(f"{one.key}.coupling", message))
+            problems.append(BundleProblem(f"{bushing.key}.coupling", message))
     if component.warmth is not None:
         message = "a deck has one temperature; write *TEMPERATURE there, without a field"
         problems.append(BundleProblem("inputs.temperature.field", message))
@@ -102,10 +101,10 @@ def _body(component: ComponentModel) -> Iterator[str]:
     points = component.mesh.points @ component.axes.T
     yield "*NODE, NSET=ALL"
     yield from (f"{i}, {_numbers(point)}" for i, point in enumerate(points, start=1))
-    for i, one in enumerate(component.interfaces):
-        place = _numbers(component.axes @ one.point)
-        yield f"*NODE, NSET={_set('REF', one)}\n{len(points) + 2 * i + 1}, {place}"
-        yield f"*NODE, NSET={_set('ROT', one)}\n{len(points) + 2 * i + 2}, {place}"
+    for i, interface in enumerate(component.interfaces):
+        place = _numbers(component.axes @ interface.point)
+        yield f"*NODE, NSET={_set('REF', interface)}\n{len(points) + 2 * i + 1}, {place}"
+        yield f"*NODE, NSET={_set('ROT', interface)}\n{len(points) + 2 * i + 2}, {place}"
     yield from _elements(component)
     yield from _materials(component)
     if component.fixed_nodes.size:
@@ -116,30 +115,30 @@ def _body(component: ComponentModel) -> Iterator[str]:
     # its own, whose displacement is that combination of the six freedoms.
     node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
     element = sum(len(block) for block in component.mesh.blocks) + 1
-    for i, (own, stiffness) in enumerate(component.bushings):
-        ref, place = node, _numbers(component.axes @ own.point)
+    for i, (bushing, stiffness) in enumerate(component.bushings):
+        ref, place = node, _numbers(component.axes @ bushing.point)
         yield f"*NODE\n{ref}, {place}\n{ref + 1}, {place}\n*NSET, NSET=BUSHING{i}"
-        yield from _rows(own.section.node_ids + 1)
+        yield from _rows(bushing.section.node_ids + 1)
         yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={ref}, ROT NODE={ref + 1}"
         node += 2
-        turn = np.kron(np.eye(2), own.axes @ component.axes.T)
+        turn = np.kron(np.eye(2), bushing.axes @ component.axes.T)
         sizes, motions = np.linalg.eigh(stiffness)
         for size, motion in zip(sizes, motions.T, strict=True):
             if size <= 0:
                 continue
             terms = [(ref + j // 3, j % 3 + 1, x) for j, x in enumerate(motion @ turn)]
             terms = [term for term in terms if abs(term[2]) > _ROUNDOFF]
-            words = [f"{at}, {axis}, {_numbers([x])}" for at, axis, x in [(node, 1, -1.0), *terms]]
-            yield f"*NODE\n{node}, {place}\n*BOUNDARY\n{node}, 2, 3\n*EQUATION\n{len(words)}"
-            yield from (", ".join(words[j : j + 4]) for j in range(0, len(words), 4))
+            rows = [f"{at}, {axis}, {_numbers([x])}" for at, axis, x in [(node, 1, -1.0), *terms]]
+            yield f"*NODE\n{node}, {place}\n*BOUNDARY\n{node}, 2, 3\n*EQUATION\n{len(rows)}"
+            yield from (", ".join(rows[j : j + 4]) for j in range(0, len(rows), 4))
             yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
             yield f"*SPRING, ELSET=K{element}\n1\n{_numbers([size])}"
             node, element = node + 1, element + 1
-    for i, one in enumerate(component.interfaces):
+    for i, attached in enumerate(component.interfaces):
         ref = len(points) + 2 * i + 1
-        yield f"*NSET, NSET={_set('SECTION', one)}"
-        yield from _rows(one.section.node_ids + 1)
-        yield f"*RIGID BODY, NSET={_set('SECTION', one)}, REF NODE={ref}, ROT NODE={ref + 1}"
+        yield f"*NSET, NSET={_set('SECTION', attached)}"
+        yield from _rows(attached.section.node_ids + 1)
+        yield f"*RIGID BODY, NSET={_set('SECTION', attached)}, REF NODE={ref}, ROT NODE={ref + 1}"
     if component.temperature is not None:
         reference = _numbers([component.temperature.reference])
         yield f"*INITIAL CONDITIONS, TYPE=TEMPERATURE\nALL, {reference}"
@@ -153,9 +152,13 @@ def _body(component: ComponentModel) -> Iterator[str]:
 def _materials(component: ComponentModel) -> Iterator[str]:
     for i, material in enumerate(component.materials):
         yield f"*MATERIAL, NAME=M{i}"
-        own = material.orthotropic
-        if own is not None:
-            constants = [*own.youngs_moduli, *own.poisson_ratios, *own.shear_moduli]
+        orthotropic = material.orthotropic
+        if orthotropic is not None:
+            constants = [
+                *orthotropic.youngs_moduli,
+                *orthotropic.poisson_ratios,
+                *orthotropic.shear_moduli,
+            ]
             yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"  # eight a line, the ninth on the next
             yield f"{_numbers(constants[:8])}\n{_numbers(constants[8:])}"
         # A hyperelastic deck is never linear.
@@ -187,27 +190,29 @@ def _set(kind: str, interface: AttachedInterface) -> str:
 def _sliding(component: ComponentModel) -> Iterator[str]:
     """Yield what holds sliding nodes: a boundary condition along an axis, or an equation."""
     nodes, held = component.sliding
-    for node, own in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
-        first = np.argsort(-np.diagonal(own))[: round(np.trace(own))]  # a dependent one each
-        rows = np.linalg.solve(own[np.ix_(first, first)], own[first])
+    for node, projector in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
+        first = np.argsort(-np.diagonal(projector))[
+            : round(np.trace(projector))
+        ]  # a dependent one each
+        rows = np.linalg.solve(projector[np.ix_(first, first)], projector[first])
         for axis, row in zip(first, rows, strict=True):
             others = [i for i in range(3) if i not in first and abs(row[i]) > _ROUNDOFF]
-            words = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
-            equation = f"*EQUATION\n{len(words)}\n" + ", ".join(words)
+            terms = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
+            equation = f"*EQUATION\n{len(terms)}\n" + ", ".join(terms)
             yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
 
 
-def _orientation(number: int, own: Orthotropic, axes: Array) -> Iterator[str]:
+def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:
     """Yield a material's directions by a point on its x-axis and one on its y-axis.
 
     Those about a cylinder's axis by two points of it.
     """
-    if own.cylinder is not None:
-        point, axial = np.array(own.cylinder) @ axes.T
+    if orthotropic.cylinder is not None:
+        point, axial = np.array(orthotropic.cylinder) @ axes.T
         yield f"*ORIENTATION, NAME=O{number}, SYSTEM=CYLINDRICAL"
         yield _numbers([*point, *(point + axial)])
         return
-    x, y, _ = np.array(own.axes) @ axes.T
+    x, y, _ = np.array(orthotropic.axes) @ axes.T
     yield f"*ORIENTATION, NAME=O{number}\n{_numbers([*x, *y])}"
 
 
@@ -218,32 +223,29 @@ def _elements(component: ComponentModel) -> Iterator[str]:
         for i in range(len(component.materials)):
             chosen = block.nodes[materials == i]
             if len(chosen):
-                yield f"*ELEMENT, TYPE={_element(block, component)}, ELSET=E{i}"
+                full = block.kind == "hex20" and component.analysis.integration == "full"
+                element = "C3D20" if full else _ELEMENTS[block.kind]
+                yield f"*ELEMENT, TYPE={element}, ELSET=E{i}"
             for cell in chosen + 1:
                 yield from _rows([number, *cell], more=True)
                 number += 1
-
-
-def _element(block: CellBlock, component: ComponentModel) -> str:
-    full = block.kind == "hex20" and component.analysis.integration == "full"
-    return "C3D20" if full else _ELEMENTS[block.kind]
 
 
 def _step(component: ComponentModel) -> Iterator[str]:
     yield from _NONLINEAR if component.analysis.nonlinear else _LINEAR
     yield from _pulls(component)
     yield "*CLOAD"
-    for one in component.interfaces:
-        for name, placeholder in zip(FREEDOMS, placeholders(one.name), strict=True):
-            if name in one.locked:
+    for interface in component.interfaces:
+        for name, placeholder in zip(FREEDOMS, placeholders(interface.name), strict=True):
+            if name in interface.locked:
                 yield f"** {placeholder} acts on a freedom that is held"
             else:
-                yield f"{_place(name, one)}, {_axis(name)}, {placeholder}"
+                yield f"{_place(name, interface)}, {_axis(name)}, {placeholder}"
     if component.temperature is not None:
         yield f"*TEMPERATURE\nALL, {further_placeholder(TEMPERATURE)}"
-    for one in component.interfaces:
+    for attached in component.interfaces:
         for kind in ("REF", "ROT"):
-            yield from [f"*NODE PRINT, NSET={_set(kind, one)}", "U"]
+            yield from [f"*NODE PRINT, NSET={_set(kind, attached)}", "U"]
     yield "*END STEP"
 
 
@@ -289,16 +291,10 @@ def _numbers(values: Iterable[float]) -> str:
 
 def _rows(numbers: Iterable[int], more: bool = False) -> Iterator[str]:
     """Yield whole numbers, some a line; with `more` a comma says that a line goes on."""
-    words = [str(number) for number in numbers]
-    lines = [", ".join(words[i : i + _PER_LINE]) for i in range(0, len(words), _PER_LINE)]
+    texts = [str(number) for number in numbers]
+    lines = [", ".join(texts[i : i + _PER_LINE]) for i in range(0, len(texts), _PER_LINE)]
     for i, line in enumerate(lines):
         yield line + ("," if more and i + 1 < len(lines) else "")
-
-
-def _bundle(path: Path) -> Bundle:
-    if path.is_dir():
-        return read_bundle(path)
-    return bundle_of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -309,10 +305,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("bundle", type=Path, help="a bundle's folder, or a .toml file like its own")
     path = parser.parse_args(arguments).bundle
     try:
-        component = build(_bundle(path))
-        made = f"Made by: python -m wrenchbook.fea.export.calculix {path.name}"
+        if path.is_dir():
+            bundle = read_bundle(path)
+        else:
+            bundle = bundle_of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+        component = build(bundle)
+        origin = f"Made by: python -m wrenchbook.fea.export.calculix {path.name}"
         units = "Metres, newtons, pascals; the axes are those of the interface frame."
-        sys.stdout.write(deck_of(component, (component.bundle.title, made, units)))
+        sys.stdout.write(deck_of(component, (component.bundle.title, origin, units)))
     except (BundleError, OSError, tomllib.TOMLDecodeError) as error:
         print(error, file=sys.stderr)
         return 1

@@ -60,22 +60,14 @@ _CORNERS = {"wedge15": 6}
 def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:
     """Write the undeformed mesh with a displacement at each point.
 
-    Parameters
-    ----------
-    path
-        Ends in ``.vtu``.
-    component
-        Its mesh, materials, supports and section.
-    displacements
-        Shape (n, 3), m, in the mesh's own axes. "Warp by vector" shows the part displaced.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    path: ends in ``.vtu``.
+    component: its mesh, materials, supports and section.
+    displacements: shape (n, 3), m, in the mesh's own axes. "Warp by vector" shows the part
+    displaced.
+    Raises OSError if the file cannot be written.
     """
     mesh = component.mesh
-    sections = np.concatenate([one.section.node_ids for one in component.interfaces])
+    sections = np.concatenate([interface.section.node_ids for interface in component.interfaces])
     marks = {"supported": component.supported_nodes, "interface": sections}
     point_data: dict[str, Any] = {"displacement": displacements}
     for name, nodes in marks.items():

@@ -1,1 +1,1 @@
-"""What a look at a component tells before anything is solved: its cells, bodies and places."""
+"""Inspection of a component before a solve: its cells, bodies and places."""

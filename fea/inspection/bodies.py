@@ -24,21 +24,11 @@ _OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Cells that hang together by whole faces.
+    """Cells that hang together by whole faces."""
 
-    Attributes
-    ----------
-    count
-        How many bodies there are; numbered from the one with the most cells.
-    cells
-        Number of cells of each, shape (count,), int64, dimensionless.
-    nodes
-        The nodes of each, shape (k,), int64: indices, ascending.
-    """
-
-    count: int
-    cells: Array
-    nodes: list[Array]
+    count: int  # how many bodies there are; numbered from the one with the most cells
+    cells: Array  # number of cells of each, shape (count,), int64, dimensionless
+    nodes: list[Array]  # the nodes of each, shape (k,), int64: indices, ascending
 
 
 def bodies_of(mesh: Mesh) -> Bodies:
@@ -53,7 +43,15 @@ def bodies_of(mesh: Mesh) -> Bodies:
     order = np.argsort(-sizes, kind="stable")
     rank = np.empty(count, dtype=np.int64)
     rank[order] = np.arange(count)
-    return Bodies(count, sizes[order], _nodes_of(mesh, rank[label], count))
+    number = rank[label]
+    pairs, first = [], 0
+    for block in mesh.blocks:
+        bodies = np.repeat(number[first : first + len(block)], block.nodes.shape[1])
+        pairs.append(np.column_stack([bodies, block.nodes.ravel()]))
+        first += len(block)
+    both = np.unique(np.concatenate(pairs), axis=0)
+    cuts = np.searchsorted(both[:, 0], np.arange(1, count))
+    return Bodies(count, sizes[order], np.split(both[:, 1], cuts))
 
 
 def _faces(mesh: Mesh) -> tuple[Array, Array]:
@@ -92,17 +90,6 @@ def stacked_singly(mesh: Mesh) -> Array:
         return np.empty((0, 3))
     times = np.bincount(number[alone], minlength=int(number.max()) + 1)
     return np.concatenate(middles)[(times[np.hstack(own)] > 1).any(axis=0)]
-
-
-def _nodes_of(mesh: Mesh, label: Array, count: int) -> list[Array]:
-    pairs, first = [], 0
-    for block in mesh.blocks:
-        own = np.repeat(label[first : first + len(block)], block.nodes.shape[1])
-        pairs.append(np.column_stack([own, block.nodes.ravel()]))
-        first += len(block)
-    both = np.unique(np.concatenate(pairs), axis=0)
-    cuts = np.searchsorted(both[:, 0], np.arange(1, count))
-    return np.split(both[:, 1], cuts)
 
 
 def coincident_nodes(mesh: Mesh) -> Array:

@@ -34,25 +34,15 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure of the shape of cells.
+    """One measure of the shape of cells."""
 
-    Attributes
-    ----------
-    name
-        Its key in the report.
-    of
-        From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit.
-    limit, larger_is_worse
-        From where on it is bad, and on which side.
-    words
-        What a bad cell is called.
-    """
-
-    name: str
+    name: str  # its key in the report
+    # From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit
     of: Callable[[Array, CellBlock], Array]
+    # limit, larger_is_worse: from where on it is bad, and on which side
     limit: float
     larger_is_worse: bool
-    words: str
+    words: str  # what a bad cell is called
 
 
 def scaled_jacobian(points: Array, block: CellBlock) -> Array:
@@ -119,18 +109,18 @@ def quality(mesh: Mesh) -> dict[str, dict[str, Any]]:
     return {measure.name: _worst(mesh, measure) for measure in MEASURES}
 
 
-def quality_warnings(found: dict[str, dict[str, Any]]) -> list[str]:
+def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
     """Return a sentence for each measure with cells beyond its limit."""
     warnings = []
     for measure in MEASURES:
-        one = found[measure.name]
-        if one["bad"]:
-            place = ", ".join(f"{x:.4g}" for x in one["at"])
+        worst = measured[measure.name]
+        if worst["bad"]:
+            place = ", ".join(f"{x:.4g}" for x in worst["at"])
             warnings.append(
-                f"{one['bad']} cells are {measure.words} ({measure.name.replace('_', ' ')} "
+                f"{worst['bad']} cells are {measure.words} ({measure.name.replace('_', ' ')} "
                 f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
-                f"{one['kind']} near ({place}) m, has {one['worst']:.3g}); stresses and stiffness "
-                "there are not to be trusted"
+                f"{worst['kind']} near ({place}) m, has {worst['worst']:.3g}); stresses and "
+                "stiffness there are not to be trusted"
             )
     return warnings
 

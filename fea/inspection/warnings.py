@@ -1,7 +1,7 @@
-"""What may make an answer wrong, found by looking at a component: nothing is solved.
+"""Warnings of what may make an answer wrong, from the component alone: nothing is solved.
 
 These are the warnings of `fea.check`, and the notes of every solution of the embedded solver, so
-that they reach whoever asks. They cost one pass over the cells and two searches among the nodes of
+that they reach every caller. They cost one pass over the cells and two searches among the nodes of
 the surface: less than the symbolic analysis before a solve.
 """
 
@@ -34,19 +34,19 @@ def warnings_of(component: ComponentModel) -> list[BundleProblem]:
     """Return all that `fea.check` would warn of, in its order, and stacks of single cells."""
     mesh = component.mesh
     bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
-    shape = [BundleProblem("mesh", words) for words in quality_warnings(quality(mesh))]
-    found = shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
-    return found + stack_problems(component)
+    shape = [BundleProblem("mesh", message) for message in quality_warnings(quality(mesh))]
+    problems = shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
+    return problems + stack_problems(component)
 
 
 def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
-    found = place_warnings(component) + support_warnings(component) + unit_warnings(component)
+    problems = place_warnings(component) + support_warnings(component) + unit_warnings(component)
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
             message = "counts for nothing without [inputs.temperature]"
-            found.append(BundleProblem(f"material[{number}].thermal_expansion", message))
-    return found
+            problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
+    return problems
 
 
 def stack_problems(component: ComponentModel) -> list[BundleProblem]:
@@ -71,13 +71,9 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
 def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
     """Return a warning for the unmerged nodes of each two bodies, and of slits within one.
 
-    Parameters
-    ----------
-    mesh, bodies
-        A mesh, and what it falls into.
-    pairs
-        Shape (k, 2), int64: indices of nodes in one place
-        (`fea.inspection.bodies.coincident_nodes`).
+    mesh, bodies: a mesh, and what it falls into.
+    pairs: shape (k, 2), int64: indices of nodes in one place
+    (`fea.inspection.bodies.coincident_nodes`).
     """
     owner = np.zeros(len(mesh.points), dtype=np.int64)
     for number, nodes in enumerate(bodies.nodes):
@@ -105,8 +101,8 @@ def place_warnings(component: ComponentModel) -> list[BundleProblem]:
     mesh, constrained = component.mesh, component.fixed_nodes
     surface = outer_surface(mesh.blocks).node_ids
     problems = []
-    for one in component.interfaces:
-        section, key = one.section, f"{one.key}.section"
+    for interface in component.interfaces:
+        section, key = interface.section, f"{interface.key}.section"
         if not section.by_area:
             message = (
                 "is a bare set of nodes that bounds no face, so every node counts the same; name "
@@ -157,8 +153,16 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high_corner - low_corner))
-    for one in component.interfaces:
-        away = one.point - np.clip(one.point, low_corner, high_corner)
+    source = component.bundle.mesh if component.bundle else None
+    geometry = source.geometry if source else None
+    if geometry is not None and geometry.size > size:
+        message = (
+            f"is {geometry.size:.4g} m, more than the part's {size:.4g} m; if it was meant in mm, "
+            "write it in m"
+        )
+        problems.append(BundleProblem("mesh.size", message))
+    for interface in component.interfaces:
+        away = interface.point - np.clip(interface.point, low_corner, high_corner)
         lever = float(np.linalg.norm(away))
         if lever <= _LONGEST_LEVER * size:
             continue
@@ -166,7 +170,7 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
             f"is {lever:.4g} m away from a mesh {size:.4g} m large; if it was meant in the "
             "mesh's unit, write it in m"
         )
-        problems.append(BundleProblem(f"{one.key}.point", message))
+        problems.append(BundleProblem(f"{interface.key}.point", message))
     return problems
 
 

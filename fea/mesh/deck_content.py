@@ -1,4 +1,4 @@
-"""What an input deck has besides its mesh: materials, sections, and load cases.
+"""Content of an input deck besides its mesh: materials, sections, and load cases.
 
 All numbers are in the deck's own units, which no deck names; `in_si` takes its length unit and the
 forces that go with it.
@@ -21,17 +21,14 @@ _HEX20 = re.compile(r"^\s*\*ELEMENT\s*,[^*]*?\bTYPE\s*=\s*C3D20(\w*)", re.I | re
 
 def integrations(text: str) -> list[str]:
     """Return how a deck integrates its 20-node hexahedra: "full" (C3D20), "reduced" (C3D20R)."""
-    found = {"reduced" if "R" in letters.upper() else "full" for letters in _HEX20.findall(text)}
-    return sorted(found)
+    kinds = {"reduced" if "R" in letters.upper() else "full" for letters in _HEX20.findall(text)}
+    return sorted(kinds)
 
 
 def deck_text(path: Path) -> str:
     """Return a deck's text with newlines alone: UTF-8, or UTF-16 by its mark or its zero bytes.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    Raises OSError if the file cannot be read.
     """
     raw = path.read_bytes()
     encoding = "utf-8-sig"
@@ -45,12 +42,8 @@ def deck_text(path: Path) -> str:
 def in_si(quantity: str, unit: str) -> float:
     """Return the factor from a deck's consistent units to SI.
 
-    Parameters
-    ----------
-    quantity
-        A key of ``[[material]]``, ``length``, ``force`` or ``moment``; others have no unit.
-    unit
-        The deck's length unit, a key of `fea.spec.schema.UNITS`.
+    quantity: a key of ``[[material]]``, ``length``, ``force`` or ``moment``; others have no unit.
+    unit: the deck's length unit, a key of `fea.spec.schema.UNITS`.
     """
     length, force = UNITS[unit], _FORCES.get(unit, 1.0)
     stress = force / length**2
@@ -79,33 +72,23 @@ class HeldGroup:
 
 @dataclass
 class CoupledGroup:
-    """A group that a reference point moves, or whose mean that point follows.
+    """A group that a reference point moves, or whose mean that point follows."""
 
-    Attributes
-    ----------
-    where, group
-        Line and keyword, and the name of a facet or node group.
-    kind
-        "rigid" or "distributed".
-    point
-        Of the reference point, in the deck's length unit; empty where it has no node.
-    held
-        Freedoms of the point that a support holds, in numbers 0 to 5.
-    loads
-        Force and moment on the point in the deck's units.
-    """
-
+    # where, group: line and keyword, and the name of a facet or node group
     where: str
     group: str
-    kind: str
+    kind: str  # "rigid" or "distributed"
+    # Of the reference point, in the deck's length unit; empty where it has no node
     point: tuple[float, ...] = ()
+    # Freedoms of the point that a support holds, in numbers 0 to 5
     held: set[int] = field(default_factory=set)
+    # Force and moment on the point in the deck's units
     loads: list[float] = field(default_factory=lambda: [0.0] * 6)
 
 
 @dataclass
 class LoadCase:
-    """What acts in a step, load case or subcase of a deck; groups are the mesh's.
+    """Supports and loads of a step, load case or subcase of a deck; groups are the mesh's.
 
     `loads` are sums of forces on groups without a coupling, shape (6,).
     """
@@ -118,9 +101,16 @@ class LoadCase:
 
     def summary(self) -> str:
         """Supports and loads in the deck's units; cases with the same summary are the same."""
-        held = [f"{own.group} ({own.directions})" for own in self.supports]
-        held += [f"{own.group} ({len(own.held)} of 6)" for own in self.couplings if own.held]
-        acting = [*((own.group, own.loads) for own in self.couplings), *self.loads.items()]
+        held = [f"{support.group} ({support.directions})" for support in self.supports]
+        held += [
+            f"{coupled.group} ({len(coupled.held)} of 6)"
+            for coupled in self.couplings
+            if coupled.held
+        ]
+        acting = [
+            *((coupling.group, coupling.loads) for coupling in self.couplings),
+            *self.loads.items(),
+        ]
         loads = [
             f"{group} ({', '.join(f'{load:g}' for load in values)})"
             for group, values in acting
@@ -132,7 +122,7 @@ class LoadCase:
 
 @dataclass
 class DeckContent:
-    """What a deck has besides its mesh.
+    """Content of a deck besides its mesh.
 
     Attributes
     ----------

@@ -37,11 +37,11 @@ SECOND = {"hex8": "hex20", "tet4": "tet10", "wedge6": "wedge15"}
 
 def first_order_problems(mesh: Mesh) -> list[BundleProblem]:
     """Return a problem if there are first-order cells."""
-    found = [f"{len(b)} {b.kind}" for b in mesh.blocks if b.kind in SECOND and len(b)]
-    if not found:
+    counts = [f"{len(b)} {b.kind}" for b in mesh.blocks if b.kind in SECOND and len(b)]
+    if not counts:
         return []
     message = (
-        f"{' and '.join(found)} cells are of first order, which is up to several times too stiff "
+        f"{' and '.join(counts)} cells are of first order, which is up to several times too stiff "
         "in bending and when nearly incompressible; mesh in second order (gmsh: "
         "Mesh.ElementOrder = 2; Abaqus: C3D20R, C3D10), or write order = 2 under [mesh] to give "
         "them midside nodes, in the middle of straight edges: what that changes on round surfaces "
@@ -72,8 +72,8 @@ def second_order(mesh: Mesh) -> Mesh:
     unique = np.unique(np.concatenate(pairs), axis=0)
     middles = np.full(len(unique), -1, dtype=np.int64)
     there = np.concatenate(known)
-    place, found = _find(unique, there[:, :2])
-    middles[place[found]] = there[found, 2]
+    place, is_known = _find(unique, there[:, :2])
+    middles[place[is_known]] = there[is_known, 2]
     pairs = unique
     points = np.concatenate([mesh.points, 0.5 * mesh.points[pairs[middles < 0]].sum(axis=1)])
     middles = middles.copy()
@@ -90,7 +90,10 @@ def second_order(mesh: Mesh) -> Mesh:
         blocks,
         mesh.regions,
         groups,
-        {name: _with_middles(ids, pairs, middles) for name, ids in mesh.node_groups.items()},
+        {
+            name: np.unique(np.concatenate([ids, middles[np.isin(pairs, ids).all(axis=1)]]))
+            for name, ids in mesh.node_groups.items()
+        },
         mesh.deck,
     )
 
@@ -113,8 +116,3 @@ def _find(pairs: Array, queries: Array) -> tuple[Array, Array]:
     keys, query_keys = pairs @ [base, 1], queries @ [base, 1]
     place = np.minimum(np.searchsorted(keys, query_keys), len(keys) - 1)
     return place, keys[place] == query_keys
-
-
-def _with_middles(ids: Array, pairs: Array, middles: Array) -> Array:
-    within = np.isin(pairs, ids).all(axis=1)
-    return np.unique(np.concatenate([ids, middles[within]]))

@@ -60,11 +60,11 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
 
 def faces_of(blocks: tuple[CellBlock, ...]) -> dict[str, Array]:
     """Return every face of every cell by facet kind, shape (f, k), int64: indices of its nodes."""
-    found: dict[str, list[Array]] = {}
+    by_kind: dict[str, list[Array]] = {}
     for block in blocks:
         for face in FACES[block.kind]:
-            found.setdefault(_KIND_OF_FACET[len(face)], []).append(block.nodes[:, face])
-    return {kind: np.concatenate(parts) for kind, parts in found.items()}
+            by_kind.setdefault(_KIND_OF_FACET[len(face)], []).append(block.nodes[:, face])
+    return {kind: np.concatenate(parts) for kind, parts in by_kind.items()}
 
 
 def outer_surface(blocks: tuple[CellBlock, ...]) -> FacetGroup:
@@ -83,12 +83,12 @@ def facets_within(surface: FacetGroup, node_ids: Array) -> FacetGroup:
 
     `node_ids` are indices, shape (k,), int64.
     """
-    kept = []
+    inner = []
     for kind, nodes in surface.blocks:
         inside = np.isin(nodes, node_ids).all(axis=1)
         if inside.any():
-            kept.append(FacetBlock(kind, nodes[inside]))
-    return FacetGroup(tuple(kept))
+            inner.append(FacetBlock(kind, nodes[inside]))
+    return FacetGroup(tuple(inner))
 
 
 class FaceFinder:
@@ -97,10 +97,7 @@ class FaceFinder:
     So a group may be drawn with 4-node facets, or 9-node ones, on 20-node hexahedra: it gets the
     faces of the cells it lies on.
 
-    Parameters
-    ----------
-    blocks
-        The solid cells.
+    blocks: the solid cells.
     """
 
     def __init__(self, blocks: tuple[CellBlock, ...]) -> None:
@@ -111,17 +108,13 @@ class FaceFinder:
     def find(self, kind: str, nodes: Array) -> tuple[list[FacetBlock], int]:
         """Return the faces with the corners of the facets `nodes`, and how many have none.
 
-        Parameters
-        ----------
-        kind
-            Kind of the facets.
-        nodes
-            Shape (f, k): indices of their nodes, corners first.
+        kind: kind of the facets.
+        nodes: shape (f, k): indices of their nodes, corners first.
         """
         count = corners_of(kind)
         sought = np.unique(np.sort(nodes[:, :count], axis=1), axis=0)
         missing = len(sought)
-        found = []
+        blocks = []
         for face_kind, faces in self._by_corners[count]:
             corners = np.sort(faces[:, :count], axis=1)
             keys, first = np.unique(corners, axis=0, return_index=True)
@@ -131,8 +124,8 @@ class FaceFinder:
             chosen = first[times[inverse.ravel()[len(sought) :]] == 2]
             missing -= len(chosen)
             if len(chosen):
-                found.append(FacetBlock(face_kind, faces[np.sort(chosen)]))
-        return found, missing
+                blocks.append(FacetBlock(face_kind, faces[np.sort(chosen)]))
+        return blocks, missing
 
 
 def corners_of(kind: str) -> int:

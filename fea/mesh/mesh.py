@@ -34,18 +34,10 @@ NODES_PER_FACET: dict[str, int] = {"quad4": 4, "quad8": 8, "quad9": 9, "tri3": 3
 
 @dataclass(frozen=True, eq=False)
 class CellBlock:
-    """Cells of one kind.
+    """Cells of one kind."""
 
-    Attributes
-    ----------
-    kind
-        A key of `NODES_PER_CELL`.
-    nodes
-        Shape (m, k), int64: the nodes of each cell in VTK order.
-    """
-
-    kind: str
-    nodes: Array
+    kind: str  # a key of `NODES_PER_CELL`
+    nodes: Array  # shape (m, k), int64: the nodes of each cell in VTK order
 
     def __post_init__(self) -> None:
         _require_columns(self.kind, self.nodes, NODES_PER_CELL)
@@ -55,18 +47,10 @@ class CellBlock:
 
 
 class FacetBlock(NamedTuple):
-    """Facets of one kind.
+    """Facets of one kind."""
 
-    Attributes
-    ----------
-    kind
-        A key of `NODES_PER_FACET`.
-    nodes
-        Shape (f, k), int64: indices of the nodes of each facet in VTK order.
-    """
-
-    kind: str
-    nodes: Array
+    kind: str  # a key of `NODES_PER_FACET`
+    nodes: Array  # shape (f, k), int64: indices of the nodes of each facet in VTK order
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,30 +71,18 @@ class FacetGroup:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Points, cells and the named groups of both.
+    """Points, cells and the named groups of both."""
 
-    Attributes
-    ----------
-    points
-        Shape (n, 3), metres.
-    blocks
-        The cells, one block for each kind.
-    regions
-        For each cell group one array of cell numbers, shape (m,), int64, per block of `blocks`
-        (empty where the block has none of its cells). Regions may overlap; a cell may be in none.
-    facet_groups
-        Named parts of the surface.
-    node_groups
-        Named sets of nodes, each of shape (k,), int64.
-    deck
-        What else is in the input deck that the mesh is of; None of other meshes.
-    """
-
-    points: Array
-    blocks: tuple[CellBlock, ...]
+    points: Array  # shape (n, 3), metres
+    blocks: tuple[CellBlock, ...]  # the cells, one block for each kind
+    # For each cell group one array of cell numbers, shape (m,), int64, per block of `blocks` (empty
+    # where the block has none of its cells). Regions may overlap; a cell may be in none.
     regions: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
+    # Named parts of the surface
     facet_groups: Mapping[str, FacetGroup] = field(default_factory=dict)
+    # Named sets of nodes, each of shape (k,), int64
     node_groups: Mapping[str, Array] = field(default_factory=dict)
+    # What else is in the input deck that the mesh is of; None of other meshes
     deck: DeckContent | None = None
 
     @property

@@ -28,10 +28,7 @@ def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]
     A cell can fold over at a corner and be the right way round at every quadrature point; its
     answers are wrong all the same (5 % for one of 40 with two corners swapped).
 
-    Returns
-    -------
-    least, largest
-        Each of shape (m,), m^3: the least, and the largest in size.
+    Returns least, largest: each of shape (m,), m^3: the least, and the largest in size.
     """
     _, slopes = tabulate(block.kind, node_places(block.kind))
     at_nodes = np.linalg.det(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
@@ -44,10 +41,7 @@ def folded_cells(points: Array, block: CellBlock) -> Array:
 
     Points have shape (n, 3), in m or any other unit.
 
-    Returns
-    -------
-    Array
-        Shape (k,), int64: indices of cells of the block, ascending.
+    Result: shape (k,), int64: indices of cells of the block, ascending.
     """
     least, largest = extreme_determinants(points, block)
     return np.flatnonzero(~(least > _FLAT * largest))
@@ -77,7 +71,7 @@ def right_way_round(points: Array, block: CellBlock) -> CellBlock:
 
 def cell_problems(mesh: Mesh) -> list[BundleProblem]:
     """Return a problem for each block with cells that are turned inside out or flat."""
-    found = []
+    problems = []
     for block in mesh.blocks:
         bad = folded_cells(mesh.points, block)
         if bad.size:
@@ -89,5 +83,5 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
                 "nodes in the file format's order or its midside nodes on the middle of their "
                 "edges, and write collapsed cells as wedges or tetrahedra"
             )
-            found.append(BundleProblem("mesh", message))
-    return found
+            problems.append(BundleProblem("mesh", message))
+    return problems

@@ -68,46 +68,30 @@ _MASS_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (4, 3)}
 
 @dataclass(frozen=True, eq=False)
 class ReferenceElement:
-    """Shape functions tabulated at quadrature points, all dimensionless.
+    """Shape functions tabulated at quadrature points, all dimensionless."""
 
-    Attributes
-    ----------
-    kind
-        A kind of cell or facet of `fea.mesh.mesh`.
-    values
-        Shape (points, nodes): N_a at each point.
-    slopes
-        Shape (points, nodes, dimension): dN_a/dxi at each point.
-    weights
-        Shape (points,): quadrature weights; their sum is the reference volume.
-    """
-
-    kind: str
-    values: Array
-    slopes: Array
-    weights: Array
+    kind: str  # a kind of cell or facet of `fea.mesh.mesh`
+    values: Array  # shape (points, nodes): N_a at each point
+    slopes: Array  # shape (points, nodes, dimension): dN_a/dxi at each point
+    weights: Array  # shape (points,): quadrature weights; their sum is the reference volume
 
 
 @cache
 def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
     """Tabulate one kind of cell or facet.
 
-    Parameters
-    ----------
-    kind
-        A key of `fea.mesh.mesh.NODES_PER_CELL` or `fea.mesh.mesh.NODES_PER_FACET`.
-    integration
-        ``"reduced"`` gives hex20 its 2x2x2 points; ``"mass"`` is fine enough for products of two
-        shape functions; every other kind has one rule.
-
-    Raises
-    ------
-    KeyError
-        If the kind is unknown.
+    kind: a key of `fea.mesh.mesh.NODES_PER_CELL` or `fea.mesh.mesh.NODES_PER_FACET`.
+    integration: ``"reduced"`` gives hex20 its 2x2x2 points; ``"mass"`` is fine enough for products
+    of two shape functions; every other kind has one rule.
+    Raises KeyError if the kind is unknown.
     """
     if kind in _GAUSS_POINTS:
         count = 2 if (kind == "hex20" and integration == "reduced") else _GAUSS_POINTS[kind]
-        points, weights = _tensor_gauss(count, node_places(kind).shape[1])
+        dimension = node_places(kind).shape[1]
+        place, weight = _gauss(count)
+        grid = np.stack(np.meshgrid(*[place] * dimension, indexing="ij"), axis=-1)
+        products = np.stack(np.meshgrid(*[weight] * dimension, indexing="ij"), axis=-1)
+        points, weights = grid.reshape(-1, dimension), products.prod(axis=-1).ravel()
     else:
         mass = integration == "mass"
         if kind in _SIMPLEX_DEGREES:
@@ -163,13 +147,6 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
         raise AssertionError("scikit-fem moved the nodes of a reference element")
     values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
-
-
-def _tensor_gauss(count: int, dimension: int) -> tuple[Array, Array]:
-    place, weight = _gauss(count)
-    points = np.stack(np.meshgrid(*[place] * dimension, indexing="ij"), axis=-1)
-    weights = np.stack(np.meshgrid(*[weight] * dimension, indexing="ij"), axis=-1)
-    return points.reshape(-1, dimension), weights.prod(axis=-1).ravel()
 
 
 def _gauss(count: int) -> tuple[Array, Array]:

@@ -18,25 +18,18 @@ _COUNTS = {
 def refined(bundle: Bundle, factor: float) -> Bundle | None:
     """Return `bundle` with cells `factor` times as small along each direction.
 
-    Parameters
-    ----------
-    factor
-        Above 1 finer, below 1 coarser.
-
-    Returns
-    -------
-    Bundle or None
-        None if the mesh is a file, which only its author can refine. The fingerprint is that of
-        the original: what is solved with it must not become a row.
+    factor: Above 1 finer, below 1 coarser.
+    Result: None if the mesh is a file, which only its author can refine. The fingerprint is that of
+    the original: what is solved with it must not become a row.
     """
     mesh = bundle.mesh
     if mesh is None:
         return None
     if mesh.geometry is not None:
-        own = mesh.geometry
-        circle = max(3, round(own.circle * factor))
-        curvature = own.curvature and max(3, round(own.curvature * factor))
-        geometry = replace(own, size=own.size / factor, circle=circle, curvature=curvature)
+        meshing = mesh.geometry
+        circle = max(3, round(meshing.circle * factor))
+        curvature = meshing.curvature and max(3, round(meshing.curvature * factor))
+        geometry = replace(meshing, size=meshing.size / factor, circle=circle, curvature=curvature)
         return replace(bundle, mesh=replace(mesh, geometry=geometry))
     if mesh.generator is None or mesh.parameters is None:
         return None

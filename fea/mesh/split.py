@@ -39,22 +39,13 @@ _WHOLE = 64
 
 
 class _Pattern(NamedTuple):
-    """How one kind splits.
+    """How one kind splits."""
 
-    Attributes
-    ----------
-    children
-        Shape (children, nodes): places by number.
-    weights
-        Shape (corners, places), uint64: of the corners at each place, in parts of `_WHOLE`. Where
-        two cells meet they have the same corners' weights at the same point.
-    values
-        Shape (places, nodes): the parent's shape functions.
-    """
-
-    children: Array
+    children: Array  # shape (children, nodes): places by number
+    # Shape (corners, places), uint64: of the corners at each place, in parts of `_WHOLE`. Where two
+    # cells meet they have the same corners' weights at the same point.
     weights: Array
-    values: Array
+    values: Array  # shape (places, nodes): the parent's shape functions
 
 
 @cache
@@ -74,18 +65,18 @@ def _children(linear: str) -> list[Array]:
         return [0.5 * (places + corner) for corner in places]
     if linear == "wedge6":
         layers = 0.5 * (places[[0, 3], 2])
-        flat = [_between(places[:3, :2], words) for words in _OF_TRIANGLE]
+        flat = [_between(places[:3, :2], patterns) for patterns in _OF_TRIANGLE]
         return [
             np.vstack([np.column_stack([three, np.full(3, z)]) for z in (low, low + 0.5)])
             for low in layers
             for three in flat
         ]
-    words = _OF_TRIANGLE if linear == "tri3" else _OF_TETRAHEDRON
-    return [_between(places, one) for one in words]
+    patterns = _OF_TRIANGLE if linear == "tri3" else _OF_TETRAHEDRON
+    return [_between(places, word) for word in patterns]
 
 
-def _between(places: Array, words: str) -> Array:
-    return np.array([0.5 * (places[int(a)] + places[int(b)]) for a, b in words.split()])
+def _between(places: Array, pattern: str) -> Array:
+    return np.array([0.5 * (places[int(a)] + places[int(b)]) for a, b in pattern.split()])
 
 
 def halved(mesh: Mesh) -> Mesh:
@@ -101,18 +92,18 @@ def halved(mesh: Mesh) -> Mesh:
     keys = [_keys(names, nodes, pattern) for nodes, pattern in parents]
     points = [pattern.values @ mesh.points[nodes] for nodes, pattern in parents]
     known, first, number = np.unique(
-        np.concatenate([own.ravel() for own in keys]), return_index=True, return_inverse=True
+        np.concatenate([local.ravel() for local in keys]), return_index=True, return_inverse=True
     )
-    ends = np.cumsum([own.size for own in keys])[:-1]
+    ends = np.cumsum([local.size for local in keys])[:-1]
     numbers = [
-        part.reshape(own.shape) for part, own in zip(np.split(number, ends), keys, strict=True)
+        part.reshape(local.shape) for part, local in zip(np.split(number, ends), keys, strict=True)
     ]
     blocks = tuple(
-        CellBlock(block.kind, _nodes(own, pattern))
-        for block, own, (_, pattern) in zip(mesh.blocks, numbers, parents, strict=True)
+        CellBlock(block.kind, _nodes(number, pattern))
+        for block, number, (_, pattern) in zip(mesh.blocks, numbers, parents, strict=True)
     )
     regions = {
-        name: tuple((8 * own[:, None] + np.arange(8)).ravel() for own in cells)
+        name: tuple((8 * local[:, None] + np.arange(8)).ravel() for local in cells)
         for name, cells in mesh.regions.items()
     }
     faces = FaceFinder(mesh.blocks)
@@ -121,12 +112,12 @@ def halved(mesh: Mesh) -> Mesh:
     }
     sets = {
         name: np.unique(np.concatenate([
-            own[_all_of(np.isin(nodes, ids), pattern)]
-            for own, (nodes, pattern) in zip(numbers, parents, strict=True)
+            number[_all_of(np.isin(nodes, ids), pattern)]
+            for number, (nodes, pattern) in zip(numbers, parents, strict=True)
         ]))
         for name, ids in mesh.node_groups.items()
     }  # fmt: skip
-    every = np.concatenate([one.reshape(-1, 3) for one in points])
+    every = np.concatenate([point.reshape(-1, 3) for point in points])
     return Mesh(every[first], blocks, regions, facets, sets, mesh.deck)
 
 
@@ -141,11 +132,11 @@ def _nodes(numbers: Array, pattern: _Pattern) -> Array:
 
 
 def _split_facets(group: FacetGroup, faces: FaceFinder, names: Array, known: Array) -> FacetGroup:
-    found = [face for kind, nodes in group.blocks for face in faces.find(kind, nodes)[0]]
+    facets = [face for kind, nodes in group.blocks for face in faces.find(kind, nodes)[0]]
     return FacetGroup(
         tuple(
-            FacetBlock(kind, _nodes(np.searchsorted(known, _keys(names, own, pattern)), pattern))
-            for kind, own, pattern in ((kind, own, _pattern(kind)) for kind, own in found)
+            FacetBlock(kind, _nodes(np.searchsorted(known, _keys(names, local, pattern)), pattern))
+            for kind, local, pattern in ((kind, local, _pattern(kind)) for kind, local in facets)
         )
     )
 

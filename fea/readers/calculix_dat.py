@@ -50,25 +50,25 @@ class CalculixDat:
         if len(times) > 1:
             raise OutputError(f"{name} ends with the two sets at different times: {sorted(times)}.")
         (_, place), (_, rotation) = last["point"], last["rotation"]
-        found = _UNKNOWNS.findall(_text(run.printed))
-        return Reading((*place, *rotation), int(found[-1]) if found else 0)
+        counts = _UNKNOWNS.findall(_text(run.printed))
+        return Reading((*place, *rotation), int(counts[-1]) if counts else 0)
 
     def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return what ccx printed after ``*ERROR``; it may end with exit code 0 all the same."""
+        """Return the messages of ccx after ``*ERROR``; it may end with exit code 0 all the same."""
         errors = list(_errors(_text(run.printed)))
         if not errors:
             return None
         quoted = "; ".join(dict.fromkeys(errors))
         if len(quoted) > _MOST_QUOTED:
             quoted = quoted[:_MOST_QUOTED] + " ..."
-        apart = any(words in error for error in errors for words in _NO_EQUILIBRIUM)
+        apart = any(phrase in error for error in errors for phrase in _NO_EQUILIBRIUM)
         return Complaint(quoted, apart)
 
     def stage(self, run: DeckRun) -> tuple[float, str] | None:
         """Return the last line of the .sta file: the increment and the time within the step."""
-        words = (_text(run.folder / f"{run.job}.sta").splitlines() or [""])[-1].split()
+        fields = (_text(run.folder / f"{run.job}.sta").splitlines() or [""])[-1].split()
         try:
-            step, increment, time = int(words[0]), int(words[1]), float(words[5])
+            step, increment, time = int(fields[0]), int(fields[1]), float(fields[5])
         except (IndexError, ValueError):
             return None
         return min(max(time, 0.0), 1.0), f"step {step}, increment {increment}, time {time:g}"

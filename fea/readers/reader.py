@@ -1,4 +1,4 @@
-"""What a reader is: it finds the interface's motion in the files an outside solver leaves.
+"""Protocol of a reader: it finds the interface's motion in the files an outside solver leaves.
 
 How to add one is in `fea.readers.registry`.
 """
@@ -20,37 +20,20 @@ class OutputError(ValueError):
 
 @dataclass(frozen=True)
 class DeckRun:
-    """Where one run of a deck left its files.
+    """Where one run of a deck left its files."""
 
-    Attributes
-    ----------
-    folder
-        All of them.
-    job
-        The deck's name without its ending.
-    printed
-        The file with the program's standard output and errors.
-    """
-
-    folder: Path
-    job: str
-    printed: Path
+    folder: Path  # all of them
+    job: str  # the deck's name without its ending
+    printed: Path  # the file with the program's standard output and errors
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What was read.
+    """The motion read from an output."""
 
-    Attributes
-    ----------
-    displacement
-        Six finite numbers: translation (in the deck's length unit) and rotation vector (rad).
-    unknowns
-        Degrees of freedom solved for; 0 where the solver does not tell.
-    """
-
+    # Six finite numbers: translation (in the deck's length unit) and rotation vector (rad)
     displacement: tuple[float, ...]
-    unknowns: int = 0
+    unknowns: int = 0  # degrees of freedom solved for; 0 where the solver does not print them
 
 
 @dataclass(frozen=True)
@@ -62,15 +45,15 @@ class Complaint:
 
 
 class DeckReader(Protocol):
-    """What a deck asks of a reader; made without arguments."""
+    """A reader of an outside solver's output; made without arguments."""
 
     moment: str
-    """What this solver usually takes as moment: see `fea.spec.schema.Deck`."""
+    """The usual moment of this solver: see `fea.spec.schema.Deck`."""
     keys: tuple[str, ...]
     """The keys of ``[deck] output`` it needs besides ``reader``."""
 
     def read(self, run: DeckRun, options: Mapping[str, str]) -> Reading:
-        """Return what the run found; raise `OutputError` if it cannot be read."""
+        """Return the motion that the run found; raise `OutputError` if it cannot be read."""
         ...
 
     def complaint(self, run: DeckRun) -> Complaint | None:

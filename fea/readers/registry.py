@@ -41,15 +41,15 @@ class NumbersReader:
         """Return the six numbers."""
         name = options["file"].replace("{job}", run.job)
         try:
-            words = (run.folder / name).read_text(encoding="utf-8").replace(",", " ").split()
+            texts = (run.folder / name).read_text(encoding="utf-8").replace(",", " ").split()
         except (OSError, UnicodeDecodeError):
             raise OutputError(f"There is no text file {name}.") from None
-        if len(words) != 6:
-            raise OutputError(f"{name} has {len(words)} numbers; it must have six.")
-        return Reading(tuple(number(word, name) for word in words))
+        if len(texts) != 6:
+            raise OutputError(f"{name} has {len(texts)} numbers; it must have six.")
+        return Reading(tuple(number(word, name) for word in texts))
 
     def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return None: the exit code tells."""
+        """Return None: the exit code shows a failure."""
         return None
 
     def stage(self, run: DeckRun) -> tuple[float, str] | None:
@@ -75,10 +75,7 @@ def reader_names() -> tuple[str, ...]:
 def reader_named(name: str) -> DeckReader:
     """Return the reader of that name.
 
-    Raises
-    ------
-    KeyError
-        If there is none.
+    Raises KeyError if there is none.
     """
     if name in _BUILT_IN:
         return _BUILT_IN[name]()

@@ -1,4 +1,4 @@
-"""The fields of one solve that are worth keeping: its surface and its stresses."""
+"""The fields of one solve that are worth keeping: its surface as triangles, and its stresses."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.fea.mesh.facets import outer_surface
+from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress, stress_of
-from wrenchbook.fea.recovery.surface import surface_of
 from wrenchbook.fea.solution import Solution
 
 Array = np.ndarray
@@ -21,58 +22,40 @@ MOST_POINTS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class SolveFields:
-    """Surface and stresses of one solve, in the undeformed frame of the first interface.
+    """Surface and stresses of one solve, in the undeformed frame of the first interface."""
 
-    Attributes
-    ----------
-    linear
-        Whether the slopes are the whole answer: fields = slopes @ inputs, a temperature among them
-        from its reference.
-    vertices, triangles
-        Shape (v, 3), m, undeformed, and (t, 3), int32.
-    whole_vertices
-        Of the outer surface before it was simplified.
-    displacement, displacement_slopes
-        Shapes (v, 3), m, and (v, 3, k), m/N, m/(N·m) and m/K: its change with the inputs.
-    stress, stress_slopes
-        Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, k), Pa/N, Pa/(N·m), Pa/K;
-        p = 0 where there are more points than `MOST_POINTS`.
-    places, materials
-        Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`.
-    regions
-        The materials' regions.
-    weight
-        Whether the component's own weight acts.
-    largest, largest_at, largest_region
-        The largest von Mises stress over all integration points, Pa, its place, m, and region.
-    """
-
+    # Whether the slopes are the whole answer: fields = slopes @ inputs, a temperature among them
+    # from its reference.
     linear: bool
+    # vertices, triangles: shape (v, 3), m, undeformed, and (t, 3), int32
     vertices: Array
     triangles: Array
-    whole_vertices: int
+    whole_vertices: int  # of the outer surface before it was simplified
+    # displacement, displacement_slopes: Shapes (v, 3), m, and (v, 3, k), m/N, m/(N·m) and m/K: its
+    # change with the inputs.
     displacement: Array
     displacement_slopes: Array
+    # stress, stress_slopes: Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, k),
+    # Pa/N, Pa/(N·m), Pa/K; p = 0 where there are more points than `MOST_POINTS`.
     stress: Array
     stress_slopes: Array
+    # places, materials: Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`
     places: Array
     materials: Array
-    regions: tuple[str, ...]
+    regions: tuple[str, ...]  # the materials' regions
+    # largest, largest_at, largest_region: the largest von Mises stress over all integration points,
+    # Pa, its place, m, and region.
     largest: float
     largest_at: tuple[float, float, float]
     largest_region: str
-    weight: bool = False
+    weight: bool = False  # whether the component's own weight acts
 
 
 def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
     """Return the fields of a solution.
 
-    Parameters
-    ----------
-    component, body
-        What was solved; the body in the interface frame.
-    solution
-        With its `tangents`.
+    component, body: what was solved; the body in the interface frame.
+    solution: with its `tangents`.
     """
     linear, axes = not component.analysis.nonlinear, component.axes
     hangs = component.analysis.gravity is not None
@@ -80,8 +63,8 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     assert solution.tangents is not None
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
     places, materials = places_of(component, body.points)
-    kept = slice(None) if len(places) <= MOST_POINTS else slice(0)
-    stress, changes = _stresses(component, body, solution, slopes, kept)
+    shown = slice(None) if len(places) <= MOST_POINTS else slice(0)
+    stress, changes = _stresses(component, body, solution, slopes, shown)
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())
@@ -93,10 +76,10 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         whole_vertices=surface.whole,
         displacement=nodes[surface.nodes],
         displacement_slopes=slopes[surface.nodes],
-        stress=stress[kept],
-        stress_slopes=changes[kept] if kept.stop is None else changes[:0],
-        places=places[kept],
-        materials=materials[kept],
+        stress=stress[shown],
+        stress_slopes=changes[shown] if shown.stop is None else changes[:0],
+        places=places[shown],
+        materials=materials[shown],
         regions=regions,
         largest=float(equivalent[worst]),
         largest_at=(float(places[worst, 0]), float(places[worst, 1]), float(places[worst, 2])),
@@ -106,7 +89,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
 
 
 def _stresses(
-    component: ComponentModel, body: ElasticBody, solution: Solution, slopes: Array, kept: slice
+    component: ComponentModel, body: ElasticBody, solution: Solution, slopes: Array, shown: slice
 ) -> tuple[Array, Array]:
     """Return stresses, shape (p, 6), Pa, and their change with the inputs, (p, 6, k)."""
     loads = len(solution.displacement)
@@ -116,6 +99,73 @@ def _stresses(
             return stress_of(component, body, solution), changes
         return changes @ (solution.wrench - component.at_rest), changes
     # Changes that nobody keeps are not made: they take six times the stresses.
-    fields = slopes if kept.stop is None else slopes[:, :, :0]
+    fields = slopes if shown.stop is None else slopes[:, :, :0]
     nodes, temperature = solution.nodes @ component.axes.T, component.warming(solution.wrench)
     return cauchy_stress(body, nodes, fields, temperature, loads)
+
+
+MOST_VERTICES = 40_000
+"""Vertices kept of a surface: a row's field then takes some 2 MB, and JSON of it some 10 MB."""
+
+# Facets as seen from outside; quadratic ones are split through their midside nodes.
+_TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
+    "tri3": ((0, 1, 2),),
+    "quad4": ((0, 1, 2), (0, 2, 3)),
+    "tri6": ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
+    "quad8": ((0, 4, 7), (4, 1, 5), (5, 2, 6), (6, 3, 7), (4, 5, 7), (5, 6, 7)),
+    "quad9": (
+        *((0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8)),
+        *((2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)),
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles between some of a mesh's nodes; all are indices."""
+
+    nodes: Array  # shape (v,), int64: which node of the mesh each vertex is
+    triangles: Array  # shape (t, 3), int32: vertices, anticlockwise seen from outside
+    whole: int  # how many nodes the outer surface has; more than the vertices if it was simplified
+
+
+def surface_of(mesh: Mesh, most: int = MOST_VERTICES) -> Surface:
+    """Return the outer surface, simplified if it has more than `most` vertices.
+
+    A simplified surface has fewer vertices, each a node of the mesh where it was, so that its
+    displacement is the solver's; triangles that fall together are left out.
+    """
+    blocks = outer_surface(mesh.blocks).blocks
+    triangles = np.concatenate(
+        [facets[:, _TRIANGLES[kind]].reshape(-1, 3) for kind, facets in blocks]
+    )
+    nodes, flat = np.unique(triangles, return_inverse=True)
+    triangles, count = flat.reshape(-1, 3), len(nodes)
+    if count > most:
+        # Merge the vertices in each box of a grid into the first of them: vertex clustering
+        # (Rossignac and Borrel 1993), of the finest grid that leaves `most`.
+        points = mesh.points[nodes]
+        span = np.ptp(points, axis=0).max()
+        few, many = 1, int(np.sqrt(most)) * 8  # boxes along the longest side
+        while few + 1 < many:
+            middle = (few + many) // 2
+            taken = np.unique(_boxes(points, span / middle), axis=0)
+            few, many = (middle, many) if len(taken) <= most else (few, middle)
+        _, first, box = np.unique(
+            _boxes(points, span / few), axis=0, return_index=True, return_inverse=True
+        )
+        merged = box.ravel()[triangles]
+        corners = np.sort(merged, axis=1)
+        flat = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
+        _, once = np.unique(corners, axis=0, return_index=True)
+        chosen = np.intersect1d(once, np.flatnonzero(~flat))
+        used, renumbered = np.unique(merged[chosen], return_inverse=True)
+        chosen, triangles = first[used], renumbered.reshape(-1, 3)
+        nodes = nodes[chosen]
+    return Surface(nodes, triangles.astype(np.int32), count)
+
+
+def _boxes(points: Array, size: float) -> Array:
+    extent = np.ptp(points, axis=0)
+    sizes = np.where(extent > 0, np.minimum(size, 0.75 * extent), size)  # a plate keeps both faces
+    return np.floor((points - points.min(axis=0)) / sizes).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Stresses at the solver's integration points, in the first interface's frame."""
+"""Stresses at the integration points, in the first interface's frame, and what of a part yields."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from wrenchbook.fea.assembly.blocks import sorted_cells
 from wrenchbook.fea.assembly.body import ElasticBody, gather
 from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.solution import Solution
 
@@ -20,19 +21,10 @@ _ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # xx, yy, zz, xy, xz, 
 def places_of(component: ComponentModel, points: Array) -> tuple[Array, Array]:
     """Return places and materials of the integration points, in the order of `ElasticBody.parts`.
 
-    Parameters
-    ----------
-    component
-        Its mesh's cells and their materials.
-    points
-        Shape (n, 3), m: the mesh's points, in the frame of the result.
-
-    Returns
-    -------
-    places
-        Shape (p, 3), m, undeformed.
-    materials
-        Shape (p,), int32: index of each point's material.
+    component: its mesh's cells and their materials.
+    points: shape (n, 3), m: the mesh's points, in the frame of the result.
+    Returns places: shape (p, 3), m, undeformed. materials: shape (p,), int32: index of each point's
+    material.
     """
     places, materials = [], []
     for kind, nodes, numbers in _parts(component):
@@ -52,11 +44,11 @@ def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> 
         parts = np.split(fields, [loads, loads + 1], axis=2)
         bodies = body, body.at(1.0, finite=False), body
         return np.concatenate(list(map(small_stress, bodies, parts)), axis=2)
-    found = []
+    stresses = []
     for part, nodes in zip(body.parts, body.cells, strict=True):
-        own = part.small_stresses(np.moveaxis(gather(fields, nodes), -1, 0))
-        found.append(np.moveaxis(_six(own), 0, -1))
-    return np.concatenate(found)
+        stress = part.small_stresses(np.moveaxis(gather(fields, nodes), -1, 0))
+        stresses.append(np.moveaxis(_six(stress), 0, -1))
+    return np.concatenate(stresses)
 
 
 def cauchy_stress(
@@ -68,29 +60,17 @@ def cauchy_stress(
 ) -> tuple[Array, Array]:
     """Return the Cauchy stresses of a displaced body, and their change with the inputs.
 
-    Parameters
-    ----------
-    body
-        The cells.
-    displacement
-        Shape (n, 3), m.
-    tangents
-        Shape (n, 3, k): its change with the inputs, m per unit of each.
-    temperature
-        K from the reference.
-    loads
-        How many inputs there are before the temperature, where that is one.
-
-    Returns
-    -------
-    stresses
-        Shape (p, 6), Pa: xx, yy, zz, xy, xz, yz.
-    changes
-        Shape (p, 6, k), Pa per unit of each.
+    body: the cells.
+    displacement: shape (n, 3), m.
+    tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
+    temperature: K from the reference.
+    loads: how many inputs there are before the temperature, where that is one.
+    Returns stresses: shape (p, 6), Pa: xx, yy, zz, xy, xz, yz. changes: shape (p, 6, k), Pa per
+    unit of each.
     """
     stresses, changes = [], []
-    own = body.at(temperature)
-    for part, nodes in zip(own.parts, body.cells, strict=True):
+    heated = body.at(temperature)
+    for part, nodes in zip(heated.parts, body.cells, strict=True):
         fields = np.moveaxis(gather(tangents, nodes), -1, 0)
         stress, slopes = part.cauchy_stresses(gather(displacement, nodes), fields)
         stresses.append(_six(stress))
@@ -126,3 +106,45 @@ def _parts(component: ComponentModel) -> Iterator[tuple[str, Array, Array]]:
     mesh, materials = component.mesh, component.materials
     for block, numbers, chosen, _, _ in sorted_cells(mesh, materials, component.material_of_cells):
         yield block.kind, block.nodes[chosen], numbers[chosen]
+
+
+def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Array:
+    """Return the largest shares of the yield strength under unit loads (k,), each of one over it.
+
+    `fields` has shape (n, 3, k), m over each unit, in the body's axes. The von Mises stress is a
+    seminorm, so that of a sum of loads is at most the sum of theirs (triangle inequality).
+    """
+    if not np.isfinite(_strengths(component)).any():
+        return np.zeros(fields.shape[2])
+    strengths = _strengths(component)[places_of(component, body.points)[1]]
+    parts = np.split(fields, fields.shape[2], axis=2)  # one at a time: stresses take much memory
+    used = [(von_mises(small_stress(body, part)[:, :, 0]) / strengths).max() for part in parts]
+    return np.array(used)
+
+
+def _strengths(component: ComponentModel) -> Array:
+    return np.array([material.yield_strength or np.inf for material in component.materials])
+
+
+def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -> str:
+    """Return which share of the part's volume yields, in words; none if nothing does.
+
+    By the von Mises stress at the integration points. Materials here do not yield, so the answer
+    is too stiff beyond that.
+    """
+    strengths = _strengths(component)
+    if not np.isfinite(strengths).any():
+        return ""
+    materials = places_of(component, body.points)[1]
+    used = von_mises(stress_of(component, body, solution)) / strengths[materials]
+    worst = int(used.argmax())
+    if not used[worst] > 1.0:
+        return ""
+    volumes = np.concatenate([part.gradients.weights.ravel() for part in body.parts])
+    percent = 100 * volumes[used > 1.0].sum() / volumes.sum()
+    material = component.materials[materials[worst]]
+    return (
+        f"{percent:.2g} % of the part's volume is beyond its yield strength at this wrench, up to "
+        f"{used[worst]:.3g} times that of {material.region} ({material.yield_strength:.4g} Pa): "
+        "materials here do not yield, so the answer is too stiff."
+    )

@@ -13,21 +13,21 @@ Array = np.ndarray
 
 def material_of_parts(component: ComponentModel, body: ElasticBody) -> list[Array]:
     """Return for each of the body's parts its cells' material numbers, shape (cells,)."""
-    materials, first, found = places_of(component, body.points)[1], 0, []
+    materials, first, by_part = places_of(component, body.points)[1], 0, []
     for part in body.parts:
         weights = part.gradients.weights
-        found.append(materials[first : first + weights.size : weights.shape[1]])
+        by_part.append(materials[first : first + weights.size : weights.shape[1]])
         first += weights.size
-    return found
+    return by_part
 
 
 def nodal_masses(component: ComponentModel, body: ElasticBody) -> Array:
     """Return the mass that each node carries, shape (n,), kg; without a density it is zero."""
-    densities = np.array([one.density or 0.0 for one in component.materials])
+    densities = np.array([material.density or 0.0 for material in component.materials])
     total = np.zeros(body.size)
     numbers = material_of_parts(component, body)
-    for part, nodes, own in zip(body.parts, body.cells, numbers, strict=True):
-        masses = (densities[own][:, None] * part.gradients.weights) @ part.gradients.values
+    for part, nodes, number in zip(body.parts, body.cells, numbers, strict=True):
+        masses = (densities[number][:, None] * part.gradients.weights) @ part.gradients.values
         total = total + np.bincount(nodes.ravel(), masses.ravel(), minlength=body.size)
     return total
 

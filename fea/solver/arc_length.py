@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
+from wrenchbook.fea.assembly.linearisation import Linearisation
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
 
@@ -31,23 +31,14 @@ _LEAST_COSINE = 0.7  # cosine of a path that bends no more than it should in one
 
 
 class Ending(NamedTuple):
-    """Why the path was not followed further.
+    """Why the path was not followed further."""
 
-    Attributes
-    ----------
-    kind
-        ``"reached"``: the whole load, by stable states all along; ``"limit"``: the load has a
-        maximum on the path; ``"bifurcation"``: the states become unstable while the load still
-        grows; ``"lost"``: no equilibrium was found further on.
-    factor
-        Of the load: the greatest that was found to have a stable state on this path.
-    found
-        The last state found, beyond the whole load if it was reached.
-    """
-
+    # ``"reached"``: the whole load, by stable states all along; ``"limit"``: the load has a maximum
+    # on the path; ``"bifurcation"``: the states become unstable while the load still grows;
+    # ``"lost"``: no equilibrium was found further on.
     kind: str
-    factor: float
-    found: Equilibrium
+    factor: float  # of the load: the greatest that was found to have a stable state on this path
+    found: Equilibrium  # the last state found, beyond the whole load if it was reached
 
 
 class _Point(NamedTuple):
@@ -62,20 +53,12 @@ class _Point(NamedTuple):
 class ArcPath:
     """Follows the path of one wrench from an equilibrium on it.
 
-    Parameters
-    ----------
-    system
-        The equations.
-    direction
-        Shape (k,): the inputs per unit of the size.
-    whole
-        The size of the full load.
-    start
-        A stable equilibrium at the load factor `factor`, with its tangent.
-    step
-        Change of the load factor to begin with.
-    report
-        Called with a load factor; returns a function that is called after each iteration.
+    system: the equations.
+    direction: shape (k,): the inputs per unit of the size.
+    whole: the size of the full load.
+    start: a stable equilibrium at the load factor `factor`, with its tangent.
+    step: Change of the load factor to begin with.
+    report: called with a load factor; returns a function that is called after each iteration.
     """
 
     def __init__(
@@ -101,10 +84,7 @@ class ArcPath:
     def follow(self, accept: Callable[[Equilibrium, float], None]) -> Ending:
         """Step until the whole load is reached or cannot be.
 
-        Parameters
-        ----------
-        accept
-            Called with each stable state below the whole load, and its factor.
+        accept: called with each stable state below the whole load, and its factor.
         """
         for _ in range(_MOST_STEPS):
             ahead = self._step()
@@ -113,8 +93,8 @@ class ArcPath:
                     break
                 continue
             step = self._between(ahead)
-            whole = float(np.linalg.norm(step)) * ahead.speed
-            course = float(np.vdot(self._field(ahead), step)) / whole if whole > 0 else 1.0
+            product = float(np.linalg.norm(step)) * ahead.speed
+            course = float(np.vdot(self._field(ahead), step)) / product if product > 0 else 1.0
             if abs(course) < _LEAST_COSINE and self._length > _LEAST * self._first:
                 self._length *= 0.5
                 continue
@@ -152,11 +132,11 @@ class ArcPath:
         size = point.size + change
         normal = self._field(point) / point.speed
         nodes, border = (change * part for part in point.rate)
-        found = self._correct(nodes, border, size, normal)
-        if found is None or found[1].balance.least_stretch <= 0:
+        equilibrium = self._correct(nodes, border, size, normal)
+        if equilibrium is None or equilibrium[1].balance.least_stretch <= 0:
             self._length *= 0.5
             return None
-        return self._point_at(*found)
+        return self._point_at(*equilibrium)
 
     def _correct(
         self, nodes: Array, border: Array, size: float, normal: Array
@@ -181,19 +161,14 @@ class ArcPath:
                 return size, Equilibrium(balance, settled, iteration)
             proper = step.nearly
             tangent = system.linearise(balance, None if proper else step.aim)
-            nodes, border, more = self._correction(tangent, balance, normal)
+            moved, edge = tangent.correction(balance)
+            rate = self._rate(tangent)
+            ties = tangent.border.ties
+            along = float(np.vdot(normal, moved + ties @ edge))
+            shift = -along / float(np.vdot(normal, rate[0] + ties @ rate[1]))
+            nodes, border, more = moved + shift * rate[0], edge + shift * rate[1], shift
             size += more
         return None
-
-    def _correction(
-        self, tangent: Linearisation, balance: Balance, normal: Array
-    ) -> tuple[Array, Array, float]:
-        nodes, border = tangent.correction(balance)
-        rate = self._rate(tangent)
-        ties = tangent.border.ties
-        own = float(np.vdot(normal, nodes + ties @ border))
-        shift = -own / float(np.vdot(normal, rate[0] + ties @ rate[1]))
-        return nodes + shift * rate[0], border + shift * rate[1], shift
 
     def _rate(self, tangent: Linearisation) -> tuple[Array, Array]:
         """Return the motion of free nodes and border per unit of the load's size."""
@@ -201,10 +176,10 @@ class ArcPath:
         nodes, border = tangent.solve(*loads)
         return nodes[:, :, 0], border[:, 0]
 
-    def _point_at(self, size: float, found: Equilibrium) -> _Point:
-        rate = self._rate(found.tangent)
-        field = rate[0] + found.tangent.border.ties @ rate[1]
-        return _Point(size, found, rate, float(np.linalg.norm(field)))
+    def _point_at(self, size: float, equilibrium: Equilibrium) -> _Point:
+        rate = self._rate(equilibrium.tangent)
+        field = rate[0] + equilibrium.tangent.border.ties @ rate[1]
+        return _Point(size, equilibrium, rate, float(np.linalg.norm(field)))
 
     def _field(self, point: _Point) -> Array:
         return point.rate[0] + point.found.tangent.border.ties @ point.rate[1]

@@ -30,19 +30,10 @@ def buckling_factors(
 ) -> tuple[float, float]:
     """Return how many times a load, and the opposite load, the part carries before it buckles.
 
-    Parameters
-    ----------
-    system
-        The equations, in the interface frame.
-    fields
-        Shape (n, 3), m: the small displacements under the load.
-    temperature
-        K from the reference: a part of the load.
-
-    Returns
-    -------
-    tuple of float
-        Both positive; infinite where no such load buckles it.
+    system: the equations, in the interface frame.
+    fields: shape (n, 3), m: the small displacements under the load.
+    temperature: K from the reference: a part of the load.
+    Result: Both positive; infinite where no such load buckles it.
     """
     matrix = geometric_stiffness(system.body.at(temperature, finite=False), fields)
     if not matrix.count_nonzero():
@@ -53,11 +44,16 @@ def buckling_factors(
     motions = np.random.default_rng(_SEED).standard_normal((modes, stressed.size))
     before, values = np.zeros(2), np.zeros(modes)
     for _ in range(_ITERATIONS):
-        loads = np.stack([stressed.times(one) for one in motions])
+        loads = np.stack([stressed.times(motion) for motion in motions])
         moved = stressed.solved(loads)
         stiffness = moved @ loads.T
-        geometric = moved @ np.stack([stressed.times(one) for one in moved]).T
-        values, motions = _ritz(stiffness, geometric, moved)
+        geometric = moved @ np.stack([stressed.times(motion) for motion in moved]).T
+        # The best eigenvalues in a space of motions, and those of K-length one.
+        size, vectors_of = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+        significant = size > 1e-12 * size.max(initial=0.0)
+        basis = vectors_of[:, significant] / np.sqrt(size[significant])
+        values, vectors = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
+        motions = (basis @ vectors).T @ moved
         ends = np.array([values.min(), values.max()])
         if (np.abs(ends - before) <= _CONVERGED * np.abs(ends).max()).all():
             break
@@ -79,15 +75,6 @@ def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
         columns.append(np.tile(nodes, (1, count)).ravel())
     places = np.concatenate(rows), np.concatenate(columns)
     return csr_array(coo_array((np.concatenate(entries), places), (body.size, body.size)))
-
-
-def _ritz(stiffness: Array, geometric: Array, moved: Array) -> tuple[Array, Array]:
-    """Return the best eigenvalues in a space of motions, and those of K-length one."""
-    size, own = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-    kept = size > 1e-12 * size.max(initial=0.0)
-    basis = own[:, kept] / np.sqrt(size[kept])
-    values, modes = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
-    return values, (basis @ modes).T @ moved
 
 
 def _factor(value: float) -> float:

@@ -28,29 +28,18 @@ _SEED = 19680701  # of the start vector: the same bundle gives the same digits
 
 @dataclass(frozen=True, eq=False)
 class CraigBampton:
-    """Stiffness and mass of f frames and n modes.
+    """Stiffness and mass of f frames and n modes."""
 
-    Attributes
-    ----------
-    names
-        Of the frames; that of supports is "base".
-    origins
-        Shape (f, 3), m: of the frames, undeformed, in the mesh's axes.
-    rotations
-        Shape (f, 3, 3): the columns are a frame's axes in the mesh's.
-    stiffness, mass
-        Shape (6 f + n, 6 f + n): of six freedoms a frame, then the modes; N/m, N, N·m and kg, kg·m,
-        kg·m^2 for frames, (rad/s)^2 and 1 for modes, kg^0.5 and kg^0.5·m between both.
-    held, free
-        Natural frequencies, Hz, ascending: with all frames held, shape (n,); and with the base
-        alone held, by these matrices, shape (6 f - 6 + n,).
-    """
-
-    names: tuple[str, ...]
-    origins: Array
-    rotations: Array
+    names: tuple[str, ...]  # of the frames; that of supports is "base"
+    origins: Array  # shape (f, 3), m: of the frames, undeformed, in the mesh's axes
+    rotations: Array  # shape (f, 3, 3): the columns are a frame's axes in the mesh's
+    # stiffness, mass: shape (6 f + n, 6 f + n): of six freedoms a frame, then the modes; N/m, N,
+    # N·m and kg, kg·m, kg·m^2 for frames, (rad/s)^2 and 1 for modes, kg^0.5 and kg^0.5·m between
+    # both.
     stiffness: Array
     mass: Array
+    # held, free: Natural frequencies, Hz, ascending: with all frames held, shape (n,); and with the
+    # base alone held, by these matrices, shape (6 f - 6 + n,).
     held: Array
     free: Array
 
@@ -65,22 +54,12 @@ def craig_bampton(
 ) -> CraigBampton:
     """Return the part's matrices, of so many modes with all frames held.
 
-    Parameters
-    ----------
-    mass
-        Shape (n, n), kg: `fea.solver.vibration.consistent_mass`.
-    points, body
-        Shape (n, 3), m: the nodes in the mesh's axes; and (3, 3): the axes of the equations'
-        fields in the mesh's, in rows.
-    frames
-        Of the base, and then of each interface that moves, the name, point (3,), m, and axes.
-
-    Raises
-    ------
-    ValueError
-        If freedoms are locked, nothing has a mass, or there are not so many modes.
-    SolveFailed
-        ``mechanism`` or ``ill_conditioned``.
+    mass: shape (n, n), kg: `fea.solver.vibration.consistent_mass`.
+    points, body: shape (n, 3), m: the nodes in the mesh's axes; and (3, 3): the axes of the
+    equations' fields in the mesh's, in rows.
+    frames: of the base, and then of each interface that moves, the name, point (3,), m, and axes.
+    Raises ValueError if freedoms are locked, nothing has a mass, or there are not so many modes.
+    Raises SolveFailed: ``mechanism`` or ``ill_conditioned``.
     """
     count = system.coupling.freedoms
     inertia = Inertia(system, mass, np.zeros((count, count)))
@@ -94,28 +73,30 @@ def craig_bampton(
         raise ValueError(f"there are 1 to {inertia.size - freedoms - 1} modes, not {modes}")
     shapes, compliance = static_shapes(inertia)
     squares, motions = _held_modes(inertia, shapes, modes)
-    moved = np.concatenate([_frame_motion(own, point - origin, axes) for _, point, own in moving])
+    # Each frame's motion (6, 6), in its own axes, by that of the first frame.
+    turned = np.hstack([np.zeros((3, 3)), axes.T])
+    motions_of = [
+        np.vstack([eigenvalues @ _rigid((point - origin)[None], axes)[0], eigenvalues @ turned])
+        for _, point, eigenvalues in moving
+    ]
+    moved = np.concatenate(motions_of)
     static = _nodal(inertia, shapes)
     base = np.einsum("ij,njk->nik", body, _rigid(points - origin, axes)) - static @ moved
     fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
     total = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
     energies = 0.5 * np.asarray(total + np.transpose(total))  # twice the kinetic ones of pairs
-    stiffness = _stiffness(compliance, moved, squares)
-    own = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
+    # The stiffness of base, interfaces and modes, from what the base moves (6 i, 6).
+    both = np.hstack([-moved, np.eye(len(compliance))])
+    first = both.shape[1]
+    stiffness = np.zeros((first + len(squares),) * 2)
+    stiffness[:first, :first] = both.T @ np.linalg.inv(compliance) @ both
+    stiffness[first:, first:] = np.diag(squares)
+    stiffness = 0.5 * (stiffness + stiffness.T)
+    eigenvalues = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
     names, origins, rows = zip(*frames, strict=True)
     turned = np.array(rows).swapaxes(1, 2)
-    held, free = (np.sqrt(one) / (2 * np.pi) for one in (squares, own))
+    held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, eigenvalues))
     return CraigBampton(names, np.array(origins), turned, stiffness, energies, held, free)
-
-
-def _stiffness(compliance: Array, moved: Array, squares: Array) -> Array:
-    """Return the stiffness of base, interfaces and modes, from what the base moves (6 i, 6)."""
-    both = np.hstack([-moved, np.eye(len(compliance))])
-    frames, modes = both.shape[1], len(squares)
-    found = np.zeros((frames + modes,) * 2)
-    found[:frames, :frames] = both.T @ np.linalg.inv(compliance) @ both
-    found[frames:, frames:] = np.diag(squares)
-    return 0.5 * (found + found.T)
 
 
 def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Array]:
@@ -124,13 +105,13 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
     By Lanczos' method with the inverse of the stiffness while the interfaces are held: a solve less
     the static shapes of what it moves them by.
     """
-    own = slice(inertia.first, inertia.first + inertia.active.size)
+    interface_rows = slice(inertia.first, inertia.first + inertia.active.size)
 
     def held(loads: Array) -> Array:
         moved = inertia.solved(loads)
-        return moved - shapes @ moved[own]
+        return moved - shapes @ moved[interface_rows]
 
-    mass, inverse = (Applied(inertia.size, one) for one in (inertia.times, held))
+    mass, inverse = (Applied(inertia.size, apply) for apply in (inertia.times, held))
     start = held(np.random.default_rng(_SEED).standard_normal(inertia.size))
     squares, motions = eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
     order = np.argsort(squares)
@@ -139,7 +120,7 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
 
 def _nodal(inertia: Inertia, motions: Array) -> Array:
     """Return all nodes' motions, shape (n, 3, k), of unknowns (size, k)."""
-    return np.stack([inertia.fields(one)[0] for one in motions.T], axis=2)
+    return np.stack([inertia.fields(motion)[0] for motion in motions.T], axis=2)
 
 
 def _rigid(arms: Array, axes: Array) -> Array:
@@ -149,9 +130,3 @@ def _rigid(arms: Array, axes: Array) -> Array:
     """
     translations = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
     return np.concatenate([translations, -skew(arms)], axis=2) @ np.kron(np.eye(2), axes.T)
-
-
-def _frame_motion(own: Array, arm: Array, axes: Array) -> Array:
-    """Return a frame's motion (6, 6), in its axes `own`, by that of another at an arm (3,), m."""
-    turned = np.hstack([np.zeros((3, 3)), axes.T])
-    return np.vstack([own @ _rigid(arm[None], axes)[0], own @ turned])

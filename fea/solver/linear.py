@@ -21,50 +21,34 @@ _ROUNDOFF = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LinearResponse:
-    """Everything a linear component can answer.
+    """Everything a linear component can answer."""
 
-    Attributes
-    ----------
-    compliance
-        Shape (6 i, k) for the k inputs of `Balance.wrench`: displacement = compliance @ inputs; m
-        and rad per N, N·m, K and m/s^2. That of the loads is symmetric. Locked freedoms are zero.
-    energies
-        Shape (k, k): twice the energies of pairs of unit inputs, from the strains: of loads equal
-        to `compliance` but for roundoff, and in its units; J/K^2. With own weight (k + 1, k + 1),
-        the last that of the weight, J.
-    fields
-        Shape (n, 3, k): nodal displacements per unit of each input, m per N, N·m, K and m/s^2.
-    condition
-        Estimated condition of the scaled stiffness matrix.
-    asymmetry, energy_gap
-        What was found before `compliance` was made symmetric, and its difference from `energies`:
-        both relative to sqrt(C_ii C_jj).
-    sag
-        Shape (n, 3), m: nodal displacements under the component's own weight; zero without.
-    sag_displacement
-        Shape (6 i,), m and rad: the interfaces' under it.
-    """
-
+    # Shape (6 i, k) for the k inputs of `Balance.wrench`: displacement = compliance @ inputs; m and
+    # rad per N, N·m, K and m/s^2. That of the loads is symmetric. Locked freedoms are zero.
     compliance: Array
+    # Shape (k, k): twice the energies of pairs of unit inputs, from the strains: of loads equal to
+    # `compliance` but for roundoff, and in its units; J/K^2. With own weight (k + 1, k + 1), the
+    # last that of the weight, J.
     energies: Array
+    # Shape (n, 3, k): nodal displacements per unit of each input, m per N, N·m, K and m/s^2
     fields: Array
-    condition: float
+    condition: float  # Estimated condition of the scaled stiffness matrix
+    # asymmetry, energy_gap: what was found before `compliance` was made symmetric, and its
+    # difference from `energies`: both relative to sqrt(C_ii C_jj).
     asymmetry: float
     energy_gap: float
+    # Shape (n, 3), m: nodal displacements under the component's own weight; zero without
     sag: Array
-    sag_displacement: Array
+    sag_displacement: Array  # shape (6 i,), m and rad: the interfaces' under it
 
 
 def linear_response(system: System) -> LinearResponse:
     """Solve for six unit loads at each interface.
 
-    Raises
-    ------
-    SolveFailed
-        ``mechanism``; ``ill_conditioned`` if the compliance is not symmetric, or not equal to its
-        strain energies, by more than 1e-6, or corrections do not get small. The condition alone
-        does not decide: a plate of 1:100 has one of 1e11, and the corrections bring its answer
-        to full accuracy.
+    Raises SolveFailed: ``mechanism``; ``ill_conditioned`` if the compliance is not symmetric, or
+    not equal to its strain energies, by more than 1e-6, or corrections do not get small. The
+    condition alone does not decide: a plate of 1:100 has one of 1e11, and the corrections bring its
+    answer to full accuracy.
     """
     fields, border, correction = _refined(system, system.undeformed)
     condition = system.condition
@@ -118,13 +102,13 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
         nodal = system.body.movable.released(forces + border.columns @ moved) - acting
-        rest = contract(border.ties, forces) + contract(border.columns, nodes)
-        rest += border.block @ moved - loads
-        more_nodes, more = start.solve(nodal, rest)
+        border_residual = contract(border.ties, forces) + contract(border.columns, nodes)
+        border_residual += border.block @ moved - loads
+        more_nodes, more = start.solve(nodal, border_residual)
         nodes, moved = nodes - more_nodes, moved - more
         size = max(
-            _relative(more_nodes[..., own], nodes[..., own])
-            for own in (slice(first), *range(first, nodes.shape[2]))
+            _relative(more_nodes[..., group], nodes[..., group])
+            for group in (slice(first), *range(first, nodes.shape[2]))
         )
         if size <= _SMALL:
             break
@@ -132,5 +116,5 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
 
 
 def _relative(change: Array, fields: Array) -> float:
-    whole = np.abs(fields).max(initial=0.0)
-    return float(np.abs(change).max(initial=0.0) / whole) if whole > 0 else 0.0
+    largest = np.abs(fields).max(initial=0.0)
+    return float(np.abs(change).max(initial=0.0) / largest) if largest > 0 else 0.0

@@ -57,23 +57,12 @@ class LoadPath:
     either tangent says. Where no step is short enough the path is followed by its length
     (`fea.solver.arc_length`), to the whole load or to the load at which the part gives way.
 
-    Parameters
-    ----------
-    system
-        The equations.
-    wrench
-        Shape (k,): the inputs, as of `Balance.wrench`; not zero.
-    progress
-        Called with the fraction done and a message.
-    rest
-        The equilibrium at no wrench, under the component's own weight (`hang`); None without.
-
-    Attributes
-    ----------
-    history
-        All iterations, those of steps taken back as well.
-    work
-        External work so far, J.
+    system: the equations.
+    wrench: shape (k,): the inputs, as of `Balance.wrench`; not zero.
+    progress: called with the fraction done and a message.
+    rest: the equilibrium at no wrench, under the component's own weight (`hang`); None without.
+    history: all iterations, those of steps taken back as well.
+    work: External work so far, J.
     """
 
     def __init__(
@@ -100,28 +89,20 @@ class LoadPath:
     ) -> Equilibrium:
         """Step to the full wrench.
 
-        Parameters
-        ----------
-        check
-            Called with each converged balance; raises SolveFailed to stop.
-        guess
-            A state near the one sought, such as that of a nearby wrench. What it leads to must
-            pass as one step from no load to the whole; else it is as if there were no guess.
-
-        Raises
-        ------
-        SolveFailed
-            ``not_converged``, ``snap_through`` or ``ill_conditioned``, or what `check` raises;
-            with the history and the last state.
+        check: called with each converged balance; raises SolveFailed to stop.
+        guess: a state near the one sought, such as that of a nearby wrench. What it leads to must
+        pass as one step from no load to the whole; else it is as if there were no guess.
+        Raises SolveFailed: ``not_converged``, ``snap_through`` or ``ill_conditioned``, or what
+        `check` raises; with the history and the last state.
         """
         try:
-            found = None if guess is None else self._try_guess(guess)
-            while found is None or self._factor < 1.0:
-                found = self._try_step()
-                if found is not None:
-                    check(found.balance)
-            check(found.balance)
-            return found
+            equilibrium = None if guess is None else self._try_guess(guess)
+            while equilibrium is None or self._factor < 1.0:
+                equilibrium = self._try_step()
+                if equilibrium is not None:
+                    check(equilibrium.balance)
+            check(equilibrium.balance)
+            return equilibrium
         except _Refused as refused:
             failure = refused.failure
         return self._follow_length(check, failure)  # not above: there the last try keeps its factor
@@ -135,23 +116,23 @@ class LoadPath:
         self._tangent.release()  # no correction uses it
         try:
             tangent = self._system.linearise(start)
-            found = find_equilibrium(
+            equilibrium = find_equilibrium(
                 self._system, start, tangent, self._reporter(1.0), _FEW_ITERATIONS
             )
         except (Stuck, SolveFailed):
             return None
-        sound = found.balance.least_stretch > 0 and found.tangent.stable
-        if not (sound and self._explained(found, 1.0)):
+        sound = equilibrium.balance.least_stretch > 0 and equilibrium.tangent.stable
+        if not (sound and self._explained(equilibrium, 1.0)):
             return None
-        self._accept(found, 1.0)
-        return found
+        self._accept(equilibrium, 1.0)
+        return equilibrium
 
     def _follow_length(self, check: Callable[[Balance], None], refused: SolveFailed) -> Equilibrium:
         """Follow the path by its length from the last state that load control found."""
 
-        def accept(found: Equilibrium, factor: float) -> None:
-            check(found.balance)
-            self._accept(found, factor)
+        def accept(equilibrium: Equilibrium, factor: float) -> None:
+            check(equilibrium.balance)
+            self._accept(equilibrium, factor)
 
         here = Equilibrium(self._balance, self._tangent, 0)
         path = ArcPath(
@@ -165,23 +146,23 @@ class LoadPath:
         )
         ending = path.follow(accept)
         if ending.kind == "reached":
-            found = self._settle(ending.found)
-            if found is not None:
-                check(found.balance)
-                return found
+            equilibrium = self._settle(ending.found)
+            if equilibrium is not None:
+                check(equilibrium.balance)
+                return equilibrium
         raise gave_way(ending.kind, ending.factor) or refused
 
     def _settle(self, beyond: Equilibrium) -> Equilibrium | None:
         """Go back from a state just beyond the whole load to the whole load."""
         start = self._system.reload(beyond.balance, self._wrench)
         try:
-            found = find_equilibrium(self._system, start, beyond.tangent, self._reporter(1.0))
+            equilibrium = find_equilibrium(self._system, start, beyond.tangent, self._reporter(1.0))
         except Stuck:
             return None
-        if found.balance.least_stretch <= 0 or not found.tangent.stable:
+        if equilibrium.balance.least_stretch <= 0 or not equilibrium.tangent.stable:
             return None
-        self._accept(found, 1.0)
-        return found
+        self._accept(equilibrium, 1.0)
+        return equilibrium
 
     def _try_step(self) -> Equilibrium | None:
         target = min(1.0, self._factor + self._step)
@@ -190,7 +171,7 @@ class LoadPath:
         try:
             start = self._system.reload(self._balance, target * self._wrench)
             most = MOST_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
-            found = find_equilibrium(
+            equilibrium = find_equilibrium(
                 self._system, start, self._tangent, self._reporter(target), most
             )
         except Stuck as stuck:
@@ -198,32 +179,36 @@ class LoadPath:
                 raise ill_conditioned(f"At load factor {target:.3g} {stuck}.") from None
             self._halve(str(stuck), self._stuck)
             return None
-        if found.balance.least_stretch <= 0:
+        if equilibrium.balance.least_stretch <= 0:
             self._halve("cells are turned inside out", inverted_elements)
-        elif not found.tangent.stable:
+        elif not equilibrium.tangent.stable:
             self._halve("the equilibrium found is unstable", snap_through)
-        elif not self._explained(found, target):
+        elif not self._explained(equilibrium, target):
             self._halve("the part moves on faster than its stiffness explains", snap_through)
         else:
-            self._accept(found, target)
-            return found
+            self._accept(equilibrium, target)
+            return equilibrium
         return None
 
-    def _explained(self, found: Equilibrium, target: float) -> bool:
+    def _explained(self, equilibrium: Equilibrium, target: float) -> bool:
         """Whether a step's secant lies between the tangents at its ends, more or less."""
-        slopes = self._slope(self._tangent), self._slope(found.tangent)
-        secant = self._advance(found) / (target - self._factor)
+        slopes = self._slope(self._tangent), self._slope(equilibrium.tangent)
+        secant = self._advance(equilibrium) / (target - self._factor)
         low, high = min(slopes), max(slopes)
         return low * (1 - _SECANT_MARGIN) <= secant <= high * (1 + _SECANT_MARGIN)
 
-    def _accept(self, found: Equilibrium, target: float) -> None:
-        advance = self._advance(found)
-        start, end = self._slope(self._tangent), self._slope(found.tangent)
+    def _accept(self, equilibrium: Equilibrium, target: float) -> None:
+        advance = self._advance(equilibrium)
+        start, end = self._slope(self._tangent), self._slope(equilibrium.tangent)
         # The factor as a cubic in the advance, by its values and slopes at both ends, integrated.
         mean = 0.5 * (self._factor + target) + advance * (1 / start - 1 / end) / 12
         self.work += self._size * advance * mean
-        self._balance, self._tangent, self._factor = found.balance, found.tangent, target
-        if found.iterations <= _FEW_ITERATIONS:
+        self._balance, self._tangent, self._factor = (
+            equilibrium.balance,
+            equilibrium.tangent,
+            target,
+        )
+        if equilibrium.iterations <= _FEW_ITERATIONS:
             self._step *= GROWTH
 
     def _halve(self, reason: str, failure: Callable[[str], SolveFailed]) -> None:
@@ -246,19 +231,19 @@ class LoadPath:
         """Advance of the interface along the wrench's direction per unit of the load factor."""
         return float(self._direction @ tangent.conjugate_rate(self._wrench))
 
-    def _advance(self, found: Equilibrium) -> float:
+    def _advance(self, equilibrium: Equilibrium) -> float:
         """Advance in a step, conjugate to the wrench: translation and spin along its direction."""
-        ends = (self._balance.state.interface, found.balance.state.interface)
+        ends = (self._balance.state.interface, equilibrium.balance.state.interface)
         advance: list[Array] = []
         for before, after in zip(*(each_interface(end) for end in ends), strict=True):
             spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
             advance += [(after - before)[:3], spin]
         if self._system.body.expands:
-            both, body = (self._balance, found.balance), self._system.body
-            middle = 0.5 * sum(self._system.temperature(one.wrench) for one in both)
-            before, after = (body.heat(one.state.nodes, middle)[1] for one in both)
+            both, body = (self._balance, equilibrium.balance), self._system.body
+            middle = 0.5 * sum(self._system.temperature(motion.wrench) for motion in both)
+            before, after = (body.heat(motion.state.nodes, middle)[1] for motion in both)
             advance.append(np.array([before - after]))
-        moved = found.balance.state.nodes - self._balance.state.nodes
+        moved = equilibrium.balance.state.nodes - self._balance.state.nodes
         advance.append(contract(self._system.pull, moved[:, :, None])[:, 0])
         return float(self._direction @ np.concatenate(advance))
 
@@ -275,27 +260,19 @@ class LoadPath:
 def hang(system: System, check: Callable[[Balance], None]) -> Equilibrium:
     """Return the equilibrium under the component's own weight and no wrench.
 
-    Parameters
-    ----------
-    system
-        With its weight.
-    check
-        As of `LoadPath.follow`.
-
-    Raises
-    ------
-    SolveFailed
-        As `LoadPath.follow` does, the weight in place of the wrench.
+    system: with its weight.
+    check: as of `LoadPath.follow`.
+    Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench.
     """
     assert system.weight is not None
     growing = System(system.body, system.coupling, pull=system.weight[:, :, None])
     try:
-        found = LoadPath(growing, np.eye(growing.inputs)[-1]).follow(check)
+        equilibrium = LoadPath(growing, np.eye(growing.inputs)[-1]).follow(check)
     except SolveFailed as failure:
         message = f"Under its own weight alone, which grows in place of a wrench: {failure.message}"
         raise SolveFailed(failure.kind, message, failure.remedy) from None
-    balance = system.balance(found.balance.state, np.zeros(system.inputs))
+    balance = system.balance(equilibrium.balance.state, np.zeros(system.inputs))
     tangent = Linearisation(
-        system.body, system.coupling, balance, found.tangent.tangent, system.pull
+        system.body, system.coupling, balance, equilibrium.tangent.tangent, system.pull
     )
-    return Equilibrium(balance, tangent, found.iterations)
+    return Equilibrium(balance, tangent, equilibrium.iterations)

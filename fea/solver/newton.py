@@ -50,10 +50,7 @@ _FAR = 1e3  # times the size of the part
 class Stuck(Exception):  # noqa: N818 - the caller tries a smaller load step
     """Newton's method found no equilibrium.
 
-    Attributes
-    ----------
-    at_roundoff
-        Whether corrections stopped shrinking while small: a finer step will not help.
+    at_roundoff: whether corrections stopped shrinking while small: a finer step will not help.
     """
 
     def __init__(self, reason: str, *, at_roundoff: bool = False) -> None:
@@ -62,42 +59,23 @@ class Stuck(Exception):  # noqa: N818 - the caller tries a smaller load step
 
 
 class Equilibrium(NamedTuple):
-    """A converged state.
+    """A converged state."""
 
-    Attributes
-    ----------
-    balance
-        The state with its forces.
-    tangent
-        The tangent proper at this state, to within a correction of `SAME_STATE`.
-    iterations
-        How many it took.
-    """
-
-    balance: Balance
+    balance: Balance  # the state with its forces
+    # The tangent proper at this state, to within a correction of `SAME_STATE`
     tangent: Linearisation
-    iterations: int
+    iterations: int  # how many it took
 
 
 class Correction(NamedTuple):
-    """One correction, and the state that it leads to.
+    """One correction, and the state that it leads to."""
 
-    Attributes
-    ----------
-    balance
-        The new state with its forces.
-    aim
-        The displacement aimed at and the change, both linear in the unknowns, shape (n, 3), m.
-    size
-        Largest change over the largest displacement.
-    energy
-        Its size in the energy norm, relative to the new state's: the root of the quotient of the
-        correction's energy and the strain energy.
-    """
-
-    balance: Balance
+    balance: Balance  # the new state with its forces
+    # The displacement aimed at and the change, both linear in the unknowns, shape (n, 3), m
     aim: tuple[Array, Array]
-    size: float
+    size: float  # largest change over the largest displacement
+    # Its size in the energy norm, relative to the new state's: the root of the quotient of the
+    # correction's energy and the strain energy.
     energy: float
 
     @property
@@ -128,21 +106,12 @@ def find_equilibrium(
     stress that the step aimed at (`ElasticBody.tangent`). The last are tangents proper at the state
     itself: only these prove convergence. The older of two corrects again, while that helps.
 
-    Parameters
-    ----------
-    balance
-        Where to start, under the required wrench.
-    tangent
-        A linearisation at, or near, that state; its factor is released after the first correction.
-    report
-        Called after each iteration.
-    most
-        Iterations after which to give up.
-
-    Raises
-    ------
-    Stuck
-        If it does not converge.
+    balance: where to start, under the required wrench.
+    tangent: a linearisation at, or near, that state; its factor is released after the first
+    correction.
+    report: called after each iteration.
+    most: Iterations after which to give up.
+    Raises Stuck if it does not converge.
     """
     proper, sizes = False, []
     for iteration in range(1, most + 1):
@@ -175,19 +144,11 @@ def correct(
 ) -> Correction:
     """Apply a correction and measure it.
 
-    Parameters
-    ----------
-    balance
-        The state before, under the wrench of the new one.
-    tangent
-        What gave the correction.
-    nodes, border
-        Shapes (n, 3), m, and (border,): the correction of the free nodes and of the border.
-
-    Raises
-    ------
-    Stuck
-        If it is not finite, or a thousand times as large as the part.
+    balance: the state before, under the wrench of the new one.
+    tangent: what gave the correction.
+    nodes, border: Shapes (n, 3), m, and (border,): the correction of the free nodes and of the
+    border.
+    Raises Stuck if it is not finite, or a thousand times as large as the part.
     """
     change = nodes + tangent.border.ties @ border
     largest = np.abs(change).max(initial=0.0)
@@ -221,15 +182,12 @@ def _settled(system: System, step: Correction, tangent: Linearisation) -> Balanc
 def tangent_after(system: System, step: Correction, tangent: Linearisation) -> Linearisation:
     """Return the tangent proper at the state after a last correction.
 
-    Parameters
-    ----------
-    tangent
-        The tangent proper at the state before it.
+    tangent: the tangent proper at the state before it.
     """
     if step.energy <= SAME_STATE:
         return tangent
     return system.linearise(step.balance)
 
 
-def _quotient(part: float, whole: float) -> float:
-    return float(part / whole) if whole > 0 else 0.0
+def _quotient(part: float, total: float) -> float:
+    return float(part / total) if total > 0 else 0.0

@@ -68,18 +68,10 @@ def load_rates(coupling: Coupling, balance: Balance, compliance: Array) -> Array
 def third_derivatives(system: System, balance: Balance, tangent: Linearisation) -> Array:
     """Return the third derivatives of the complementary energy by the loads (F, mu).
 
-    Parameters
-    ----------
-    system
-        The equations.
-    balance, tangent
-        A state in balance, and the tangent there.
-
-    Returns
-    -------
-    Array
-        Shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
-        where one is that of a locked freedom.
+    system: the equations.
+    balance, tangent: a state in balance, and the tangent there.
+    Result: shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
+    where one is that of a locked freedom.
     """
     state, inputs, coupling = balance.state, balance.wrench, system.coupling
     active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))
@@ -93,8 +85,8 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
     body = system.body.at(system.temperature(inputs))
     changes = tangent.tangent.times(fields, coupling.tied)
     changes[:, :, coupling.active.size :] -= tangent.further
-    own = body.third(state.nodes, fields)
-    own += coupling.third(state, (balance.forces, changes), fields, border)
+    body_part = body.third(state.nodes, fields)
+    body_part += coupling.third(state, (balance.forces, changes), fields, border)
     if body.expands:
         # The strain energy's derivatives by the temperature, input number `place`.
         nodes, temperature = balance.state.nodes, system.temperature(balance.wrench)
@@ -107,10 +99,10 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
         once[:, :, coupling.active.size] = np.imag(ahead) / _COMPLEX_STEP
         bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
         twice[coupling.active.size, coupling.active.size] = contract(bend[:, :, None], fields)[0]
-        found = every_place(once + twice)
-        found[coupling.active.size, coupling.active.size, coupling.active.size] += (
+        heat = every_place(once + twice)
+        heat[coupling.active.size, coupling.active.size, coupling.active.size] += (
             _JERK @ energies / _WARMER**3
         )
-        own += found
-    tensor[np.ix_(active, active, active)] = -own
+        body_part += heat
+    tensor[np.ix_(active, active, active)] = -body_part
     return tensor

@@ -25,23 +25,13 @@ _SEED = 20170726  # of the start vector: the same bundle gives the same digits
 class Riding:
     """The rigid mass that stands on the interface.
 
-    Attributes
-    ----------
-    mass
-        kg, zero or more.
-    inertia
-        Shape (3, 3), kg·m^2: about its centre of mass, in the interface frame.
-    centre
-        Shape (3,), m: its centre of mass from the interface point, in the interface frame.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite, the mass negative, or the inertia not symmetric and positive.
+    Raises ValueError if a number is not finite, the mass negative, or the inertia not symmetric and
+    positive.
     """
 
-    mass: float
-    inertia: Array
+    mass: float  # kg, zero or more
+    inertia: Array  # shape (3, 3), kg·m^2: about its centre of mass, in the interface frame
+    # Shape (3,), m: its centre of mass from the interface point, in the interface frame
     centre: Array
 
     def __post_init__(self) -> None:
@@ -52,11 +42,11 @@ class Riding:
             raise ValueError(f"a mass of {self.mass:g} kg cannot be; give zero or more")
         if not np.array_equal(self.inertia, self.inertia.T):
             raise ValueError("the inertia must be symmetric")
-        own = np.linalg.eigvalsh(self.inertia)
-        if own[0] < -1e-9 * max(own[2], 0.0):
+        moments = np.linalg.eigvalsh(self.inertia)
+        if moments[0] < -1e-9 * max(moments[2], 0.0):
             raise ValueError(
-                f"no body has the principal moments of inertia {own.tolist()} kg·m^2: none may be "
-                "negative"
+                f"no body has the principal moments of inertia {moments.tolist()} kg·m^2: none may "
+                "be negative"
             )
 
     @classmethod
@@ -65,10 +55,7 @@ class Riding:
     ) -> Riding:
         """Return it from three principal moments or six (xx, yy, zz, xy, xz, yz), kg·m^2.
 
-        Raises
-        ------
-        ValueError
-            If there are other than none, three or six moments, or as the class does.
+        Raises ValueError if there are other than none, three or six moments, or as the class does.
         """
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
         place = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
@@ -76,44 +63,33 @@ class Riding:
             raise ValueError("the inertia is three numbers (xx, yy, zz) or six (.., xy, xz, yz)")
         if place.shape != (3,):
             raise ValueError("the centre of mass is three numbers, m")
-        whole = np.diag(moments[:3])
+        tensor = np.diag(moments[:3])
         if len(moments) == 6:
             xy, xz, yz = moments[3:]
-            whole = whole + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
-        return cls(float(mass), whole, place)
+            tensor = tensor + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
+        return cls(float(mass), tensor, place)
 
     @property
     def matrix(self) -> Array:
         """The mass matrix about the interface point, shape (6, 6): kg, kg·m and kg·m^2."""
         arm = skew(self.centre)
-        whole = np.zeros((PER_INTERFACE, PER_INTERFACE))
-        whole[:3, :3] = self.mass * np.eye(3)
-        whole[:3, 3:] = -self.mass * arm
-        whole[3:, :3] = self.mass * arm
-        whole[3:, 3:] = self.inertia - self.mass * arm @ arm
-        return whole
+        matrix = np.zeros((PER_INTERFACE, PER_INTERFACE))
+        matrix[:3, :3] = self.mass * np.eye(3)
+        matrix[:3, 3:] = -self.mass * arm
+        matrix[3:, :3] = self.mass * arm
+        matrix[3:, 3:] = self.inertia - self.mass * arm @ arm
+        return matrix
 
 
 @dataclass(frozen=True, eq=False)
 class Vibration:
-    """The first natural oscillation about the unloaded state.
+    """The first natural oscillation about the unloaded state."""
 
-    Attributes
-    ----------
-    mass
-        Of the component itself, kg.
-    frequency
-        Hz.
-    interface
-        Shape (6 i,): the motion of the i interfaces in it, m and rad, of length one.
-    condensed
-        Shape (6 i, 6 i): the component's mass as the interfaces' motion accelerates it, kg, kg·m
-        and kg·m^2; zero at locked freedoms.
-    """
-
-    mass: float
-    frequency: float
-    interface: Array
+    mass: float  # of the component itself, kg
+    frequency: float  # Hz
+    interface: Array  # shape (6 i,): the motion of the i interfaces in it, m and rad, of length one
+    # Shape (6 i, 6 i): the component's mass as the interfaces' motion accelerates it, kg, kg·m and
+    # kg·m^2; zero at locked freedoms.
     condensed: Array
 
 
@@ -124,22 +100,12 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     solves are made with. The frequency is Rayleigh's quotient of the motion found, with the strain
     energy from the strains: right to the square of the motion's error.
 
-    Parameters
-    ----------
-    system
-        The equations, in the interface frame.
-    mass
-        Shape (n, n), kg, from `fea.solver.vibration`; without entries the component is massless.
-    riding
-        What stands on the interface.
-
-    Raises
-    ------
-    ValueError
-        If nothing has a mass, or what has one cannot move: locked freedoms hold it; or if a mass
-        stands on one of several interfaces.
-    SolveFailed
-        ``mechanism`` or ``ill_conditioned``.
+    system: the equations, in the interface frame.
+    mass: shape (n, n), kg, from `fea.solver.vibration`; without entries the component is massless.
+    riding: what stands on the interface.
+    Raises ValueError if nothing has a mass, or what has one cannot move: locked freedoms hold it;
+    or if a mass stands on one of several interfaces. Raises SolveFailed: ``mechanism`` or
+    ``ill_conditioned``.
     """
     active, count = system.coupling.active, system.coupling.freedoms
     interface_mass = np.zeros((count, count))
@@ -148,15 +114,40 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     elif riding.matrix.any():
         raise ValueError("a mass on one of several interfaces is not there yet; leave it out")
     inertia = Inertia(system, mass, interface_mass)
-    own = float(mass.sum())
-    x = _lowest(inertia) if mass.nnz else _massless(inertia)
+    mass_of_part = float(mass.sum())
+    if mass.nnz:
+        # The motion of the lowest frequency, by Lanczos' method.
+        masses, inverse = (
+            Applied(inertia.size, apply) for apply in (inertia.times, inertia.solved)
+        )
+        start = np.random.default_rng(_SEED).standard_normal(inertia.size)
+        # In this mode ARPACK multiplies by K^-1 and M alone; the first argument gives the size.
+        _, motions = eigsh(masses, k=1, M=masses, sigma=0.0, which="LM", OPinv=inverse, v0=start)
+        x = motions[:, 0]
+    else:
+        # The motion of a massless component of compliance C = L L^T that carries the mass M: the
+        # largest eigenvalue of L^T M L is 1 / omega^2.
+        moving = inertia.active.size
+        part = slice(inertia.first, inertia.first + moving)
+        units = np.zeros((moving, inertia.size))
+        units[:, part] = np.eye(moving)
+        moved = inertia.solved(units).T
+        compliance = moved[part]
+        lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
+        carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
+        values, motions = np.linalg.eigh(lower.T @ carried @ lower)
+        if not values[-1] > 0:
+            raise ValueError(
+                "nothing that can move has a mass: give the materials a density or the scene's mass"
+            )
+        x = np.linalg.solve(compliance, lower @ motions[:, -1]) @ moved.T
     fields, interface = inertia.fields(x)
     stiffness = system.body.strain_energy_products(fields[:, :, None])[0, 0]
     stiffness += system.coupling.spring_energies(inertia.border(x))[0, 0]
     square = stiffness / float(x @ inertia.times(x))
     bare = Inertia(system, mass, np.zeros((count, count)))
     frequency = float(np.sqrt(square) / (2 * np.pi))
-    return Vibration(own, frequency, _directed(interface), condensed_mass(bare))
+    return Vibration(mass_of_part, frequency, _directed(interface), condensed_mass(bare))
 
 
 def condensed_mass(inertia: Inertia) -> Array:
@@ -166,10 +157,10 @@ def condensed_mass(inertia: Inertia) -> Array:
     """
     active, count = inertia.active, len(inertia.interface_mass)
     shapes, _ = static_shapes(inertia)
-    energies = shapes.T @ np.stack([inertia.times(one) for one in shapes.T], axis=1)
-    whole = np.zeros((count, count))
-    whole[np.ix_(active, active)] = 0.5 * (energies + energies.T)
-    return whole
+    energies = shapes.T @ np.stack([inertia.times(shape) for shape in shapes.T], axis=1)
+    matrix = np.zeros((count, count))
+    matrix[np.ix_(active, active)] = 0.5 * (energies + energies.T)
+    return matrix
 
 
 def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
@@ -177,12 +168,12 @@ def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
 
     And the compliance of these freedoms, shape (k, k), m/N and its like.
     """
-    own = inertia.first + np.arange(inertia.active.size)
-    units = np.zeros((own.size, inertia.size))
-    units[np.arange(own.size), own] = 1.0
+    rows = inertia.first + np.arange(inertia.active.size)
+    units = np.zeros((rows.size, inertia.size))
+    units[np.arange(rows.size), rows] = 1.0
     moved = inertia.solved(units).T
-    compliance = 0.5 * (moved[own] + moved[own].T)
-    return np.linalg.solve(moved[own].T, moved.T).T, compliance
+    compliance = 0.5 * (moved[rows] + moved[rows].T)
+    return np.linalg.solve(moved[rows].T, moved.T).T, compliance
 
 
 class Inertia:
@@ -249,36 +240,6 @@ class Applied(LinearOperator):
         return self._apply(x)
 
 
-def _lowest(inertia: Inertia) -> Array:
-    """Return the motion of the lowest frequency, by Lanczos' method."""
-    mass, inverse = (Applied(inertia.size, one) for one in (inertia.times, inertia.solved))
-    start = np.random.default_rng(_SEED).standard_normal(inertia.size)
-    # In this mode ARPACK multiplies by K^-1 and M alone; the first argument tells the size.
-    _, motions = eigsh(mass, k=1, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
-    return motions[:, 0]
-
-
-def _massless(inertia: Inertia) -> Array:
-    """Return the motion of a massless component: its compliance C and the mass M it carries.
-
-    With C = L L^T the largest eigenvalue of L^T M L is 1 / omega^2.
-    """
-    count = inertia.active.size
-    own = slice(inertia.first, inertia.first + count)
-    units = np.zeros((count, inertia.size))
-    units[:, own] = np.eye(count)
-    moved = inertia.solved(units).T
-    compliance = moved[own]
-    lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
-    carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
-    values, motions = np.linalg.eigh(lower.T @ carried @ lower)
-    if not values[-1] > 0:
-        raise ValueError(
-            "nothing that can move has a mass: give the materials a density or the scene's mass"
-        )
-    return np.linalg.solve(compliance, lower @ motions[:, -1]) @ moved.T
-
-
 def _directed(interface: Array) -> Array:
     """Return a motion of length one whose largest part is positive."""
     length = float(np.linalg.norm(interface))
@@ -292,25 +253,17 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
 
     It is the same for each of the three components of a displacement, so it stands once.
 
-    Parameters
-    ----------
-    mesh
-        The cells, in any frame.
-    density
-        For each block of the mesh, shape (cells,), kg/m^3.
-
-    Returns
-    -------
-    csr_array
-        Shape (n, n), kg; the sum of its entries is the whole mass.
+    mesh: the cells, in any frame.
+    density: for each block of the mesh, shape (cells,), kg/m^3.
+    Returns csr_array: shape (n, n), kg; the sum of its entries is the whole mass.
     """
     count = len(mesh.points)
     total = csr_array((count, count))
-    for block, own in zip(mesh.blocks, density, strict=True):
+    for block, densities in zip(mesh.blocks, density, strict=True):
         # The mass matrix of each cell, shape (cells, nodes, nodes), kg.
         element = reference_element(block.kind, "mass")
         jacobian = mesh.points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes
-        weights = np.linalg.det(jacobian) * element.weights * own[:, None]
+        weights = np.linalg.det(jacobian) * element.weights * densities[:, None]
         products = element.values[:, :, None] * element.values[:, None, :]
         size = block.nodes.shape[1]
         entries = (weights @ products.reshape(len(products), -1)).reshape(len(block), size, size)

@@ -52,31 +52,32 @@ _DROPPED = re.compile("[bB].*[sSl].*B|[sl].*S|S.*[sSl]|l.*l")
 def fingerprint(parts: Mapping[str, Any]) -> str:
     """Return 16 hexadecimal digits for the parts of a bundle.
 
-    Parameters
-    ----------
-    parts
-        The fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked at.
+    parts: the fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked
+    at.
     """
-    further = {one.name: one for one in parts.get("further", ())}
+    further = {scalar.name: scalar for scalar in parts.get("further", ())}
     heated = TEMPERATURE in further
     materials = sorted((_material(each, heated) for each in parts["materials"]), key=json.dumps)
+    analysis: Analysis = parts["analysis"]
     content = {
         "mesh": _mesh(parts["mesh"]),
         "materials": materials,
         "supports": _supports(parts["supports"]),
         "interface": _interface(parts["interface"]),
-        "analysis": _analysis(parts["analysis"]),
+        "analysis": {"nonlinear": analysis.nonlinear, "integration": analysis.integration},
         "deck": _deck(parts["deck"]),
     }
     if parts["others"]:
         content["interface"] = [
-            {"name": one.name, "is": _interface(one)}
-            for one in (parts["interface"], *parts["others"])
+            {"name": interface.name, "is": _interface(interface)}
+            for interface in (parts["interface"], *parts["others"])
         ]
-    densities = sorted((one.region, one.density or 0.0) for one in parts["materials"])
-    if parts["analysis"].gravity is not None:
-        content["weight"] = {"gravity": parts["analysis"].gravity, "densities": densities}
-    if parts["analysis"].nonlinear and parts["mesh"] is not None and parts["deck"] is None:
+    densities = sorted(
+        (material.region, material.density or 0.0) for material in parts["materials"]
+    )
+    if analysis.gravity is not None:
+        content["weight"] = {"gravity": analysis.gravity, "densities": densities}
+    if analysis.nonlinear and parts["mesh"] is not None and parts["deck"] is None:
         content["solver"] = NONLINEAR_SOLVER
     if heated:
         content["inputs"] = {"temperature": further[TEMPERATURE].reference}
@@ -126,8 +127,8 @@ def _material(material: Material, heated: bool) -> list[object]:
     if material.law != "isotropic":
         content.append(material.law)
     if material.orthotropic is not None:
-        own = asdict(material.orthotropic)
-        content.append({name: value for name, value in own.items() if value is not None})
+        constants = asdict(material.orthotropic)
+        content.append({name: value for name, value in constants.items() if value is not None})
     return [*content, material.thermal_expansion] if heated else content
 
 
@@ -136,7 +137,9 @@ def _supports(supports: Supports | None) -> object:
         return None if supports is None else sorted(supports.fixed)
     return {
         "fixed": sorted(supports.fixed),
-        "sliding": sorted([own.group, own.directions.tolist()] for own in supports.sliding),
+        "sliding": sorted(
+            [support.group, support.directions.tolist()] for support in supports.sliding
+        ),
         "bushings": sorted(map(_bushing, supports.bushings), key=json.dumps),
     }
 
@@ -156,10 +159,6 @@ def _interface(interface: Interface | None) -> object:
         "coupling": interface.coupling,
         "locked": list(interface.locked),
     }
-
-
-def _analysis(analysis: Analysis) -> object:
-    return {"nonlinear": analysis.nonlinear, "integration": analysis.integration}
 
 
 def _deck(deck: Deck | None) -> object:

@@ -15,28 +15,17 @@ MOST_ISOTROPIC_RATIO = 0.4
 
 @dataclass(frozen=True)
 class Orthotropic:
-    """Constants in three directions square to each other.
+    """Constants in three directions square to each other."""
 
-    Attributes
-    ----------
-    youngs_moduli
-        E1, E2, E3, Pa.
-    poisson_ratios
-        nu12, nu13, nu23: strain across over strain along, less, when pulled along the first of the
-        two directions; nu21 = nu12 E2 / E1.
-    shear_moduli
-        G12, G13, G23, Pa.
-    axes
-        The directions 1, 2 and 3 in the mesh's axes, orthonormal and right-handed.
-    cylinder
-        A point, m, and a unit direction of the axis about which 1, 2 and 3 are radial,
-        circumferential and axial, in the mesh's axes; None where `axes` are everywhere the same.
-    """
-
-    youngs_moduli: Three
+    youngs_moduli: Three  # E1, E2, E3, Pa
+    # nu12, nu13, nu23: strain across over strain along, less, when pulled along the first of the
+    # two directions; nu21 = nu12 E2 / E1.
     poisson_ratios: Three
-    shear_moduli: Three
+    shear_moduli: Three  # G12, G13, G23, Pa
+    # The directions 1, 2 and 3 in the mesh's axes, orthonormal and right-handed
     axes: tuple[Three, Three, Three]
+    # A point, m, and a unit direction of the axis about which 1, 2 and 3 are radial,
+    # circumferential and axial, in the mesh's axes; None where `axes` are everywhere the same.
     cylinder: tuple[Three, Three] | None = None
 
     def directions(self, places: Array) -> Array:

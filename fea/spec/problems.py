@@ -9,18 +9,11 @@ from difflib import get_close_matches
 
 @dataclass(frozen=True)
 class BundleProblem:
-    """One mistake.
+    """One mistake."""
 
-    Attributes
-    ----------
-    where
-        The key (``material[0].youngs_modulus``), the line (``line 4``) or the file it is in.
-    message
-        What is wrong and what to do about it.
-    """
-
+    # The key (``material[0].youngs_modulus``), the line (``line 4``) or the file it is in
     where: str
-    message: str
+    message: str  # what is wrong and what to do about it
 
     def __str__(self) -> str:
         return f"{self.where}: {self.message}"

@@ -46,107 +46,66 @@ class Selector:
     """Which faces of a geometry make a group, or which of its bodies make a region.
 
     A face or body belongs if any of these names it.
-
-    Attributes
-    ----------
-    numbers
-        By their numbers in the report of ``wrenchbook check``.
-    near
-        For each point (x, y, z), m, the face nearest to it, or the body it lies in.
-    plane
-        Axis (0, 1, 2) and coordinate, m: every plane face there. Faces only.
-    radius
-        Every cylindrical face of that radius, m. Faces only.
     """
 
-    numbers: tuple[int, ...] = ()
+    numbers: tuple[int, ...] = ()  # by their numbers in the report of ``wrenchbook check``
+    # For each point (x, y, z), m, the face nearest to it, or the body it lies in
     near: tuple[tuple[float, float, float], ...] = ()
+    # Axis (0, 1, 2) and coordinate, m: every plane face there. Faces only
     plane: tuple[int, float] | None = None
-    radius: float | None = None
+    radius: float | None = None  # every cylindrical face of that radius, m. Faces only
 
 
 @dataclass(frozen=True)
 class GeometryMeshing:
-    """How to mesh a geometry file.
+    """How to mesh a geometry file."""
 
-    Attributes
-    ----------
-    size
-        Edge length of the cells, m.
-    curvature
-        Least number of cells round a full turn of a curved face; 0 leaves it to `size`.
-    groups, regions
-        Faces that make each facet group, bodies that make each cell group.
-    circle
-        Least number of cells round a full circle, however small; no key of a bundle sets it.
-    """
-
-    size: float
+    size: float  # edge length of the cells, m
+    # Least number of cells round a full turn of a curved face; 0 leaves it to `size`
     curvature: int = 0
+    # groups, regions: faces that make each facet group, bodies that make each cell group
     groups: Mapping[str, Selector] = field(default_factory=dict)
     regions: Mapping[str, Selector] = field(default_factory=dict)
+    # Least number of cells round a full circle, however small; no key of a bundle sets it
     circle: int = 7  # gmsh's own
 
 
 @dataclass(frozen=True)
 class MeshSource:
-    """Where the mesh comes from: a mesh file, a geometry file, or a generator with its parameters.
+    """Source of the mesh: a mesh file, a geometry file, or a generator with its parameters."""
 
-    Attributes
-    ----------
-    file, unit
-        The file (a path within the bundle) and its length unit, a key of `UNITS`; a geometry file
-        holds its own.
-    geometry
-        How to mesh the file, if it is a geometry file.
-    order
-        2 gives the cells of a first-order mesh file their midside nodes; None leaves them.
-    generator, parameters
-        The name of a generator of `fea.mesh.generators` and all its parameters, defaults filled in.
-    """
-
+    # file, unit: the file (a path within the bundle) and its length unit, a key of `UNITS`; a
+    # geometry file holds its own.
     file: Path | None = None
     unit: str = "m"
-    geometry: GeometryMeshing | None = None
+    geometry: GeometryMeshing | None = None  # how to mesh the file, if it is a geometry file
+    # 2 gives the cells of a first-order mesh file their midside nodes; None leaves them
     order: int | None = None
+    # generator, parameters: the name of a generator of `fea.mesh.generators` and all its
+    # parameters, defaults filled in.
     generator: str | None = None
     parameters: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
 class Material:
-    """An elastic material.
+    """An elastic material."""
 
-    Attributes
-    ----------
-    region
-        The cell group it fills; "all" fills every cell that no other material names.
-    youngs_modulus
-        Pa; of an orthotropic material its largest.
-    poisson_ratio
-        Between -1 and 0.5, both excluded; of an orthotropic material that of the nearest isotropic
-        one, which tells cells that would lock.
-    density
-        kg/m^3; None where the bundle does not give it. Static answers depend on it under gravity
-        and acceleration.
-    yield_strength
-        Pa, compared with the von Mises stress; None where the bundle does not give it.
-    law
-        One of `LAWS`. The constants of "neo-hookean" are those at small strains.
-    orthotropic
-        The constants of that law; None for the others.
-    thermal_expansion
-        1/K along its three directions, equal but for an orthotropic material; None where the
-        bundle does not give it. It counts only where the temperature is an input.
-    """
-
-    region: str
-    youngs_modulus: float
+    region: str  # the cell group it fills; "all" fills every cell that no other material names
+    youngs_modulus: float  # Pa; of an orthotropic material its largest
+    # Between -1 and 0.5, both excluded; of an orthotropic material that of the nearest isotropic
+    # one, which tells cells that would lock.
     poisson_ratio: float
+    # kg/m^3; None where the bundle does not give it. Static answers depend on it under gravity and
+    # acceleration.
     density: float | None = None
+    # Pa, compared with the von Mises stress; None where the bundle does not give it
     yield_strength: float | None = None
+    # One of `LAWS`. The constants of "neo-hookean" are those at small strains
     law: str = "isotropic"
-    orthotropic: Orthotropic | None = None
+    orthotropic: Orthotropic | None = None  # the constants of that law; None for the others
+    # 1/K along its three directions, equal but for an orthotropic material; None where the bundle
+    # does not give it. It counts only where the temperature is an input.
     thermal_expansion: tuple[float, float, float] | None = None
 
 
@@ -157,28 +116,16 @@ ACCELERATIONS = ("ax", "ay", "az")
 
 @dataclass(frozen=True)
 class ScalarInput:
-    """An input behind the loads: the uniform temperature, or a component of the acceleration.
+    """An input behind the loads: the uniform temperature, or a component of the acceleration."""
 
-    Attributes
-    ----------
-    name
-        `TEMPERATURE` or one of `ACCELERATIONS`, which follow it.
-    unit
-        Of the three numbers: degC, K, or m/s^2.
-    low, high
-        The range expected.
-    reference
-        Where it has no effect.
-    field
-        A file of temperatures at points, see `fea.mesh.io.temperature_field`; None for the same
-        everywhere.
-    """
-
-    name: str
-    unit: str
+    name: str  # `TEMPERATURE` or one of `ACCELERATIONS`, which follow it
+    unit: str  # of the three numbers: degC, K, or m/s^2
+    # low, high: the range expected
     low: float
     high: float
-    reference: float = 0.0
+    reference: float = 0.0  # where it has no effect
+    # A file of temperatures at points, see `fea.mesh.io.temperature_field`; None for the same
+    # everywhere.
     field: Path | None = None
 
     @property
@@ -200,30 +147,16 @@ class Sliding:
 
 @dataclass(frozen=True, eq=False)
 class Interface:
-    """A section where a rigid side is attached.
+    """A section where a rigid side is attached."""
 
-    Attributes
-    ----------
-    name
-        Empty where it is the component's only one.
-    section
-        A facet group or node group.
-    point
-        The reference point, shape (3,), m, in the mesh's coordinates; None for the area centre.
-    axes
-        Shape (3, 3): row i is the direction of the frame's axis i, orthonormal and right-handed.
-    coupling
-        "rigid" or "distributed".
-    locked
-        Freedoms that a guide locks, of `FREEDOMS` and in their order.
-    """
-
-    section: str
+    section: str  # a facet group or node group
+    # The reference point, shape (3,), m, in the mesh's coordinates; None for the area centre
     point: Array | None
+    # Shape (3, 3): row i is the direction of the frame's axis i, orthonormal and right-handed
     axes: Array
-    coupling: str
-    locked: tuple[str, ...] = ()
-    name: str = ""
+    coupling: str  # "rigid" or "distributed"
+    locked: tuple[str, ...] = ()  # freedoms that a guide locks, of `FREEDOMS` and in their order
+    name: str = ""  # empty where it is the component's only one
 
     @property
     def held(self) -> bool:
@@ -233,18 +166,11 @@ class Interface:
 
 @dataclass(frozen=True, eq=False)
 class Bushing:
-    """A group on an elastic spring to the ground.
+    """A group on an elastic spring to the ground."""
 
-    Attributes
-    ----------
-    hold
-        The group as a section, with the point and the axes of the spring.
-    stiffness
-        Shape (6, 6), symmetric and positive semidefinite: N/m, N/rad and N·m/rad over translation
-        and rotation vector.
-    """
-
-    hold: Interface
+    hold: Interface  # the group as a section, with the point and the axes of the spring
+    # Shape (6, 6), symmetric and positive semidefinite: N/m, N/rad and N·m/rad over translation and
+    # rotation vector.
     stiffness: Array
 
 
@@ -258,7 +184,7 @@ class Supports:
 
 
 ON_YIELD = ("warn", "fail")
-"""What becomes of a solve in which a material yields: a note with the answer, or no answer."""
+"""Outcome of a solve in which a material yields: a note with the answer, or no answer."""
 
 
 @dataclass(frozen=True)
@@ -277,24 +203,16 @@ class Analysis:
 
 @dataclass(frozen=True, eq=False)
 class DeclaredRange:
-    """The loads expected.
+    """The loads expected."""
 
-    Attributes
-    ----------
-    low, high
-        Each of shape (6 i,), N and N·m, of i interfaces; zero for one that is held.
-    """
-
+    # low, high: each of shape (6 i,), N and N·m, of i interfaces; zero for one that is held
     low: Array
     high: Array
 
     def corners(self) -> Array:
         """Return the corners of the range, shape (k, 6 i), N and N·m.
 
-        Raises
-        ------
-        ValueError
-            If there are more than 2^18: three interfaces have so many.
+        Raises ValueError if there are more than 2^18: three interfaces have so many.
         """
         ends = [tuple(dict.fromkeys(pair)) for pair in zip(self.low, self.high, strict=True)]
         if math.prod(len(pair) for pair in ends) > 2**MOST_INPUTS:
@@ -312,51 +230,28 @@ class DeclaredTolerance:
 
 @dataclass(frozen=True)
 class Deck:
-    """An expert's input deck for an outside solver.
+    """An expert's input deck for an outside solver."""
 
-    Attributes
-    ----------
-    file
-        The deck, with $FX $FY $FZ $MX $MY $MZ where the wrench goes. Its axes are the interface
-        frame's.
-    command
-        The program and its arguments; ``{job}`` stands for the deck's name without its ending.
-    output
-        The reader of the solver's output, and that reader's options.
-    files
-        Other files of the bundle that the deck or the command needs; copied next to the deck.
-    unit
-        The deck's length unit, a key of `UNITS`: the moments go in as N times it, the translation
-        is read in it. Forces are newtons.
-    timeout
-        Seconds after which one run of the command is ended.
-    moment
-        What the deck takes as moment: "spatial", about fixed axes, or "conjugate", that which
-        works on the rotation vector.
-    """
-
+    # The deck, with $FX $FY $FZ $MX $MY $MZ where the wrench goes. Its axes are the interface
+    # frame's.
     file: Path
+    # The program and its arguments; ``{job}`` stands for the deck's name without its ending
     command: tuple[str, ...]
-    output: Mapping[str, str]
+    output: Mapping[str, str]  # the reader of the solver's output, and that reader's options
+    # Other files of the bundle that the deck or the command needs; copied next to the deck
     files: tuple[Path, ...] = ()
+    # The deck's length unit, a key of `UNITS`: the moments go in as N times it, the translation is
+    # read in it. Forces are newtons.
     unit: str = "m"
-    timeout: float = 3600.0
+    timeout: float = 3600.0  # seconds after which one run of the command is ended
+    # What the deck takes as moment: "spatial", about fixed axes, or "conjugate", that which works
+    # on the rotation vector.
     moment: str = "spatial"
 
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """A component as its folder describes it; see `fea.bundle.read.read_bundle`.
-
-    Attributes
-    ----------
-    fingerprint
-        16 hexadecimal digits over everything that can change an answer.
-    interface, others
-        The interface, or the first of several, and the others in their order.
-    further
-        The inputs behind the loads.
-    """
+    """A component as its folder describes it; see `fea.bundle.read.read_bundle`."""
 
     folder: Path
     name: str
@@ -364,20 +259,21 @@ class Bundle:
     mesh: MeshSource | None
     materials: tuple[Material, ...]
     supports: Supports | None
+    # interface, others: the interface, or the first of several, and the others in their order
     interface: Interface | None
     analysis: Analysis
     range: DeclaredRange
     tolerance: DeclaredTolerance | None
     deck: Deck | None
-    fingerprint: str
+    fingerprint: str  # 16 hexadecimal digits over everything that can change an answer
     others: tuple[Interface, ...] = ()
-    further: tuple[ScalarInput, ...] = ()
+    further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
 
     @property
     def acting(self) -> DeclaredRange:
         """The range of all inputs: loads, then the others less their references."""
-        low, high = ([getattr(one, end) for one in self.further] for end in ("low", "high"))
-        zero = [one.reference for one in self.further]
+        low, high = ([getattr(scalar, end) for scalar in self.further] for end in ("low", "high"))
+        zero = [scalar.reference for scalar in self.further]
         ends = np.subtract(low, zero), np.subtract(high, zero)
         return DeclaredRange(
             np.append(self.range.low, ends[0]), np.append(self.range.high, ends[1])

@@ -24,14 +24,9 @@ class Keys:
     Each reading method takes a key; it notes a `BundleProblem` and returns None if the value will
     not do. `close` notes the keys that no method has read.
 
-    Parameters
-    ----------
-    table
-        The parsed table.
-    problems
-        The list that all tables of one file share.
-    where
-        The path of this table, empty for the whole file.
+    table: the parsed table.
+    problems: the list that all tables of one file share.
+    where: the path of this table, empty for the whole file.
     """
 
     def __init__(
@@ -84,8 +79,8 @@ class Keys:
     def text(self, key: str, required: bool = True) -> str | None:
         """Return a text that is not blank, of one line, with no character that steers a screen."""
         value = self.raw(key, str, required)
-        if value is not None and (found := _STEERING.search(value)):
-            self.wrong(key, f"must be of one line of letters and signs, not hold {found[0]!r}")
+        if value is not None and (steering := _STEERING.search(value)):
+            self.wrong(key, f"must be of one line of letters and signs, not hold {steering[0]!r}")
             return None
         if value is not None and not value.strip():
             self.wrong(key, "must not be empty")

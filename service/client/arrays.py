@@ -75,10 +75,10 @@ class Host:
         stiffness = np.full((len(targets), n, m), np.nan)
         for row, (target, begin) in enumerate(zip(targets, starts, strict=True)):
             try:
-                found = self.packed.inverse(target, begin, self.options[1])
+                inverse = self.packed.inverse(target, begin, self.options[1])
             except (ArithmeticError, ValueError):  # no such wrench, or no finite number
                 continue
-            wrenches[row], stiffness[row] = found
+            wrenches[row], stiffness[row] = inverse
         return wrenches.reshape(*shape, n), stiffness.reshape(*shape, n, m)
 
     def require_shape(self, shape: tuple[int, ...], count: int, name: str) -> None:

@@ -18,16 +18,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .errors import InvalidArgument
 from .rotation import sinc
-from .wrenches import one_wrench
+from .wrenches import Vector, one_wrench
 
-Vector = NDArray[np.float64]
 Message: TypeAlias = Any  # an object of another program
 Side = Literal["parent", "child"]
 
@@ -224,13 +224,12 @@ def _on(component: Side, parent_to_child: Vector) -> Vector:
 _REQUIRED: Message = object()
 
 
-def _field(whole: Message, name: str, default: Message = _REQUIRED) -> Message:
+def _field(message: Message, name: str, default: Message = _REQUIRED) -> Message:
     """Return a message's member, be it an attribute or a key."""
-    found = (
-        whole.get(name, default) if isinstance(whole, Mapping) else getattr(whole, name, default)
-    )
-    if found is _REQUIRED:
+    get = message.get if isinstance(message, Mapping) else partial(getattr, message)
+    member = get(name, default)
+    if member is _REQUIRED:
         raise InvalidArgument(
             f"the message has no {name!r}; a wrench has force and torque with x, y, z"
         )
-    return found
+    return member

@@ -74,7 +74,7 @@ class ProblemError(WrenchbookError):
         if self.detail:
             lines[0] += f": {self.detail}"
         mistakes = self.body.get("causes", self.errors)
-        lines += [f"  {mistake_line(one)}" for one in mistakes[:_SHOWN]]
+        lines += [f"  {mistake_line(mistake)}" for mistake in mistakes[:_SHOWN]]
         if len(mistakes) > _SHOWN:
             lines.append(f"  and {len(mistakes) - _SHOWN} more")
         return "\n".join(lines)

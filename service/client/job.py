@@ -8,14 +8,12 @@ from dataclasses import replace
 from typing import Any, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..messages import JobLink, Queued
 from .errors import InvalidArgument, Json, ServerTimeout
 from .transport import Connection, component_path
-from .wrenches import Tolerance, options
+from .wrenches import Tolerance, Vector, options
 
-Vector = NDArray[np.float64]
 ENDED = ("done", "failed", "cancelled")
 LONGEST_POLL_S = 20.0
 ROUND = 24
@@ -66,15 +64,15 @@ class Job(JobLink):
     def failure(self) -> str:
         """Why it failed and what to do; empty unless it did."""
         error = self.raw.get("error") or {}
-        words = (error.get("kind"), error.get("message"), error.get("remedy"))
-        return ". ".join(str(word).rstrip(".") for word in words if word)
+        parts = (error.get("kind"), error.get("message"), error.get("remedy"))
+        return ". ".join(str(part).rstrip(".") for part in parts if part)
 
     @property
     def vector(self) -> Vector | None:
-        """The displacement a done job found, shape (6,), or six an interface, m and rad."""
+        """The displacement of a done job, shape (6,), or six an interface, m and rad."""
         parts = list(self.raw.get("displacements", {}).values()) or [self.raw]
-        found = [joined(one.get("translation"), one.get("rotation")) for one in parts]
-        known = [one for one in found if one is not None]
+        vectors = [joined(part.get("translation"), part.get("rotation")) for part in parts]
+        known = [vector for vector in vectors if vector is not None]
         return np.concatenate(known) if known else None
 
 
@@ -199,8 +197,7 @@ class JobCalls(Connection):
 
     def retry(self, job: Job | int) -> Job:
         """Queue a failed or cancelled job again, and return it."""
-        reply = self.call_json("POST", f"{_path(job)}/retry", {}, repeatable=False)
-        return Job.read(reply)
+        return Job.read(self.call_json("POST", f"{_path(job)}/retry", {}, repeatable=False))
 
     def fill(
         self,

@@ -71,18 +71,15 @@ def response(
     """
     along, out = _index(load, LOADS), _index(output, OUTPUTS)
     low, high = _load_range(source, component)
-    wrenches = np.tile(np.zeros(6) if wrench is None else one_wrench(wrench), (count, 1))
-    wrenches[:, along] = np.linspace(low[along], high[along], count)
-    answers = _answers(source, component, wrenches, method)
+    loads = np.linspace(low[along], high[along], count)
+    answers = _answers(source, component, wrench, method, {along: loads})
     value, error = answers.displacements[:, out], answers.errors[:, out]
     axes = _pyplot().figure().add_subplot() if axes is None else axes
-    axes.fill_between(
-        wrenches[:, along], value - error, value + error, alpha=0.25, label="95 % error band"
-    )
+    axes.fill_between(loads, value - error, value + error, alpha=0.25, label="95 % error band")
     covered = answers.covered
     for chosen, line, label in ((covered, "-", "covered"), (~covered, "--", "not covered")):
         if chosen.any():
-            axes.plot(wrenches[:, along], np.where(chosen, value, np.nan), f"C0{line}", label=label)
+            axes.plot(loads, np.where(chosen, value, np.nan), f"C0{line}", label=label)
     axes.set(xlabel=WRENCH_COLUMNS[along], ylabel=DISPLACEMENT_COLUMNS[out])
     axes.set_title(f"{answers.component}, table version {answers.table_version}")
     axes.legend()
@@ -115,9 +112,8 @@ def coverage(
         raise InvalidArgument(f"coverage needs two different loads, both are {first!r}")
     low, high = _load_range(source, component)
     x, y = (np.linspace(low[k], high[k], count) for k in (across, up))
-    wrenches = np.tile(np.zeros(6) if wrench is None else one_wrench(wrench), (count * count, 1))
-    wrenches[:, across], wrenches[:, up] = (part.ravel() for part in np.meshgrid(x, y))
-    answers = _answers(source, component, wrenches, method)
+    grid = [part.ravel() for part in np.meshgrid(x, y)]
+    answers = _answers(source, component, wrench, method, {across: grid[0], up: grid[1]})
     codes = (answers.coverage[:, None] == np.array(COVERAGE)).argmax(axis=1)
     pyplot = _pyplot()
     axes = pyplot.figure().add_subplot() if axes is None else axes
@@ -198,8 +194,17 @@ def _load_range(source: Table | Client, component: str | None) -> Vector:
 
 
 def _answers(
-    source: Table | Client, component: str | None, wrenches: Vector, method: str | None
+    source: Table | Client,
+    component: str | None,
+    wrench: ArrayLike | None,
+    method: str | None,
+    loads: dict[int, Vector],
 ) -> Displacements:
+    """Return the answers to a wrench in which some loads, by number, take many values."""
+    count = len(next(iter(loads.values())))
+    wrenches = np.tile(np.zeros(6) if wrench is None else one_wrench(wrench), (count, 1))
+    for load, values in loads.items():
+        wrenches[:, load] = values
     if isinstance(source, Table):
         return source.batch(wrenches, method=method)
     return source.displacements(str(component), wrenches, on_thin="estimate", method=method)

@@ -6,20 +6,18 @@ import secrets
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import messages
-from ..contract import LOADS, MAX_BLOCK
+from ..contract import MAX_BLOCK
 from ..messages import Envelope, Recording
-from .errors import Document, InvalidArgument
+from .errors import Document
 from .job import Job
 from .transport import BINARY, Connection, component_path
 from .wrenches import Tolerance, many_wrenches, options, tolerance_body
 
 Kind = Literal["recording", "envelope"]
 KINDS: tuple[Kind, ...] = ("recording", "envelope")
-
-Vector = NDArray[np.float64]
 
 
 class Started(messages.Started):
@@ -133,23 +131,10 @@ class RecordingCalls(Connection):
 
     def _send_blocks(self, name: str, kind: Kind, wrenches: ArrayLike) -> Document:
         """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as it takes."""
-        block, key, reply = checked_rows(wrenches), secrets.token_hex(16), {}
+        block, key, reply = many_wrenches(wrenches, None), secrets.token_hex(16), {}
         path = component_path(name, kind)
         for sequence, start in enumerate(range(0, max(len(block), 1), MAX_BLOCK)):
             part = np.ascontiguousarray(block[start : start + MAX_BLOCK], dtype="<f8").tobytes()
             query = {"client": key, "sequence": sequence}
             reply = self.call("POST", path, part, kind=BINARY, query=query).json()
         return reply | {"recorded": len(block)}
-
-
-def checked_rows(wrenches: ArrayLike) -> Vector:
-    """Return checked wrenches of six or more inputs, shape (n, inputs); see `many_wrenches`."""
-    try:
-        rows = np.array(wrenches, dtype=float)
-    except (TypeError, ValueError):
-        return many_wrenches(wrenches)
-    if rows.ndim != 2 or rows.shape[1] <= len(LOADS):
-        return many_wrenches(wrenches)
-    if not np.isfinite(rows).all():
-        raise InvalidArgument("a wrench has a number that is not finite")
-    return rows

@@ -190,17 +190,18 @@ def _wrench(where: str, need: Json, parts: Iterable[str]) -> Document:
     """Return the spans of force and moment; those that `parts` names must be there."""
     if unknown := set(parts) - {"force", "moment"}:
         raise SceneError(f"{where}: unknown {', '.join(sorted(unknown))}; it has force, moment")
-    return {part: _spans(f"{where}.{part}", need.get(part)) for part in parts}
-
-
-def _spans(where: str, spans: Json) -> list[list[float]]:
-    """Return three spans [low, high], N or N·m."""
-    if spans is None:
-        raise SceneError(f"{where} is missing: three of [low, high]; [0, 0] for what cannot occur")
-    listed = isinstance(spans, Sequence | np.ndarray) and not isinstance(spans, str)
-    if not listed or len(spans) != 3:
-        raise SceneError(f"{where}: three loads, x, y and z, each [low, high] or one number")
-    return [_span(f"{where}.{place}", span) for place, span in enumerate(spans)]
+    body: Document = {}
+    for part in parts:
+        spans, place = need.get(part), f"{where}.{part}"
+        if spans is None:
+            raise SceneError(
+                f"{place} is missing: three of [low, high]; [0, 0] for what cannot occur"
+            )
+        listed = isinstance(spans, Sequence | np.ndarray) and not isinstance(spans, str)
+        if not listed or len(spans) != 3:
+            raise SceneError(f"{place}: three loads, x, y and z, each [low, high] or one number")
+        body[part] = [_span(f"{place}.{k}", span) for k, span in enumerate(spans)]
+    return body
 
 
 def _span(where: str, span: Json) -> list[float]:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Mapping
 from email.message import Message
 from functools import cached_property
+from numbers import Real
 from typing import Any, Self
 from urllib.parse import quote, urlencode, urlsplit
 
@@ -70,6 +71,8 @@ class Response:
 
 def component_path(name: str, call: str = "") -> str:
     """Return the path of a component's call, or of the component itself."""
+    if not isinstance(name, str):
+        raise InvalidArgument(f"a component's name is a text, not {name!r}")
     return f"/v1/components/{quote(name, safe='')}" + (f"/{call}" if call else "")
 
 
@@ -84,9 +87,17 @@ class Connection:
     def __init__(
         self, url: str = "http://127.0.0.1:8000", timeout: float = 30.0, key: str | None = None
     ) -> None:
-        parts = urlsplit(url if "://" in url else f"http://{url}")
-        if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise InvalidArgument(f"{url!r} is no address of a server; write http://127.0.0.1:8000")
+        try:
+            parts = urlsplit(url if "://" in url else f"http://{url}")
+            port, hostname = parts.port, parts.hostname
+            if parts.scheme not in ("http", "https") or not hostname:
+                raise ValueError
+        except (TypeError, ValueError):  # no text, no port
+            raise InvalidArgument(
+                f"{url!r} is no address of a server; write http://127.0.0.1:8000"
+            ) from None
+        if not (isinstance(timeout, Real) and timeout > 0.0):
+            raise InvalidArgument(f"timeout is a number of seconds above 0, not {timeout!r}")
         self._path = parts.path.rstrip("/")
         self.url = f"{parts.scheme}://{parts.netloc}{self._path}"
         self.timeout, self.retry_s = timeout, RETRY_S
@@ -99,8 +110,8 @@ class Connection:
         https = parts.scheme == "https"
         self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
         default = 443 if https else 80
-        self._host, self._port = parts.hostname, parts.port or default
-        shown = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
+        self._host, self._port = hostname, port or default
+        shown = f"[{hostname}]" if ":" in hostname else hostname
         self._shown = shown if self._port == default else f"{shown}:{self._port}"
         self._idle: list[http.client.HTTPConnection] = []
         self._process_id = os.getpid()

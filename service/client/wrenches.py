@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol, get_args
+from typing import Protocol, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,7 @@ from .errors import Document, InvalidArgument, Json
 ON_THIN: tuple[OnThin, ...] = get_args(OnThin)
 
 Vector = NDArray[np.float64]
+T = TypeVar("T")
 
 
 class TolerancePair(Protocol):
@@ -87,7 +88,7 @@ def loads_body(
         body = _parts(one_wrench(np.zeros(3) if force is None else force, moment))
     elif loads is not None:
         body["loads"] = {}
-        for name, load in loads.items():
+        for name, load in _mapping("loads", loads).items():
             parts = load if isinstance(load, Mapping) else {"force": load}
             if unknown := ", ".join(parts.keys() - {"force", "moment"}):
                 raise InvalidArgument(f"a load has force and moment, not {unknown}")
@@ -95,7 +96,7 @@ def loads_body(
             body["loads"][name] = _parts(wrench)
     elif inputs is None:
         raise InvalidArgument("give a force, a moment or loads")
-    for name, value in (inputs or {}).items():
+    for name, value in _mapping("inputs", inputs or {}).items():
         number = _numbers(value, name)
         if number.shape or not np.isfinite(number):
             raise InvalidArgument(f"{name} must be one finite number, not {value!r}")
@@ -107,6 +108,12 @@ def wrench_of(body: Mapping[str, Json]) -> Vector:
     """Return the wrench that `loads_body` gives for one interface, shape (6,), N and N·m."""
     zero = [0.0] * 3
     return np.array([*body.get("force", zero), *body.get("moment", zero)])
+
+
+def _mapping(name: str, values: Mapping[str, T]) -> Mapping[str, T]:
+    if not isinstance(values, Mapping):
+        raise InvalidArgument(f"{name} are a mapping by name, not {values!r}")
+    return values
 
 
 def _parts(wrench: Vector) -> Document:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import platform
@@ -279,27 +280,18 @@ def make_fmu(
         **{f"sources/{path.name}": path.read_bytes() for path in _source_paths()},
         "sources/CMakeLists.txt": cmake.encode(),
     }
-    binaries = _binaries(platforms)
-    for place, content in binaries.items():
-        parts[f"binaries/{place}/{identifier}{PLATFORMS[place][0]}"] = content
-    return Fmu(zipped(parts), tuple(binaries), used)
-
-
-def _binaries(platforms: Sequence[str]) -> dict[str, bytes]:
-    """Return the binaries of platforms, or this machine's; none without a compiler or a name."""
-    if not platforms:
+    targets = {name: PLATFORMS[name][1] for name in platforms}
+    if not platforms:  # this machine's, by its compiler
         here = _MACHINES.get((platform.system(), platform.machine()))
-        try:
+        with contextlib.suppress(build.KernelBuildError):
             build.compiler_command()
-        except build.KernelBuildError:
-            return {}
-        return {} if here is None else {here: _compiled(PLATFORMS[here][0])}
-    binaries = {}
-    for name in platforms:
-        ending, parts = PLATFORMS[name]
-        slices = [_compiled(ending, build.PLATFORMS[part]) for part in parts]
-        binaries[name] = slices[0] if len(slices) == 1 else universal(slices)
-    return binaries
+            targets = {} if here is None else {here: ("",)}
+    for place, processors in targets.items():
+        ending = PLATFORMS[place][0]
+        slices = [_compiled(ending, build.PLATFORMS.get(part)) for part in processors]
+        content = slices[0] if len(slices) == 1 else universal(slices)
+        parts[f"binaries/{place}/{identifier}{ending}"] = content
+    return Fmu(zipped(parts), tuple(targets), used)
 
 
 def universal(slices: Sequence[bytes]) -> bytes:

@@ -195,7 +195,7 @@ def checked(folder: Path) -> Iterator[Part]:
 def surface(folder: Path) -> Iterator[Part]:
     """Yield the outer surface of a bundle's mesh: ``vertices`` (v, 3), ``triangles`` (t, 3)."""
     component = importlib.import_module("wrenchbook.fea.component")
-    recovery = importlib.import_module("wrenchbook.fea.recovery.surface")
+    recovery = importlib.import_module("wrenchbook.fea.recovery.fields")
     reader = importlib.import_module("wrenchbook.fea.mesh.io.read")
     bundle = read_bundle(folder)
     source, deck = bundle.mesh, bundle.deck

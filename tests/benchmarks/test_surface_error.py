@@ -14,7 +14,7 @@ from tests.benchmarks.located import Located
 from tests.benchmarks.test_mesh_error import SHARE, bundle_of, wrenches_of
 from wrenchbook.fea.accuracy.estimate import accuracy_of
 from wrenchbook.fea.mesh.refine import refined
-from wrenchbook.fea.recovery.surface import surface_of
+from wrenchbook.fea.recovery.fields import surface_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.fields.shape import error_parts, vertex_modes
 from wrenchbook.surrogate.solver_error import SolverError

@@ -127,6 +127,33 @@ def test_a_cancelled_iteration_ends_the_stream_at_once():
     asyncio.run(cancelled())
 
 
+def test_a_cancelled_filling_sends_no_further_request(stub: Stub):
+    """The job never ends: the thread that waits for it ends at its next poll."""
+    inside, release = threading.Event(), threading.Event()
+
+    def respond(seen) -> Answer:
+        if seen.method == "POST":
+            return Answer({"jobs": [{"id": 1, "status": "running"}], "stage": "first"})
+        inside.set()
+        release.wait(20)
+        return Answer({"id": 1, "status": "running"})
+
+    async def cancelled() -> None:
+        async with AsyncClient(stub.url, timeout=30.0) as client:
+            threads = client._threads
+            task = asyncio.create_task(anext(client.fill_until("plate")))
+            assert await asyncio.to_thread(inside.wait, 20)
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+            release.set()
+            await asyncio.to_thread(threads.shutdown)  # waits for them
+
+    stub.respond = respond
+    asyncio.run(cancelled())
+    assert len(stub.seen) == 2
+
+
 def test_a_client_goes_from_one_event_loop_to_the_next(stub: Stub):
     client = AsyncClient(stub.url, timeout=5.0)
 

@@ -399,3 +399,24 @@ def test_a_large_batch_goes_and_comes_as_float64(stub: Stub, client: Client):
     assert answers.displacements[1].tolist() == [13, 14, 15, 16, 17, 18]
     assert answers.errors[0].tolist() == [6, 7, 8, 9, 10, 11]
     assert answers.coverage.tolist() == ["covered", "outside"]
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda client: client.component(5), "name is a text, not 5"),
+        (lambda client: client.displacement("plate", loads=[1] * 6), "loads are a mapping by name"),
+        (lambda client: client.displacement("plate", inputs=3), "inputs are a mapping by name"),
+        (lambda _: Client("127.0.0.1:99999"), "no address of a server"),
+        (lambda _: Client("http://127.0.0.1:x"), "no address of a server"),
+        (lambda _: Client(None), "None is no address of a server"),
+        (lambda _: Client(timeout="5"), "timeout is a number of seconds above 0, not '5'"),
+        (lambda _: Client(timeout=-1), "timeout is a number of seconds above 0, not -1"),
+    ],
+)
+def test_an_argument_of_another_type_is_named_and_nothing_is_sent(
+    stub: Stub, client: Client, call, text: str
+):
+    with pytest.raises(InvalidArgument, match=text):
+        call(client)
+    assert not stub.seen

@@ -10,7 +10,7 @@ import os
 import pickle
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -22,6 +22,7 @@ from wrenchbook.fea.mesh.cad.entities import METRES, bodies_of, faces_of
 from wrenchbook.fea.mesh.cad.select import choose_bodies, choose_faces
 from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.schema import GeometryMeshing
 
 Array = np.ndarray
 
@@ -65,26 +66,11 @@ def main() -> None:
         with opened(path) as gmsh:
             if geometry is None:
                 shapes = {"faces": faces_of(gmsh), "bodies": bodies_of(gmsh)}
-                fields = {key: [asdict(one) for one in own] for key, own in shapes.items()}
+                fields = {
+                    key: [asdict(entity) for entity in entities] for key, entities in shapes.items()
+                }
             else:
-                problems: list[BundleProblem] = []
-                size = geometry.size
-                groups = choose_faces(gmsh, faces_of(gmsh), geometry.groups, size, problems)
-                bodies = bodies_of(gmsh)
-                regions = choose_bodies(gmsh, bodies, geometry.regions, size, problems)
-                volume = sum(body.volume for body in bodies)
-                cells = too_many(_REGULAR * volume / size**3, "mesh.size")
-                problems += [BundleProblem(*mistake) for mistake in cells]
-                if problems:
-                    raise BundleError(problems)
-                gmsh.option.setNumber("Mesh.MeshSizeMax", size / METRES)
-                gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size / METRES)
-                gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", geometry.curvature)
-                gmsh.option.setNumber("Mesh.MinimumCircleNodes", geometry.circle)
-                if not optimise:
-                    gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)
-                gmsh.model.mesh.generate(3)
-                fields, arrays = _collected(gmsh, groups, regions)
+                fields, arrays = _meshed(gmsh, geometry, optimise)
     except BundleError as error:
         fields = {"problems": [asdict(problem) for problem in error.problems]}
     head = np.frombuffer(json.dumps(fields).encode(), dtype=np.uint8)
@@ -92,13 +78,27 @@ def main() -> None:
         np.savez(output, head=head, **arrays)
 
 
-def _collected(
-    gmsh: Any, groups: Mapping[str, list[int]], regions: Mapping[str, list[int]]
+def _meshed(
+    gmsh: Any, geometry: GeometryMeshing, optimise: bool
 ) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the mesh in gmsh, each body's cells and each chosen face's facets as one block.
-
-    ``sets`` has for each group and region the numbers of its blocks.
-    """
+    """Mesh the geometry; each body's cells and each chosen face's facets are one block."""
+    problems: list[BundleProblem] = []
+    size = geometry.size
+    groups = choose_faces(gmsh, faces_of(gmsh), geometry.groups, size, problems)
+    bodies = bodies_of(gmsh)
+    regions = choose_bodies(gmsh, bodies, geometry.regions, size, problems)
+    volume = sum(body.volume for body in bodies)
+    cells = too_many(_REGULAR * volume / size**3, "mesh.size")
+    problems += [BundleProblem(*mistake) for mistake in cells]
+    if problems:
+        raise BundleError(problems)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", size / METRES)
+    gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size / METRES)
+    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", geometry.curvature)
+    gmsh.option.setNumber("Mesh.MinimumCircleNodes", geometry.circle)
+    if not optimise:
+        gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)
+    gmsh.model.mesh.generate(3)
     tags, places, _ = gmsh.model.mesh.getNodes()
     row = np.full(int(tags.max()) + 1, -1, dtype=np.int64)
     row[tags.astype(np.int64)] = np.arange(len(tags))
@@ -111,8 +111,8 @@ def _collected(
         chosen = [n in regions.get(name, ()) for n in bodies]
         chosen += [n in groups.get(name, ()) for n in faces]
         sets[name] = np.flatnonzero(chosen).tolist()
-    arrays = {str(i): nodes for i, nodes in enumerate(blocks)}
-    return {"sets": sets}, {"points": places.reshape(-1, 3)} | arrays
+    content = {str(i): nodes for i, nodes in enumerate(blocks)}
+    return {"sets": sets}, {"points": places.reshape(-1, 3)} | content
 
 
 def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
@@ -124,10 +124,8 @@ def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
 def opened(path: Path) -> Iterator[Any]:
     """Open a geometry file, bodies that touch glued to each other; yields the module gmsh.
 
-    Raises
-    ------
-    BundleError
-        If gmsh is not there, the file cannot be read or holds no solid body, or gmsh fails.
+    Raises BundleError if gmsh is not there, the file cannot be read or holds no solid body, or gmsh
+    fails.
     """
     try:
         import gmsh

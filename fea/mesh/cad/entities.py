@@ -15,32 +15,16 @@ METRES = 1e-3
 
 @dataclass(frozen=True)
 class Face:
-    """One face.
+    """One face."""
 
-    Attributes
-    ----------
-    number
-        What ``faces = [...]`` names it by.
-    kind
-        "Plane", "Cylinder", "Cone", "Sphere", "Torus", "BSpline surface", ...
-    area
-        m^2.
-    centre
-        Area centre, m.
-    normal
-        Outward unit normal of a plane face; None for others.
-    radius
-        Of a cylinder, m; None for others.
-    low, high
-        Corners of the box around it, m.
-    """
-
-    number: int
-    kind: str
-    area: float
-    centre: tuple[float, float, float]
+    number: int  # what ``faces = [...]`` names it by
+    kind: str  # "Plane", "Cylinder", "Cone", "Sphere", "Torus", "BSpline surface",
+    area: float  # m^2
+    centre: tuple[float, float, float]  # area centre, m
+    # Outward unit normal of a plane face; None for others
     normal: tuple[float, float, float] | None
-    radius: float | None
+    radius: float | None  # of a cylinder, m; None for others
+    # low, high: Corners of the box around it, m
     low: tuple[float, float, float]
     high: tuple[float, float, float]
 

@@ -39,10 +39,7 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
     and its geometry kernel; another version may place them differently, within what a mesh of that
     size leaves open anyway. Where gmsh fails, or leaves cells inside out, `_ATTEMPTS` follow.
 
-    Raises
-    ------
-    BundleError
-        If the file cannot be read or meshed, or a group or region names nothing.
+    Raises BundleError if the file cannot be read or meshed, or a group or region names nothing.
     """
     folded = failure = None
     for optimise, times in _ATTEMPTS:
@@ -77,10 +74,7 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
 def list_shape(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the faces and bodies of a geometry file, with the fields of `Face` and `Solid`.
 
-    Raises
-    ------
-    BundleError
-        If it cannot be read.
+    Raises BundleError if it cannot be read.
     """
     fields, _ = _in_child(path, None)
     return fields["faces"], fields["bodies"]
@@ -89,7 +83,7 @@ def list_shape(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 def _in_child(
     path: Path, geometry: GeometryMeshing | None, optimise: bool = True
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return what `child` answers: fields of JSON, and arrays.
+    """Return the answer of `child`: fields of JSON, and arrays.
 
     The child inherits the limits of this process, and ends with it.
     """

@@ -27,28 +27,42 @@ def choose_faces(
 ) -> dict[str, list[int]]:
     """Return the numbers of the faces of each group; notes choices that name none.
 
-    Parameters
-    ----------
-    gmsh
-        With the file open.
-    faces
-        All there are.
-    groups
-        What the bundle says.
-    size
-        Cell size, m: the scale of what counts as near.
-    problems
-        Mistakes are added.
+    gmsh: with the file open.
+    faces: all there are.
+    groups: what the bundle says.
+    size: Cell size, m: the scale of what counts as near.
+    problems: Mistakes are added.
     """
     chosen = {}
     for name, choice in groups.items():
         where = f"mesh.groups.{name}"
-        found = _by_number(faces, choice, f"{where}.faces", "face", problems)
-        found += _by_plane(faces, choice, where, size, problems)
-        found += _by_radius(faces, choice, where, problems)
+        numbers = _by_number(faces, choice, f"{where}.faces", "face", problems)
+        if choice.plane is not None:
+            axis, at = choice.plane
+            square = [f for f in faces if f.normal is not None and abs(f.normal[axis]) > 1 - 1e-9]
+            on_plane = [f.number for f in square if abs(f.centre[axis] - at) < _NEAR * size]
+            if not on_plane:
+                places = sorted({round(f.centre[axis], 9) for f in square})
+                listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
+                message = f"no plane face at {_AXES[axis]} = {at:g} m (there are at: {listed})"
+                problems.append(BundleProblem(f"{where}.plane", message))
+            numbers += on_plane
+        if choice.radius is not None:
+            round_ones = [(f.radius, f.number) for f in faces if f.radius is not None]
+            limit = 1e-3 * choice.radius
+            chosen_ones = [n for radius, n in round_ones if abs(radius - choice.radius) < limit]
+            if not chosen_ones:
+                listed = ", ".join(
+                    f"{r:g}" for r in sorted({float(f"{r:.6g}") for r, _ in round_ones})
+                )
+                message = (
+                    f"no cylinder of radius {choice.radius:g} m (there are: {listed or 'none'})"
+                )
+                problems.append(BundleProblem(f"{where}.radius", message))
+            numbers += chosen_ones
         for point in choice.near:
-            found += _nearest(gmsh, faces, point, where, size, problems)
-        chosen[name] = sorted(set(found))
+            numbers += _nearest(gmsh, faces, point, where, size, problems)
+        chosen[name] = sorted(set(numbers))
     return chosen
 
 
@@ -63,10 +77,10 @@ def choose_bodies(
     chosen = {}
     for name, choice in regions.items():
         where = f"mesh.regions.{name}"
-        found = _by_number(bodies, choice, f"{where}.bodies", "body", problems)
+        numbers = _by_number(bodies, choice, f"{where}.bodies", "body", problems)
         for point in choice.near:
-            found += _nearest(gmsh, bodies, point, where, size, problems)
-        chosen[name] = sorted(set(found))
+            numbers += _nearest(gmsh, bodies, point, where, size, problems)
+        chosen[name] = sorted(set(numbers))
     return chosen
 
 
@@ -85,36 +99,6 @@ def _by_number(
     return [number for number in choice.numbers if number in there]
 
 
-def _by_plane(
-    faces: Sequence[Face], choice: Selector, where: str, size: float, problems: list[BundleProblem]
-) -> list[int]:
-    if choice.plane is None:
-        return []
-    axis, at = choice.plane
-    square = [f for f in faces if f.normal is not None and abs(f.normal[axis]) > 1 - 1e-9]
-    found = [f.number for f in square if abs(f.centre[axis] - at) < _NEAR * size]
-    if not found:
-        places = sorted({round(f.centre[axis], 9) for f in square})
-        listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
-        message = f"no plane face at {_AXES[axis]} = {at:g} m (there are at: {listed})"
-        problems.append(BundleProblem(f"{where}.plane", message))
-    return found
-
-
-def _by_radius(
-    faces: Sequence[Face], choice: Selector, where: str, problems: list[BundleProblem]
-) -> list[int]:
-    if choice.radius is None:
-        return []
-    round_ones = [(f.radius, f.number) for f in faces if f.radius is not None]
-    found = [n for radius, n in round_ones if abs(radius - choice.radius) < 1e-3 * choice.radius]
-    if not found:
-        listed = ", ".join(f"{r:g}" for r in sorted({float(f"{r:.6g}") for r, _ in round_ones}))
-        message = f"no cylinder of radius {choice.radius:g} m (there are: {listed or 'none'})"
-        problems.append(BundleProblem(f"{where}.radius", message))
-    return found
-
-
 def _nearest(
     gmsh: Any,
     shapes: Sequence[Face] | Sequence[Solid],
@@ -127,7 +111,9 @@ def _nearest(
     kind, dimension = ("face", 2) if isinstance(shapes[0], Face) else ("body", 3)
     # Distances from a point, m, of all the shapes that can be nearest.
     margin = _NEAR * size
-    bound = {s.number: _to_box(point, s.low, s.high) for s in shapes}
+    place = np.array(point)
+    offs = {s.number: np.maximum(np.array(s.low) - place, place - s.high) for s in shapes}
+    bound = {number: float(np.linalg.norm(np.maximum(0.0, off))) for number, off in offs.items()}
     distances: dict[int, float] = {}
     vertex = gmsh.model.occ.addPoint(*(x / METRES for x in point))
     for number in sorted(bound, key=lambda n: bound[n]):
@@ -136,22 +122,17 @@ def _nearest(
         distances[number] = gmsh.model.occ.getDistance(0, vertex, dimension, number)[0] * METRES
     gmsh.model.occ.remove([(0, vertex)])
     least = min(distances.values())
-    found = [n for n, distance in distances.items() if distance <= least + _NEAR * size]
+    nearest = [n for n, distance in distances.items() if distance <= least + _NEAR * size]
     at = ", ".join(f"{x:g}" for x in point)
     if least > size:
-        message = f"({at}) m is {least:.3g} m off the nearest {kind} ({found[0]}); correct it"
-    elif len(found) > 1:
-        named = ", ".join(map(str, found))
+        message = f"({at}) m is {least:.3g} m off the nearest {kind} ({nearest[0]}); correct it"
+    elif len(nearest) > 1:
+        named = ", ".join(map(str, nearest))
         message = f"({at}) m lies on the edge between {kind} {named}; move it off the edge"
     else:
-        return found
+        return nearest
     problems.append(BundleProblem(f"{where}.near", message))
     return []
-
-
-def _to_box(point: Place, low: Place, high: Place) -> float:
-    p, a, b = np.array(point), np.array(low), np.array(high)
-    return float(np.linalg.norm(np.maximum(0.0, np.maximum(a - p, p - b))))
 
 
 def _spans(numbers: list[int]) -> str:

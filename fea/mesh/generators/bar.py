@@ -20,18 +20,13 @@ class Bar:
 
     The bar lies along x from 0 to `length`, centred on the axis. Facet groups: ``start``
     (x = 0), ``end`` (x = `length`), ``side``.
-
-    Attributes
-    ----------
-    length, width, height
-        Along x, y, z.
-    cells_along, cells_across
-        Number of cells along x, and along each of y and z.
     """
 
+    # length, width, height: Along x, y, z
     length: float = metres()
     width: float = metres()
     height: float = metres()
+    # cells_along, cells_across: number of cells along x, and along each of y and z
     cells_along: int = count(40)
     cells_across: int = count(2)
 

@@ -15,21 +15,12 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class PlaneMesh:
-    """A plane mesh.
+    """A plane mesh."""
 
-    Attributes
-    ----------
-    points
-        Shape (k, 2), m; the first `corners` of them are corner nodes, the others midside nodes.
-    quads
-        Shape (q, 8): four corners counter-clockwise, then the middles of the four edges.
-    corners
-        Number of corner nodes.
-    """
-
+    # Shape (k, 2), m; the first `corners` of them are corner nodes, the others midside nodes
     points: Array
-    quads: Array
-    corners: int
+    quads: Array  # shape (q, 8): four corners counter-clockwise, then the middles of the four edges
+    corners: int  # number of corner nodes
 
     @property
     def edges(self) -> Array:
@@ -45,12 +36,8 @@ class PlaneMesh:
 def quadratic(points: Array, quads: Array) -> PlaneMesh:
     """Return the section of straight-sided `quads` with their midside nodes put in.
 
-    Parameters
-    ----------
-    points
-        Corner nodes, shape (c, 2), m.
-    quads
-        Shape (q, 4), counter-clockwise.
+    points: Corner nodes, shape (c, 2), m.
+    quads: shape (q, 4), counter-clockwise.
     """
     ends = np.stack([quads, np.roll(quads, -1, axis=1)], axis=-1)
     pairs, number = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
@@ -75,12 +62,8 @@ def disc(radius: float, core: int) -> PlaneMesh:
     the area of the true one; with its nodes on the true circle 5 quadrilaterals would have 2.4 %
     less stiffness in torsion.
 
-    Parameters
-    ----------
-    radius
-        m.
-    core
-        Number of quadrilaterals across the core.
+    radius: m.
+    core: number of quadrilaterals across the core.
     """
     points, quads = round_corners(radius, core)
     section = quadratic(points, quads)

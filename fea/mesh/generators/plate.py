@@ -31,34 +31,19 @@ class Plate:
     corner squares.
     Facet groups: ``patch`` (in the middle of the top face), ``corners`` (four squares of the
     bottom face), ``rim`` (the four sides), ``top``, ``bottom``.
-
-    Attributes
-    ----------
-    length, width, thickness
-        Along x, y, z.
-    patch
-        Diameter of the round patch.
-    corner
-        Side of the corner squares.
-    cells
-        Number of cells across the patch's core, and along each side between two corner squares.
-    rings
-        Number of rings of cells from the patch out to the corner squares.
-    corner_cells
-        Number of cells along each side of a corner square.
-    layers
-        Number of cells through the thickness.
     """
 
+    # length, width, thickness: Along x, y, z
     length: float = metres()
     width: float = metres()
     thickness: float = metres()
-    patch: float = metres()
-    corner: float = metres(0.04)
+    patch: float = metres()  # Diameter of the round patch
+    corner: float = metres(0.04)  # Side of the corner squares
+    # Number of cells across the patch's core, and along each side between two corner squares
     cells: int = count(6, least=2)
-    rings: int = count(3)
-    corner_cells: int = count(1)
-    layers: int = count(2)
+    rings: int = count(3)  # number of rings of cells from the patch out to the corner squares
+    corner_cells: int = count(1)  # number of cells along each side of a corner square
+    layers: int = count(2)  # number of cells through the thickness
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""

@@ -21,38 +21,31 @@ class Spring:
     The wire's centre line climbs about the z axis from (D/2, 0, 0) to the height `free_length`,
     turning from x to y. Both ends are cut square to the wire. Facet groups: ``bottom``, ``top``
     (the two cuts), ``side``.
-
-    Attributes
-    ----------
-    wire_diameter, mean_diameter, free_length
-        Of the wire, of the helix of its centre line, and that helix's height.
-    active_turns
-        Turns from cut to cut.
-    cells_per_turn
-        Layers of cells in one turn.
-    core
-        Cells across the core of the section, which has core^2 + 4 core cells.
     """
 
+    # wire_diameter, mean_diameter, free_length: of the wire, of the helix of its centre line, and
+    # that helix's height.
     wire_diameter: float = metres()
     mean_diameter: float = metres()
     free_length: float = metres()
-    active_turns: float = positive("turns")
-    cells_per_turn: int = count(26, least=6)
-    core: int = count(1)
+    active_turns: float = positive("turns")  # Turns from cut to cut
+    cells_per_turn: int = count(26, least=6)  # Layers of cells in one turn
+    core: int = count(1)  # cells across the core of the section, which has core^2 + 4 core cells
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""
         key = "cells_per_turn" if self.cells_per_turn > self.core else "core"
         layers = self.cells_per_turn * self.active_turns
-        found = too_many(layers * (self.core**2 + 4.0 * self.core), key)
+        problems = too_many(layers * (self.core**2 + 4.0 * self.core), key)
         if self.wire_diameter >= self.mean_diameter:
-            found.append(("wire_diameter", "must be below mean_diameter, or the wire meets itself"))
+            problems.append(
+                ("wire_diameter", "must be below mean_diameter, or the wire meets itself")
+            )
         if self.free_length <= self.active_turns * self.wire_diameter:
-            found.append(
+            problems.append(
                 ("free_length", "must be above active_turns x wire_diameter, or turns touch")
             )
-        return found
+        return problems
 
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""

@@ -19,19 +19,12 @@ Place = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A section drawn out into `layers` layers of cells.
-
-    Attributes
-    ----------
-    points
-        Shape (n, 3), m.
-    cells
-        One block of hex20: layer after layer, within each in the order of the section.
-    """
+    """A section drawn out into `layers` layers of cells."""
 
     section: PlaneMesh
     layers: int
-    points: Array
+    points: Array  # shape (n, 3), m
+    # One block of hex20: layer after layer, within each in the order of the section
     cells: CellBlock
 
     def start(self, quads: Array | slice = slice(None)) -> FacetGroup:
@@ -71,15 +64,10 @@ class Sweep:
 def sweep(section: PlaneMesh, layers: int, place: Place) -> Sweep:
     """Draw `section` out into `layers` layers of cells.
 
-    Parameters
-    ----------
-    section
-        Counter-clockwise about the direction of drawing.
-    layers
-        Number of layers.
-    place
-        From section points, shape (k, 2), and the fraction of the way, shape (k,) and from 0 to 1,
-        to points in space, shape (k, 3). Called once, so that any line will do.
+    section: Counter-clockwise about the direction of drawing.
+    layers: number of layers.
+    place: from section points, shape (k, 2), and the fraction of the way, shape (k,) and from 0 to
+    1, to points in space, shape (k, 3). Called once, so that any line will do.
     """
     stride, between = _stride(section), len(section.points)
     level_of = np.concatenate([np.zeros(between), np.ones(section.corners)])

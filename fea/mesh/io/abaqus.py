@@ -59,7 +59,7 @@ _MOST_MEMBERS = 20_000_000
 
 @dataclass
 class Deck:
-    """What has been read so far; sets are keyed by their name in capitals, as solvers do."""
+    """The mesh read so far; sets are keyed by their name in capitals, as solvers do."""
 
     nodes: dict[int, list[float]] = field(default_factory=dict)
     kinds: list[str] = field(default_factory=list)
@@ -76,36 +76,34 @@ class Deck:
 
 
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
-    """Return what a deck defines of a mesh; `take` gets each keyword after it.
+    """Return the mesh of a deck; `take` gets each keyword after it.
 
-    Raises
-    ------
-    MeshFileError
-        If a line cannot be understood, or nodes and elements come by a keyword that is not read.
+    Raises MeshFileError if a line cannot be understood, or nodes and elements come by a keyword
+    that is not read.
     """
     deck = Deck()
-    for one in read_keywords(deck_text(path)):
+    for keyword in read_keywords(deck_text(path)):
         try:
-            if one.word in _REFUSED:
-                raise MeshFileError(f"is not read; {_REFUSED[one.word]}")
-            if one.word in TAKERS:
-                TAKERS[one.word](deck, one)
-            take(deck, one)
+            if keyword.word in _REFUSED:
+                raise MeshFileError(f"is not read; {_REFUSED[keyword.word]}")
+            if keyword.word in TAKERS:
+                TAKERS[keyword.word](deck, keyword)
+            take(deck, keyword)
         except MeshFileError as error:
-            raise one.wrong(error) from None
+            raise keyword.wrong(error) from None
         except (ValueError, KeyError, IndexError, OverflowError) as error:
-            raise one.wrong(f"cannot be read ({error})") from None
+            raise keyword.wrong(f"cannot be read ({error})") from None
     return deck
 
 
-def _take_nodes(deck: Deck, one: Keyword) -> None:
-    if one.options.get("SYSTEM", "R").upper() != "R":
+def _take_nodes(deck: Deck, keyword: Keyword) -> None:
+    if keyword.options.get("SYSTEM", "R").upper() != "R":
         raise MeshFileError("is in a system of its own; give global Cartesian coordinates")
-    deck.node_lines.append((len(deck.nodes), one.line))
+    deck.node_lines.append((len(deck.nodes), keyword.line))
     labels = []
-    for row in one.rows:
-        label = one.frame.label(row[0])
-        point = one.frame.place([float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]])
+    for row in keyword.rows:
+        label = keyword.frame.label(row[0])
+        point = keyword.frame.place([float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]])
         if deck.nodes.setdefault(label, point) != point:
             place = list(deck.nodes).index(label)
             line = next(line for first, line in reversed(deck.node_lines) if first <= place)
@@ -115,16 +113,16 @@ def _take_nodes(deck: Deck, one: Keyword) -> None:
                 "number one of the two anew"
             )
         labels.append(label)
-    if "NSET" in one.options:
-        _add(deck, deck.node_sets, one.frame, one.options["NSET"], labels)
+    if "NSET" in keyword.options:
+        _add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], labels)
 
 
-def _take_elements(deck: Deck, one: Keyword) -> None:
-    kind = kind_of(one.options["TYPE"].upper())
+def _take_elements(deck: Deck, keyword: Keyword) -> None:
+    kind = kind_of(keyword.options["TYPE"].upper())
     if kind is None:  # masses, springs, gaps: nothing of the mesh
         return
     columns = 1 + {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}[kind]
-    numbers = [one.frame.label(each) for row in one.rows for each in row if each]
+    numbers = [keyword.frame.label(each) for row in keyword.rows for each in row if each]
     if len(numbers) % columns:
         raise MeshFileError(f"has {len(numbers)} numbers; {kind} elements have {columns} each")
     table = [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
@@ -132,21 +130,21 @@ def _take_elements(deck: Deck, one: Keyword) -> None:
         return
     for i, row in enumerate(table):
         if row[0] in deck.where:
-            line = [*deck.element_lines, one.line][deck.where[row[0]][0]]
+            line = [*deck.element_lines, keyword.line][deck.where[row[0]][0]]
             raise MeshFileError(
                 f"defines element {row[0] % STRIDE} again; the *ELEMENT of line {line} has it too"
             )
         deck.where[row[0]] = (len(deck.kinds), i)
     deck.kinds.append(kind)
-    deck.element_lines.append(one.line)
+    deck.element_lines.append(keyword.line)
     deck.cells.append([row[1:] for row in table])
-    if "ELSET" in one.options:
+    if "ELSET" in keyword.options:
         labels = [row[0] for row in table]
-        _add(deck, deck.element_sets, one.frame, one.options["ELSET"], labels)
+        _add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
 
 
 def kind_of(name: str) -> str | None:
-    """Return what an element type is in a mesh; None for masses, springs and the like."""
+    """Return the kind of cell or facet of an element type; None for masses and springs."""
     solid = _SOLID.fullmatch(name)
     if solid:
         nodes = solid[1]
@@ -159,37 +157,37 @@ def kind_of(name: str) -> str | None:
     return None
 
 
-def _take_node_set(deck: Deck, one: Keyword) -> None:
-    entries = _members(deck, deck.node_sets, one)
-    if "ELSET" in one.options:
-        for element in named(deck, deck.element_sets, one.options["ELSET"], one.frame):
+def _take_node_set(deck: Deck, keyword: Keyword) -> None:
+    entries = _members(deck, deck.node_sets, keyword)
+    if "ELSET" in keyword.options:
+        for element in named(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame):
             block, row = deck.where[element]
             entries += deck.cells[block][row]
-    _add(deck, deck.node_sets, one.frame, one.options["NSET"], entries)
+    _add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], entries)
 
 
-def _take_element_set(deck: Deck, one: Keyword) -> None:
-    entries = _members(deck, deck.element_sets, one)
-    _add(deck, deck.element_sets, one.frame, one.options["ELSET"], entries)
+def _take_element_set(deck: Deck, keyword: Keyword) -> None:
+    entries = _members(deck, deck.element_sets, keyword)
+    _add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], entries)
 
 
-def _members(deck: Deck, sets: dict[str, list[int]], one: Keyword) -> list[int]:
+def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[int]:
     """Return the numbers a set names: one by one, as start-end-step, or by other sets."""
-    found: list[int] = []
-    frame = one.frame
-    if "INSTANCE" in one.options:
-        frame = deck.frames[one.options["INSTANCE"].upper()]
-    for row in one.rows:
+    members: list[int] = []
+    frame = keyword.frame
+    if "INSTANCE" in keyword.options:
+        frame = deck.frames[keyword.options["INSTANCE"].upper()]
+    for row in keyword.rows:
         fields = [each for each in row if each]
-        if "GENERATE" in one.options:
+        if "GENERATE" in keyword.options:
             first, last, step = (*(int(each) for each in fields), 1)[:3]
             offset = frame.number * STRIDE
-            found += _few(range(first + offset, last + 1 + offset, step))
+            members += _few(range(first + offset, last + 1 + offset, step))
         else:
             for each in fields:
-                found += named(deck, sets, each, frame)
-                _few(found)
-    return found
+                members += named(deck, sets, each, frame)
+                _few(members)
+    return members
 
 
 def _few(entries: Sequence[int]) -> Sequence[int]:
@@ -200,7 +198,7 @@ def _few(entries: Sequence[int]) -> Sequence[int]:
 
 
 def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> list[int]:
-    """Return what a field names: a number, a set, or either of an instance as INSTANCE.NAME."""
+    """Return the members that a field names: a number or a set, also as INSTANCE.NAME."""
     instance, _, last = name.rpartition(".")
     frame = deck.frames.get(instance.upper(), frame)
     if last.lstrip("+-").isdigit() and (not instance or instance.upper() in deck.frames):
@@ -211,39 +209,42 @@ def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> li
 def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> str:
     """Return the key of a set that a field names, in the frame, else in the assembly.
 
-    Raises
-    ------
-    MeshFileError
-        If there is none.
+    Raises MeshFileError if there is none.
     """
     instance, _, last = name.rpartition(".")
-    own = deck.frames.get(instance.upper())
-    for key in (own.key(last) if own else "", frame.key(name), name.upper()):
+    in_frame = deck.frames.get(instance.upper())
+    for key in (in_frame.key(last) if in_frame else "", frame.key(name), name.upper()):
         if key in sets:
             return key
     raise MeshFileError(f'names a set "{name}" that is not defined above it')
 
 
-def _take_surface(deck: Deck, one: Keyword) -> None:
-    by_node = one.options.get("TYPE", "ELEMENT").upper() == "NODE"
-    own = one.options["NAME"]
-    for name, *rest in one.rows:
+def _take_surface(deck: Deck, keyword: Keyword) -> None:
+    by_node = keyword.options.get("TYPE", "ELEMENT").upper() == "NODE"
+    surface = keyword.options["NAME"]
+    for name, *fields in keyword.rows:
         if by_node:
-            _add(deck, deck.node_sets, one.frame, own, named(deck, deck.node_sets, name, one.frame))
+            _add(
+                deck,
+                deck.node_sets,
+                keyword.frame,
+                surface,
+                named(deck, deck.node_sets, name, keyword.frame),
+            )
             continue
-        face = rest[0].upper() if rest else ""
+        face = fields[0].upper() if fields else ""
         if not re.fullmatch(r"S\d", face):
             raise MeshFileError(f'has the face "{face}"; faces of solids are S1 to S6')
-        entries = [(e, face) for e in named(deck, deck.element_sets, name, one.frame)]
+        entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
         deck.entries += len(entries)
         _few(range(deck.entries))
-        deck.surfaces.setdefault(_key(deck, one.frame, own), []).extend(entries)
+        deck.surfaces.setdefault(_key(deck, keyword.frame, surface), []).extend(entries)
 
 
-def _take_instance(deck: Deck, one: Keyword) -> None:
-    if one.frame.name.upper() in deck.frames:
-        raise MeshFileError(f'defines "{one.frame.name}" again; name each instance differently')
-    deck.frames[one.frame.name.upper()] = one.frame
+def _take_instance(deck: Deck, keyword: Keyword) -> None:
+    if keyword.frame.name.upper() in deck.frames:
+        raise MeshFileError(f'defines "{keyword.frame.name}" again; name each instance differently')
+    deck.frames[keyword.frame.name.upper()] = keyword.frame
 
 
 TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
@@ -258,6 +259,8 @@ TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
 
 def _key(deck: Deck, frame: Frame, name: str) -> str:
     """Return a set's key; its name keeps the spelling of its first mention."""
+    if not name:
+        raise MeshFileError("has no name for its set; write NSET=NAME, ELSET=NAME or NAME=NAME")
     key = frame.key(name)
     deck.names.setdefault(key, f"{frame.name}.{name}" if frame.name else name)
     return key
@@ -279,8 +282,8 @@ def set_names(deck: Deck, sets: Iterable[str]) -> dict[str, str]:
         short |= {key: key.removeprefix(start) for key in short if key.startswith(start)}
     times = Counter(short.values())
     return {
-        key: deck.names[key][-len(own) :] if times[own] == 1 else deck.names[key]
-        for key, own in short.items()
+        key: deck.names[key][-len(name) :] if times[name] == 1 else deck.names[key]
+        for key, name in short.items()
     }
 
 
@@ -311,7 +314,7 @@ def raw_mesh(deck: Deck) -> RawMesh:
             groups[key]: np.array([row[node] for node in ids if node in row], dtype=np.int64)
             for key, ids in deck.node_sets.items()
         },
-        {faces[key]: _faces(deck, row, own) for key, own in deck.surfaces.items()},
+        {faces[key]: _faces(deck, row, sides) for key, sides in deck.surfaces.items()},
     )
 
 
@@ -326,7 +329,7 @@ def _by_block(deck: Deck, ids: list[int]) -> list[Array]:
 
 
 def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> list[Block]:
-    found: dict[str, list[list[int]]] = {}
+    by_kind: dict[str, list[list[int]]] = {}
     for element, face in faces:
         if element not in deck.where:
             raise MeshFileError(
@@ -340,5 +343,5 @@ def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> lis
                 f"has a surface on face {face} of element {element % STRIDE}, a {shape}"
             )
         corners = [row[deck.cells[block][cell][int(c) - 1]] for c in table[int(face[1]) - 1]]
-        found.setdefault("quad4" if len(corners) == 4 else "tri3", []).append(corners)
-    return [(kind, np.array(nodes, dtype=np.int64)) for kind, nodes in found.items()]
+        by_kind.setdefault("quad4" if len(corners) == 4 else "tri3", []).append(corners)
+    return [(kind, np.array(nodes, dtype=np.int64)) for kind, nodes in by_kind.items()]

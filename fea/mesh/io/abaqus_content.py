@@ -75,7 +75,7 @@ _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PA
 _QUIET |= {"END LOAD CASE"}
 
 _PROPOSED = {"CLOAD", "STEP", "LOAD CASE"}
-"""What proposes a load range and an analysis for a new component, and is not compared with one."""
+"""Keywords that propose load range and analysis of a new component; they are not compared."""
 
 
 @dataclass
@@ -92,7 +92,7 @@ class _Coupling:
 
 @dataclass
 class _Step:
-    """What acts at the end of a step; freedoms are numbers from 0.
+    """Supports and forces at the end of a step; freedoms are numbers from 0.
 
     `name` is empty of what is no case, as of a step with load cases. `kind` is "general",
     "perturbation" or "load case". `motions` are (where, key of a set or empty, labels, freedoms
@@ -107,12 +107,12 @@ class _Step:
     nonlinear: bool = False
     begun: set[str | tuple[int, int]] = field(default_factory=set)
 
-    def begin(self, one: Keyword) -> None:
+    def begin(self, keyword: Keyword) -> None:
         """Go on, at a word's first keyword, from what earlier steps set, by OP=NEW from nothing."""
-        if one.word not in self.begun:
-            self.begun.add(one.word)
-            new = one.options.get("OP", "").upper() == "NEW"
-            if one.word == "CLOAD":
+        if keyword.word not in self.begun:
+            self.begun.add(keyword.word)
+            new = keyword.options.get("OP", "").upper() == "NEW"
+            if keyword.word == "CLOAD":
                 self.forces = {} if new else dict(self.forces)
             else:
                 self.motions = [] if new else list(self.motions)
@@ -120,7 +120,7 @@ class _Step:
 
 @dataclass
 class _Reader:
-    """What has been read besides the mesh; groups are keys of the deck's sets until the end.
+    """Content read besides the mesh; groups are keys of the deck's sets until the end.
 
     `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
     `points` the number of a coupling and the first freedom of each reference node.
@@ -134,27 +134,27 @@ class _Reader:
     points: dict[int, tuple[int, int]] = field(default_factory=dict)
     material: str = ""
 
-    def take(self, deck: Deck, one: Keyword) -> None:
+    def take(self, deck: Deck, keyword: Keyword) -> None:
         """Take one keyword, after the deck has taken what is of the mesh."""
-        taker = _TAKERS.get(one.word)
-        if "INPUT" in one.options and (taker is not None or one.word in TAKERS):
+        taker = _TAKERS.get(keyword.word)
+        if "INPUT" in keyword.options and (taker is not None or keyword.word in TAKERS):
             message = "paste that file's lines below the keyword"
-            raise MeshFileError(f"has its rows in {one.options['INPUT']}; {message}")
+            raise MeshFileError(f"has its rows in {keyword.options['INPUT']}; {message}")
         try:
             if taker is not None:
-                taker(self, deck, one)
+                taker(self, deck, keyword)
         except (MeshFileError, ValueError, LookupError) as error:
-            self.lack(one, f"is not understood, so not taken over ({error})")
-        if one.word in _MISSING:
-            self.lack(one, _MISSING[one.word])
-        if one.word not in _QUIET:
-            known = one.word in TAKERS or (taker is not None and one.word not in _PROPOSED)
+            self.lack(keyword, f"is not understood, so not taken over ({error})")
+        if keyword.word in _MISSING:
+            self.lack(keyword, _MISSING[keyword.word])
+        if keyword.word not in _QUIET:
+            known = keyword.word in TAKERS or (taker is not None and keyword.word not in _PROPOSED)
             lines = self.content.taken if known else self.content.ignored
-            lines.setdefault(one.word, []).append(one.line)
+            lines.setdefault(keyword.word, []).append(keyword.line)
 
-    def lack(self, one: Keyword, message: str) -> None:
+    def lack(self, keyword: Keyword, message: str) -> None:
         """Note what counts and is not taken over."""
-        self.content.missing[_where(one)] = message
+        self.content.missing[_where(keyword)] = message
 
     @property
     def constants(self) -> dict[str, float]:
@@ -165,10 +165,8 @@ class _Reader:
 def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     """Read the mesh of a deck and what else is in it.
 
-    Raises
-    ------
-    MeshFileError
-        As `fea.mesh.io.abaqus.parsed` does, or if a keyword has its rows in another file.
+    Raises MeshFileError as `fea.mesh.io.abaqus.parsed` does, or if a keyword has its rows in
+    another file.
     """
     reader = _Reader()
     deck = parsed(path, reader.take)
@@ -184,15 +182,16 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
             held[id(step.motions)] = _supports(reader, deck, step, len(couplings))
         case.supports, freedoms = held[id(step.motions)]
         case.couplings = [
-            replace(own, held=set(freedoms[i]), loads=[0.0] * 6) for i, own in enumerate(couplings)
+            replace(coupling, held=set(freedoms[i]), loads=[0.0] * 6)
+            for i, coupling in enumerate(couplings)
         ]
         single = {label for (label, _), (key, _) in step.forces.items() if not key}
         single -= reader.points.keys()
-        rest = _set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
+        single_key = _set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
         for (label, freedom), (key, value) in step.forces.items():
             number, first = reader.points.get(label, (None, 0))
             if number is None:
-                loads = case.loads.setdefault(key or rest, [0.0] * 6)
+                loads = case.loads.setdefault(key or single_key, [0.0] * 6)
             else:
                 loads = case.couplings[number].loads
             loads[(freedom + first) % 6] += value
@@ -201,67 +200,67 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     faces = set_names(deck, deck.surfaces)
     content.sections += [SolidSection(w, regions[key], name) for w, key, name in reader.sections]
     for case in content.cases:
-        case.supports = [replace(own, group=groups[own.group]) for own in case.supports]
+        case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
         case.loads = {groups[key]: loads for key, loads in case.loads.items()}
-        for own in list(case.couplings):
-            own.group = faces.get(own.group) or groups[own.group]
-            if len(own.held) == len(own.loads):
-                case.couplings.remove(own)
-                case.supports.append(HeldGroup(own.where, own.group, "xyz"))
+        for coupled in list(case.couplings):
+            coupled.group = faces.get(coupled.group) or groups[coupled.group]
+            if len(coupled.held) == len(coupled.loads):
+                case.couplings.remove(coupled)
+                case.supports.append(HeldGroup(coupled.where, coupled.group, "xyz"))
     return raw_mesh(deck), reader.content
 
 
-def _where(one: Keyword) -> str:
-    return f"line {one.line}: *{one.word}"
+def _where(keyword: Keyword) -> str:
+    return f"line {keyword.line}: *{keyword.word}"
 
 
-def _take_elements(reader: _Reader, deck: Deck, one: Keyword) -> None:
-    kind = one.options["TYPE"].upper()
+def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    kind = keyword.options["TYPE"].upper()
     if kind_of(kind) is None:
-        reader.lack(one, f"of type {kind} is not solved: only solid cells are")
-    elif one.line in deck.element_lines[-1:]:
+        reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
+    elif keyword.line in deck.element_lines[-1:]:
         counts = reader.content.elements
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
 
 
-def _take_material(reader: _Reader, _: Deck, one: Keyword) -> None:
-    reader.material = one.options["NAME"]
+def _take_material(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+    reader.material = keyword.options["NAME"]
 
 
-def _take_constants(reader: _Reader, _: Deck, one: Keyword) -> None:
-    kind = one.options.get("TYPE", "ISO").upper()
+def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+    kind = keyword.options.get("TYPE", "ISO").upper()
     if kind not in ("ISO", "ISOTROPIC"):
-        reader.lack(one, f"of type {kind} is not compared; write it into [[material]]")
+        reader.lack(keyword, f"of type {kind} is not compared; write it into [[material]]")
         return
-    values = zip(_CONSTANTS[one.word], one.rows[0], strict=False)
+    values = zip(_CONSTANTS[keyword.word], keyword.rows[0], strict=False)
     reader.constants.update({key: float(value) for key, value in values})
-    if one.word == "PLASTIC":
-        reader.lack(one, "is not solved: its first stress is a yield_strength to compare with")
-    elif len(one.rows) > 1:
-        reader.lack(one, "has values at several temperatures; its first line is compared")
+    if keyword.word == "PLASTIC":
+        reader.lack(keyword, "is not solved: its first stress is a yield_strength to compare with")
+    elif len(keyword.rows) > 1:
+        reader.lack(keyword, "has values at several temperatures; its first line is compared")
 
 
-def _take_section(reader: _Reader, deck: Deck, one: Keyword) -> None:
-    key = set_key(deck, deck.element_sets, one.options["ELSET"], one.frame)
-    reader.sections.append((_where(one), key, one.options["MATERIAL"]))
+def _take_section(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    key = set_key(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)
+    reader.sections.append((_where(keyword), key, keyword.options["MATERIAL"]))
 
 
-def _take_boundary(reader: _Reader, deck: Deck, one: Keyword) -> None:
+def _take_boundary(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
-    step.begin(one)
-    if {"SUBMODEL", "USER"} & one.options.keys():
-        reader.lack(one, "moves nodes by results or code; they are fixed where they are")
-    for target, *rest in one.rows:
-        word = rest[0].upper() if rest else ""
+    step.begin(keyword)
+    if {"SUBMODEL", "USER"} & keyword.options.keys():
+        reader.lack(keyword, "moves nodes by results or code; they are fixed where they are")
+    for target, *fields in keyword.rows:
+        word = fields[0].upper() if fields else ""
         if word in _WORDS:
             held = {int(each) for each in _WORDS[word]}
         else:
-            first, last, value = (*rest, "", "", "")[:3]
+            first, last, value = (*fields, "", "", "")[:3]
             held = set(range(int(first) - 1, min(int(last or first), 6)))
             if held and float(value or 0.0):
-                reader.lack(one, "moves nodes by what is not 0; they are fixed where they are")
-        key, labels = _target(deck, target, one.frame)
-        step.motions.append((_where(one), key, labels, held))
+                reader.lack(keyword, "moves nodes by what is not 0; they are fixed where they are")
+        key, labels = _target(deck, target, keyword.frame)
+        step.motions.append((_where(keyword), key, labels, held))
 
 
 def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
@@ -271,46 +270,51 @@ def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     return "" if single else set_key(deck, deck.node_sets, name, frame), labels
 
 
-def _take_coupling(reader: _Reader, deck: Deck, one: Keyword) -> None:
-    name = one.options["SURFACE"]
-    sets = deck.surfaces if one.frame.key(name) in deck.surfaces else deck.node_sets
-    key = set_key(deck, sets, name, one.frame)
-    radius = float(one.options.get("INFLUENCE RADIUS", "inf"))
-    ref = _node(deck, one, "REF NODE")
-    reader.couplings.append(_Coupling(one, key, ref, radius=radius))
+def _take_coupling(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    name = keyword.options["SURFACE"]
+    sets = deck.surfaces if keyword.frame.key(name) in deck.surfaces else deck.node_sets
+    key = set_key(deck, sets, name, keyword.frame)
+    radius = float(keyword.options.get("INFLUENCE RADIUS", "inf"))
+    ref = _node(deck, keyword, "REF NODE")
+    reader.couplings.append(_Coupling(keyword, key, ref, radius=radius))
 
 
-def _take_coupling_kind(reader: _Reader, _: Deck, one: Keyword) -> None:
-    rows = [[int(each) for each in row if each] for row in one.rows]
+def _take_coupling_kind(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+    rows = [[int(each) for each in row if each] for row in keyword.rows]
     freedoms = {n for row in rows for n in range(row[0], row[-1] + 1)}
     if rows and not freedoms >= {1, 2, 3}:
-        reader.lack(one, "couples some directions only; here all three are")
-    reader.couplings[-1].kind = "rigid" if one.word == "KINEMATIC" else "distributed"
+        reader.lack(keyword, "couples some directions only; here all three are")
+    reader.couplings[-1].kind = "rigid" if keyword.word == "KINEMATIC" else "distributed"
 
 
-def _take_rigid(reader: _Reader, deck: Deck, one: Keyword) -> None:
-    name = next((one.options[k] for k in ("NSET", "TIE NSET", "PIN NSET") if k in one.options), "")
+def _take_rigid(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    name = next(
+        (keyword.options[k] for k in ("NSET", "TIE NSET", "PIN NSET") if k in keyword.options), ""
+    )
     if not name:
-        reader.lack(one, "of elements is not taken over; name its nodes as a rigid [interface]")
+        reader.lack(keyword, "of elements is not taken over; name its nodes as a rigid [interface]")
         return
-    key = set_key(deck, deck.node_sets, name, one.frame)
-    ref, rot = (_node(deck, one, option) for option in ("REF NODE", "ROT NODE"))
-    reader.couplings.append(_Coupling(one, key, ref, rot))
+    key = set_key(deck, deck.node_sets, name, keyword.frame)
+    ref, rot = (_node(deck, keyword, option) for option in ("REF NODE", "ROT NODE"))
+    reader.couplings.append(_Coupling(keyword, key, ref, rot))
 
 
-def _node(deck: Deck, one: Keyword, option: str) -> int | None:
-    if option not in one.options:
+def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
+    if option not in keyword.options:
         return None
-    return named(deck, deck.node_sets, one.options[option], one.frame)[0]
+    return named(deck, deck.node_sets, keyword.options[option], keyword.frame)[0]
 
 
-def _take_force(reader: _Reader, deck: Deck, one: Keyword) -> None:
+def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
-    step.begin(one)
-    if "AMPLITUDE" in one.options:
-        reader.lack(one, "varies by an amplitude; its values are taken as they are")
-    for target, freedom, value, *_ in one.rows:
-        key, labels = _target(deck, target, one.frame)
+    step.begin(keyword)
+    if "AMPLITUDE" in keyword.options:
+        reader.lack(keyword, "varies by an amplitude; its values are taken as they are")
+    for row in keyword.rows:
+        if len(row) < 3:
+            raise ValueError(f"{', '.join(row)} needs a node or set, a freedom and a value")
+        target, freedom, value = row[:3]
+        key, labels = _target(deck, target, keyword.frame)
         if not 1 <= int(freedom) <= 6:
             raise ValueError(f"{freedom} is no force or moment")
         for place in ((label, int(freedom) - 1) for label in labels):
@@ -319,24 +323,26 @@ def _take_force(reader: _Reader, deck: Deck, one: Keyword) -> None:
             step.begun.add(place)
 
 
-def _take_step(reader: _Reader, _: Deck, one: Keyword) -> None:
+def _take_step(reader: _Reader, _: Deck, keyword: Keyword) -> None:
     """Begin a step where the last general one ends, or a load case where its step stands."""
-    kinds, kind = ("general",), "perturbation" if "PERTURBATION" in one.options else "general"
-    if one.word == "LOAD CASE":
+    kinds, kind = ("general",), "perturbation" if "PERTURBATION" in keyword.options else "general"
+    if keyword.word == "LOAD CASE":
         kinds, kind = ("general", "perturbation"), "load case"
     base = next(step for step in reversed(reader.steps) if step.kind in kinds)
     last = reader.steps[-1]
     if kind == "general" and last.kind == "perturbation" and "BOUNDARY" in last.begun:
-        reader.lack(one, "is without the supports of the perturbation before; CalculiX keeps them")
+        reader.lack(
+            keyword, "is without the supports of the perturbation before; CalculiX keeps them"
+        )
     if kind == "load case":
         base.name = ""
-    name = one.options.get("NAME") or f"step {len(reader.steps)}"
+    name = keyword.options.get("NAME") or f"step {len(reader.steps)}"
     if any(step.name.upper() == name.upper() for step in reader.steps):
         name = f"{name} ({len(reader.steps)})"
     step = replace(base, name=name, kind=kind, begun=set())
     if kind == "perturbation":
         step.forces = {}
-    step.nonlinear |= one.options.get("NLGEOM", "NO").upper() != "NO"
+    step.nonlinear |= keyword.options.get("NLGEOM", "NO").upper() != "NO"
     reader.steps.append(step)
 
 
@@ -370,21 +376,24 @@ def _supports(
     by_set: dict[str, tuple[str, set[int]]] = {}
     by_node: dict[int, tuple[str, set[int]]] = {}
     for where, key, labels, freedoms in step.motions:
-        for number, first in (reader.points[own] for own in labels if own in reader.points):
+        for number, first in (reader.points[label] for label in labels if label in reader.points):
             of_couplings[number] |= {first + i for i in freedoms if first + i < 6}
-        rest = [label for label in labels if label not in reader.points]
-        if key and rest:
+        plain = [label for label in labels if label not in reader.points]
+        if key and plain:
             by_set.setdefault(key, (where, set()))[1].update(freedoms)
-        for label in rest if not key else ():
+        for label in plain if not key else ():
             by_node.setdefault(label, (where, set()))[1].update(freedoms)
     together: dict[str, list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
         together[_directions(freedoms)].append(label)
-    held = [HeldGroup(where, key, _directions(own)) for key, (where, own) in by_set.items()]
+    held = [
+        HeldGroup(where, key, _directions(freedoms_held))
+        for key, (where, freedoms_held) in by_set.items()
+    ]
     for ways, labels in together.items():
         key = _set_of(reader, deck, labels, f"nodes_held_in_{ways}")
         held.append(HeldGroup(by_node[labels[0]][0], key, ways))
-    return [own for own in held if own.directions], of_couplings
+    return [freedoms_held for freedoms_held in held if freedoms_held.directions], of_couplings
 
 
 def _directions(freedoms: set[int]) -> str:
@@ -405,24 +414,26 @@ def _set_of(reader: _Reader, deck: Deck, labels: list[int], name: str) -> str:
 def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
     """Return the couplings whose reference nodes can be used, and note these in the reader."""
     couplings: list[CoupledGroup] = []
-    for one in reader.couplings:
-        if one.ref is not None and one.ref not in deck.nodes:
-            reader.lack(one.keyword, "has a reference node that is not defined")
+    for coupled in reader.couplings:
+        if coupled.ref is not None and coupled.ref not in deck.nodes:
+            reader.lack(coupled.keyword, "has a reference node that is not defined")
             continue
-        if one.ref in reader.points:
-            reader.lack(one.keyword, "has the reference node of another; unite the two groups")
+        if coupled.ref in reader.points:
+            reader.lack(coupled.keyword, "has the reference node of another; unite the two groups")
             continue
-        key, place = one.key, () if one.ref is None else tuple(deck.nodes[one.ref])
-        if place and math.isfinite(one.radius):
+        key, place = coupled.key, () if coupled.ref is None else tuple(deck.nodes[coupled.ref])
+        if place and math.isfinite(coupled.radius):
             labels = [n for n in _nodes_of(deck, key) if n in deck.nodes]
-            near = [n for n in labels if math.dist(deck.nodes[n], place) <= one.radius]
+            near = [n for n in labels if math.dist(deck.nodes[n], place) <= coupled.radius]
             if not near:
-                reader.lack(one.keyword, f"reaches no node within its radius, {one.radius:g}")
+                reader.lack(
+                    coupled.keyword, f"reaches no node within its radius, {coupled.radius:g}"
+                )
                 continue
-            key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{one.radius:g}")
-        numbers = ((one.ref, 0), (one.rot, 3))
+            key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
+        numbers = ((coupled.ref, 0), (coupled.rot, 3))
         reader.points |= {n: (len(couplings), i) for n, i in numbers if n is not None}
-        couplings.append(CoupledGroup(_where(one.keyword), key, one.kind, place))
+        couplings.append(CoupledGroup(_where(coupled.keyword), key, coupled.kind, place))
     return couplings
 
 

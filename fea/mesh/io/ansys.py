@@ -47,16 +47,13 @@ class _Archive(Translated):
 
 
 def read_ansys(text: str) -> Translated:
-    """Return what an archive holds: regions MAT_1, node components, D and F on nodes.
+    """Return the content of an archive: regions MAT_1, node components, D and F on nodes.
 
     Each LSWRITE and SOLVE ends a load case; without any, the archive is of one.
 
-    Raises
-    ------
-    MeshFileError
-        If a block cannot be read, or cells are collapsed to pyramids.
+    Raises MeshFileError if a block cannot be read, or cells are collapsed to pyramids.
     """
-    found = _Archive(nonlinear=bool(re.search(r"^\s*NLGEOM\s*,\s*(ON|1)", text, re.I | re.M)))
+    archive = _Archive(nonlinear=bool(re.search(r"^\s*NLGEOM\s*,\s*(ON|1)", text, re.I | re.M)))
     lines = enumerate(text.splitlines(), start=1)
     rows = (row for _, row in lines)
     for number, line in lines:
@@ -64,65 +61,65 @@ def read_ansys(text: str) -> Translated:
             word, *fields = (each.strip().upper() for each in command.split(","))
             try:
                 if word in _BLOCKS:
-                    _BLOCKS[word](found, fields, rows)
+                    _BLOCKS[word](archive, fields, rows)
                 else:
-                    _take_command(found, word, fields)
+                    _take_command(archive, word, fields)
             except (ValueError, LookupError, StopIteration) as error:
                 raise MeshFileError(f"line {number}: {word} cannot be read ({error})") from None
-    if not found.cases:
-        found.end_step("")
-    for name, own in found.materials.items():
-        pair = own.pop("E", ""), own.pop("NU", "")
-        found.constants[name] = ({"ELASTIC": ", ".join(pair)} if all(pair) else {}) | own
-    return found
+    if not archive.cases:
+        archive.end_step("")
+    for name, constants in archive.materials.items():
+        pair = constants.pop("E", ""), constants.pop("NU", "")
+        archive.constants[name] = ({"ELASTIC": ", ".join(pair)} if all(pair) else {}) | constants
+    return archive
 
 
-def _take_command(found: _Archive, word: str, fields: list[str]) -> None:
+def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
     if assigned := re.fullmatch(r"(\w+)\s*=\s*(.+)", word):
         word, fields = "*SET", [assigned[1], assigned[2]]
-    values = [found.parameters.get(each, each) for each in fields]
+    values = [archive.parameters.get(each, each) for each in fields]
     if word == "*SET":
-        found.parameters[fields[0]] = "".join(values[1:2])
+        archive.parameters[fields[0]] = "".join(values[1:2])
     elif word == "ET":
         full = values[3:4] == ["1"]
-        found.types[values[0]] = re.sub(r"\D", "", values[1]) + " full" * full
+        archive.types[values[0]] = re.sub(r"\D", "", values[1]) + " full" * full
     elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:
-        found.types[values[0]] += " full"
+        archive.types[values[0]] += " full"
     elif word in ("MP", "MPDATA"):
-        _take_constant(found, word, values)
+        _take_constant(archive, word, values)
     elif word in ("D", "F", "DDELE", "FDELE"):
-        _take_on_nodes(found, word, values)
+        _take_on_nodes(archive, word, values)
     elif word in ("LSWRITE", "SOLVE"):
-        found.end_step(f"LOAD STEP {len(found.cases) + 1}")
+        archive.end_step(f"LOAD STEP {len(archive.cases) + 1}")
     elif word in _SELECTIONS:
-        found.selected = word != "ALLSEL" and fields[:1] != ["ALL"]
+        archive.selected = word != "ALLSEL" and fields[:1] != ["ALL"]
     elif word in _LEFT:
-        found.left[word] += 1
+        archive.left[word] += 1
 
 
-def _take_nodes(found: _Archive, _: list[str], rows: Iterator[str]) -> None:
+def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
     ints, width, size = map(int, re.findall(r"(\d+)[iI](\d+),\d+[eE](\d+)", next(rows))[0])
     for row in rows:
         if not row[:width].strip().isdigit():
             return
         start = ints * width
         values = [row[start + i * size : start + (i + 1) * size].strip() or "0" for i in range(6)]
-        found.nodes.append(f"{row[:width].strip()}, {', '.join(values[:3])}")
+        archive.nodes.append(f"{row[:width].strip()}, {', '.join(values[:3])}")
         if any(map(float, values[3:])):
-            found.left["nodes with axes of their own"] += 1
+            archive.left["nodes with axes of their own"] += 1
 
 
-def _take_types(found: _Archive, _: list[str], rows: Iterator[str]) -> None:
+def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
     """Take element types with their options, of newer archives."""
     widths = re.findall(r"i(\d+),\d+a(\d+)", next(rows).lower())[0]
     for row in rows:
         number, *fields = _fixed(row, int(widths[0]))
         if number == "-1":
             return
-        found.types[number] = fields[0] + (" full" if fields[2:3] == ["1"] else "")
+        archive.types[number] = fields[0] + (" full" if fields[2:3] == ["1"] else "")
 
 
-def _take_elements(found: _Archive, fields: list[str], rows: Iterator[str]) -> None:
+def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     if fields[:2] != ["19", "SOLID"]:
         raise ValueError("it is not of the form 19,SOLID; write the archive by CDWRITE,DB")
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
@@ -133,22 +130,22 @@ def _take_elements(found: _Archive, fields: list[str], rows: Iterator[str]) -> N
         nodes = numbers[11:]
         while len(nodes) < int(numbers[8]):
             nodes += _fixed(next(rows), width)
-        if numbers[1] not in found.types:
-            known = ", ".join(found.types) or "none"
+        if numbers[1] not in archive.types:
+            known = ", ".join(archive.types) or "none"
             raise ValueError(f"element type {numbers[1]} has no ET by number above; it has {known}")
-        _take_cell(found, found.types[numbers[1]], f"MAT_{numbers[0]}", numbers[10], nodes)
+        _take_cell(archive, archive.types[numbers[1]], f"MAT_{numbers[0]}", numbers[10], nodes)
 
 
 def _fixed(row: str, width: int) -> list[str]:
     return [row[i : i + width].strip() for i in range(0, len(row.rstrip()), width)]
 
 
-def _take_cell(found: Translated, kind: str, region: str, number: str, nodes: list[str]) -> None:
+def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: list[str]) -> None:
     name, _, full = kind.partition(" ")
     if name not in (*_HEX, *_TET):
-        found.left[f"elements of type {name}"] += 1
+        archive.left[f"elements of type {name}"] += 1
         return
-    found.sections[region] = region
+    archive.sections[region] = region
     if name in _HEX and nodes[4] == nodes[5] and nodes[2] != nodes[3]:
         raise ValueError(
             f"element {number} is a pyramid; mesh with hexahedra, wedges or tetrahedra"
@@ -159,73 +156,77 @@ def _take_cell(found: Translated, kind: str, region: str, number: str, nodes: li
     if "0" in nodes:
         raise ValueError(f"element {number} lacks midside nodes; give it all, or none")
     integration = "R" if len(nodes) == 20 and not full else ""
-    found.elements[f"C3D{len(nodes)}{integration}", region].append([number, *nodes])
+    archive.elements[f"C3D{len(nodes)}{integration}", region].append([number, *nodes])
 
 
-def _take_component(found: _Archive, fields: list[str], rows: Iterator[str]) -> None:
+def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     """Take a component of nodes; a negative number ends a range."""
     width, count = int(re.findall(r"[iI](\d+)", next(rows))[0]), int(fields[2])
     numbers: list[int] = []
     while len(numbers) < count:
         numbers += map(int, _fixed(next(rows), width))
     if not fields[1].startswith("NODE"):
-        found.left[f"component {fields[0]} of elements"] += 1
+        archive.left[f"component {fields[0]} of elements"] += 1
         return
-    own = found.groups[fields[0]]
-    for one in numbers:
-        own += [str(one)] if one > 0 else [str(i) for i in range(int(own[-1]) + 1, 1 - one)]
+    members = archive.groups[fields[0]]
+    for number in numbers:
+        members += (
+            [str(number)]
+            if number > 0
+            else [str(i) for i in range(int(members[-1]) + 1, 1 - number)]
+        )
 
 
-def _take_constant(found: _Archive, word: str, fields: list[str]) -> None:
+def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
     label, name, value, *more = fields if word == "MP" else (*fields[2:4], *fields[5:])
-    own = found.materials.setdefault(f"MAT_{int(name)}", {})
+    constants = archive.materials.setdefault(f"MAT_{int(name)}", {})
     if label in _CONSTANTS:
         if word == "MP" or int(fields[4]) == 1:  # else a table's later rows
-            own[_CONSTANTS[label]] = value
-        first = own.get(_CONSTANTS[label], "")
-        found.left[f"{label} at further temperatures"] += any(
+            constants[_CONSTANTS[label]] = value
+        first = constants.get(_CONSTANTS[label], "")
+        archive.left[f"{label} at further temperatures"] += any(
             each != first for each in (value, *more) if each
         )
     elif label == "EY":
-        found.left["orthotropic constants"] += 1
+        archive.left["orthotropic constants"] += 1
 
 
-def _take_on_nodes(found: _Archive, word: str, fields: list[str]) -> None:
+def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     """Set or remove (DDELE, FDELE) what acts on a node, on each from it to NEND, or on a group."""
-    if found.branches:
+    if archive.branches:
         raise ValueError("it stands within *IF; write what holds without a condition")
     node, label, *rest = (*fields, *[""] * 9)
-    removes, acting = word.endswith("DELE"), found.held if word[0] == "D" else found.forces
+    removes, acting = word.endswith("DELE"), archive.held if word[0] == "D" else archive.forces
     last, step = rest[:2] if removes else rest[2:4]
-    nodes = found.groups.get(node, [])
+    nodes = archive.groups.get(node, [])
     if node.isdigit():
         nodes = [str(i) for i in range(int(node), int(last or node) + 1, int(step or 1))]
-    elif node == "ALL" and not found.selected:
-        nodes = [row.partition(",")[0] for row in found.nodes]
+    elif node == "ALL" and not archive.selected:
+        nodes = [row.partition(",")[0] for row in archive.nodes]
     elif not nodes:
         raise ValueError(f"{node} names nodes that the file does not list; write their numbers")
     labels = [label or "ALL", *filter(None, rest[4:] if word == "D" else ())]
-    found.left[f"{word} of {', '.join(labels)}"] += any(each not in _FREEDOMS for each in labels)
+    archive.left[f"{word} of {', '.join(labels)}"] += any(each not in _FREEDOMS for each in labels)
     ways = "".join(_FREEDOMS.get(each, "") for each in labels)
     for place in ((each, way) for each in nodes for way in ways):
         acting.pop(place, None)
         if not removes:
             acting[place] = float(rest[0] or 0)
     moves = word == "D" and ways and float(rest[0] or 0) != 0.0
-    found.left["D with a motion that is not 0"] += bool(moves)
+    archive.left["D with a motion that is not 0"] += bool(moves)
 
 
-def _clear(found: _Archive, fields: list[str], _: Iterator[str]) -> None:
+def _clear(archive: _Archive, fields: list[str], _: Iterator[str]) -> None:
     if fields[:1] in (["FE"], ["ALL"]):
-        found.held, found.forces = {}, {}
+        archive.held, archive.forces = {}, {}
 
 
-def _begin_branch(found: _Archive, fields: list[str], _: Iterator[str]) -> None:
-    found.branches += "THEN" in fields
+def _begin_branch(archive: _Archive, fields: list[str], _: Iterator[str]) -> None:
+    archive.branches += "THEN" in fields
 
 
-def _end_branch(found: _Archive, _fields: list[str], _rows: Iterator[str]) -> None:
-    found.branches -= 1
+def _end_branch(archive: _Archive, _fields: list[str], _rows: Iterator[str]) -> None:
+    archive.branches -= 1
 
 
 _BLOCKS = {

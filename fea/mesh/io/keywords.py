@@ -32,10 +32,10 @@ class Frame:
 
     def label(self, text: str) -> int:
         """Return the number of a node or element of this instance, unlike all others'."""
-        found = int(text)
-        if not 0 <= found < STRIDE:
-            raise MeshFileError(f"has the number {found}; number from 1 to {STRIDE}")
-        return found + self.number * STRIDE
+        number = int(text)
+        if not 0 <= number < STRIDE:
+            raise MeshFileError(f"has the number {number}; number from 1 to {STRIDE}")
+        return number + self.number * STRIDE
 
     def key(self, name: str) -> str:
         """Return a set's name in the deck: capitals, as solvers compare names."""
@@ -67,51 +67,49 @@ class Keyword:
 def read_keywords(text: str) -> Iterator[Keyword]:
     """Yield the blocks of a deck in the assembly, those of a part where an instance places it.
 
-    Raises
-    ------
-    MeshFileError
-        If an instance is of no part, a part comes twice, or parts have no instances.
+    Raises MeshFileError if an instance is of no part, a part comes twice, or parts have no
+    instances.
     """
     if not re.search(r"^\s*\*INSTANCE\b", text, re.I | re.M):
         yield from _without_instances(text)
         return
     parts: dict[str, list[Keyword]] = {}
     frame, part, count = Frame(), None, 0
-    for one in _blocks(text):
-        if one.word == "PART":
-            name = one.options.get("NAME", "").upper()
+    for keyword in _blocks(text):
+        if keyword.word == "PART":
+            name = keyword.options.get("NAME", "").upper()
             if name in parts:
-                raise one.wrong(f'defines the part "{name}" again')
+                raise keyword.wrong(f'defines the part "{name}" again')
             part = parts.setdefault(name, [])
-        elif one.word == "INSTANCE":
+        elif keyword.word == "INSTANCE":
             count += 1
-            frame = _frame(one, count)
-            name = one.options.get("PART", "").upper()
+            frame = _frame(keyword, count)
+            name = keyword.options.get("PART", "").upper()
             if name not in parts:
-                raise one.wrong(f'is of a part "{name}" that is not defined above it')
-            yield replace(one, frame=frame)
-            yield from (replace(own, frame=frame) for own in parts[name])
-        elif one.word == "END PART":
+                raise keyword.wrong(f'is of a part "{name}" that is not defined above it')
+            yield replace(keyword, frame=frame)
+            yield from (replace(part, frame=frame) for part in parts[name])
+        elif keyword.word == "END PART":
             part = None
-        elif one.word == "END INSTANCE":
+        elif keyword.word == "END INSTANCE":
             frame = Frame()
         elif part is not None:
-            part.append(one)
+            part.append(keyword)
         else:
-            yield replace(one, frame=frame)
+            yield replace(keyword, frame=frame)
 
 
 def _without_instances(text: str) -> Iterator[Keyword]:
     first = None
-    for one in _blocks(text):
-        if one.word == "PART":
+    for keyword in _blocks(text):
+        if keyword.word == "PART":
             if first is not None:
-                raise one.wrong(
+                raise keyword.wrong(
                     f"comes twice (line {first.line}), and no *INSTANCE places either; write the "
                     "assembly too, or one flat deck"
                 )
-            first = one
-        yield one
+            first = keyword
+        yield keyword
 
 
 def _blocks(text: str) -> Iterator[Keyword]:
@@ -137,13 +135,13 @@ def _blocks(text: str) -> Iterator[Keyword]:
         yield head
 
 
-def _frame(one: Keyword, number: int) -> Frame:
+def _frame(keyword: Keyword, number: int) -> Frame:
     """Return where an instance is: moved by its first line, then turned by its second."""
-    name = one.options.get("NAME", "")
+    name = keyword.options.get("NAME", "")
     if not name:
-        raise one.wrong("has no NAME")
+        raise keyword.wrong("has no NAME")
     try:
-        rows = [[float(x or 0.0) for x in row] for row in one.rows]
+        rows = [[float(x or 0.0) for x in row] for row in keyword.rows]
         if not rows:
             return Frame(name, number)
         shift, rotation = np.array((rows[0] + [0.0] * 3)[:3]), np.eye(3)
@@ -154,5 +152,5 @@ def _frame(one: Keyword, number: int) -> Frame:
             rotation += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross  # Rodrigues
             shift = rotation @ (shift - a) + a
     except (ValueError, IndexError) as error:
-        raise one.wrong(f"cannot be read ({error})") from None
+        raise keyword.wrong(f"cannot be read ({error})") from None
     return Frame(name, number, tuple(rotation.ravel().tolist()), tuple(shift.tolist()))

@@ -51,18 +51,15 @@ class _Bulk(Translated):
 
 
 def read_nastran(text: str) -> Translated:
-    """Return what a bulk data file holds: regions PSOLID_1, groups RBE2_7, a case a subcase.
+    """Return the content of a bulk data file: regions PSOLID_1, groups RBE2_7, a case a subcase.
 
-    Raises
-    ------
-    MeshFileError
-        If a card cannot be read, or nodes are in a coordinate system of their own.
+    Raises MeshFileError if a card cannot be read, or nodes are in a coordinate system of their own.
     """
     control, *bulk = re.split(r"^\s*BEGIN[ \t,]+BULK.*$", text, maxsplit=1, flags=re.I | re.M)
     bulk, control = (bulk[0], control) if bulk else (control, "")
-    found = _Bulk(nonlinear=_NONLINEAR.search(control) is not None)
+    data = _Bulk(nonlinear=_NONLINEAR.search(control) is not None)
     if factor := _MASS_FACTOR.search(text):
-        found.mass_factor = _real(factor[1])
+        data.mass_factor = _real(factor[1])
     skipped = text.count("\n") - bulk.count("\n")
     for number, name, fields in _cards(bulk.splitlines(), skipped):
         if name == "ENDDATA":
@@ -70,44 +67,44 @@ def read_nastran(text: str) -> Translated:
         taker = _TAKERS.get(name)
         try:
             if taker is not None:
-                taker(found, name, fields)
+                taker(data, name, fields)
             elif name not in _QUIET:
-                found.left[name] += 1
+                data.left[name] += 1
         except (ValueError, LookupError) as error:
             raise MeshFileError(f"line {number}: {name} cannot be read ({error})") from None
-    _take_cases(found, control)
-    return found
+    _take_cases(data, control)
+    return data
 
 
-def _take_cases(found: _Bulk, control: str) -> None:
+def _take_cases(data: _Bulk, control: str) -> None:
     """Make a case of each subcase from the sets that it selects."""
     used = set()
     held: dict[str, list[str]] = {}
 
     def rows(kind: str, number: str) -> Iterator[tuple[str, str, float]]:
-        for factor, part in found.sums.get((kind, number), [(1.0, number)]):
+        for factor, part in data.sums.get((kind, number), [(1.0, number)]):
             used.add((kind, part))
-            if part and (kind, part) not in found.sets:
-                found.left[f"{kind} set {part}, of which nothing is read"] = 1
-            for node, way, value in found.sets.get((kind, part), ()):
+            if part and (kind, part) not in data.sets:
+                data.left[f"{kind} set {part}, of which nothing is read"] = 1
+            for node, way, value in data.sets.get((kind, part), ()):
                 yield node, way, factor * value
 
-    for name, selected in _selections(found, control).items():
+    for name, selected in _selections(data, control).items():
         number = selected.get("SPC", "")
         if number not in held:
             held[number] = []
             for node, way, value in (*rows("GRID", ""), *rows("SPC", number)):
                 held[number].append(f"{node}, {way}")
-                found.left["SPC with a motion that is not 0"] += value != 0.0
+                data.left["SPC with a motion that is not 0"] += value != 0.0
         loads = rows("LOAD", selected.get("LOAD", ""))
         loads = [f"{node}, {way}, {value:.9g}" for node, way, value in loads if value]
-        found.cases.append(Case(name, held[number], loads))
-    for (kind, number), unused in found.sets.items():
+        data.cases.append(Case(name, held[number], loads))
+    for (kind, number), unused in data.sets.items():
         if (kind, number) not in used:
-            found.left[f"{kind} set {number}, which no case selects"] += len(unused)
+            data.left[f"{kind} set {number}, which no case selects"] += len(unused)
 
 
-def _selections(found: _Bulk, control: str) -> dict[str, dict[str, str]]:
+def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
     """Return by subcase the number of its set of each kind; each set is a case if none selects."""
     common: dict[str, str] = {}
     current, cases = common, dict[str, dict[str, str]]()
@@ -118,20 +115,20 @@ def _selections(found: _Bulk, control: str) -> dict[str, dict[str, str]]:
             if match[1] in ("SUBCASE", "SUBC", "SYM"):
                 cases[f"SUBCASE {match[2]}"] = current
             else:
-                found.left[f"{match[1]}, a combination of subcases"] += 1
+                data.left[f"{match[1]}, a combination of subcases"] += 1
         elif match := _SELECTION.match(line):
             current[match[1]] = match[2] if match[2].isdigit() else ""
     cases = cases or {"": common}
     for kind in ("SPC", "LOAD"):
-        parts = {part for key in found.sums if key[0] == kind for _, part in found.sums[key]}
-        numbers = [number for of, number in (*found.sums, *found.sets) if of == kind]
+        parts = {part for key in data.sums if key[0] == kind for _, part in data.sums[key]}
+        numbers = [number for of, number in (*data.sums, *data.sets) if of == kind]
         alone = [number for number in numbers if number not in parts]
-        if alone and not any(own.get(kind) for own in cases.values()):
+        if alone and not any(case.get(kind) for case in cases.values()):
             names = ", ".join(f"{kind} {number}" for number in alone)
-            found.decide.append(f"the case control selects no {kind}; taken as cases: {names}")
+            data.decide.append(f"the case control selects no {kind}; taken as cases: {names}")
             cases = {
-                f"{name} {kind} {number}".strip(): own | {kind: number}
-                for name, own in cases.items()
+                f"{name} {kind} {number}".strip(): selected | {kind: number}
+                for name, selected in cases.items()
                 for number in alone
             }
     return cases
@@ -169,42 +166,42 @@ def _real(field: str) -> float:
     return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
 
 
-def _grid(found: _Bulk, _: str, fields: list[str]) -> None:
+def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
     if fields[1] not in ("", "0") or fields[5] not in ("", "0", "-1"):
         raise ValueError("it has a coordinate system of its own; write the file in the basic one")
     places = ", ".join(f"{_real(each):.12g}" for each in fields[2:5])
-    found.nodes.append(f"{fields[0]}, {places}")
-    _hold(found, ("GRID", ""), fields[0], fields[6])
+    data.nodes.append(f"{fields[0]}, {places}")
+    _hold(data, ("GRID", ""), fields[0], fields[6])
 
 
-def _hold(found: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
+def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
     ways = sorted(set(freedoms) & set("123456")) if node else ()
-    found.sets[key] += [(node, way, _real(value)) for way in ways]
+    data.sets[key] += [(node, way, _real(value)) for way in ways]
 
 
-def _solid(found: _Bulk, name: str, fields: list[str]) -> None:
+def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
     nodes = [each for each in fields[2:] if each]
     kind = _SOLIDS.get((name, len(nodes)))
     if kind is None:
         raise ValueError(f"it has {len(nodes)} nodes; write all midside nodes, or none")
     nodes = [nodes[i] for i in _ORDER.get(kind, range(len(nodes)))]
-    found.elements[kind, f"PSOLID_{fields[1] or fields[0]}"].append([fields[0], *nodes])
+    data.elements[kind, f"PSOLID_{fields[1] or fields[0]}"].append([fields[0], *nodes])
 
 
-def _material(found: _Bulk, name: str, fields: list[str]) -> None:
+def _material(data: _Bulk, name: str, fields: list[str]) -> None:
     young, shear, ratio = (_real(each) for each in fields[1:4])
     if not fields[1]:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
-    own = found.constants[f"{name}_{fields[0]}"]
-    own["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
-    further = {"DENSITY": _real(fields[4]) * found.mass_factor, "EXPANSION": _real(fields[5])}
-    own |= {word: f"{value:.9g}" for word, value in further.items() if value}
+    constants = data.constants[f"{name}_{fields[0]}"]
+    constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
+    further = {"DENSITY": _real(fields[4]) * data.mass_factor, "EXPANSION": _real(fields[5])}
+    constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
-def _section(found: _Bulk, name: str, fields: list[str]) -> None:
-    found.sections[f"{name}_{fields[0]}"] = f"MAT1_{fields[1]}"
+def _section(data: _Bulk, name: str, fields: list[str]) -> None:
+    data.sections[f"{name}_{fields[0]}"] = f"MAT1_{fields[1]}"
 
 
 def _listed(fields: list[str]) -> list[str]:
@@ -221,54 +218,54 @@ def _listed(fields: list[str]) -> list[str]:
     return numbers
 
 
-def _constraint(found: _Bulk, name: str, fields: list[str]) -> None:
+def _constraint(data: _Bulk, name: str, fields: list[str]) -> None:
     rows = [fields[1:4], fields[4:7]]
     if name == "SPC1":
         rows = [[node, fields[1], ""] for node in _listed(fields[2:])]
     for row in rows:
-        _hold(found, ("SPC", fields[0]), *row)
+        _hold(data, ("SPC", fields[0]), *row)
 
 
-def _sum(found: _Bulk, name: str, fields: list[str]) -> None:
+def _sum(data: _Bulk, name: str, fields: list[str]) -> None:
     """Take SPCADD, and LOAD with a factor of all and of each."""
     if name == "SPCADD":
         fields = [fields[0], "1.", *(each for part in fields[1:] for each in ("1.", part))]
     pairs = zip(fields[2::2], fields[3::2], strict=False)
     parts = [(_real(fields[1]) * _real(own), part) for own, part in pairs if part]
-    found.sums[name.removesuffix("ADD"), fields[0]] = parts
+    data.sums[name.removesuffix("ADD"), fields[0]] = parts
 
 
-def _rigid(found: _Bulk, name: str, fields: list[str]) -> None:
+def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
     nodes = _listed([each for each in fields[3:] if "." not in each])  # less its expansion
     if not set("123") <= set(fields[2]):
-        found.left[f"{name} of some freedoms only"] += 1
+        data.left[f"{name} of some freedoms only"] += 1
         return
-    found.tie(f"{name}_{fields[0]}", nodes, fields[1], "KINEMATIC")
+    data.tie(f"{name}_{fields[0]}", nodes, fields[1], "KINEMATIC")
 
 
-def _mean(found: _Bulk, name: str, fields: list[str]) -> None:
+def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
     """Take an element of one weight; with UM the list ends, and the element is another."""
     weights = [i for i, each in enumerate(fields) if i > 3 and "." in each]
     ways = [fields[i + 1] for i in weights]
     if len({fields[i] for i in weights}) > 1 or "UM" in fields:
-        found.left[f"{name} with several weights or UM"] += 1
+        data.left[f"{name} with several weights or UM"] += 1
         return
     if not all(set("123") <= set(each) for each in ways):
-        found.left[f"{name} of some freedoms only"] += 1
+        data.left[f"{name} of some freedoms only"] += 1
         return
     nodes = [
         e for i, e in enumerate(fields[6:], 6) if e and "." not in e and "." not in fields[i - 1]
     ]
-    found.tie(f"{name}_{fields[0]}", nodes, fields[2], "DISTRIBUTING")
+    data.tie(f"{name}_{fields[0]}", nodes, fields[2], "DISTRIBUTING")
 
 
-def _load(found: _Bulk, name: str, fields: list[str]) -> None:
+def _load(data: _Bulk, name: str, fields: list[str]) -> None:
     if fields[2] not in ("", "0"):
-        found.left[f"{name} in a coordinate system of its own"] += 1
+        data.left[f"{name} in a coordinate system of its own"] += 1
         return
     first, size = (1 if name == "FORCE" else 4), _real(fields[3])
     values = ((first + i, size * _real(each)) for i, each in enumerate(fields[4:7]))
-    found.sets["LOAD", fields[0]] += [(fields[1], str(way), value) for way, value in values]
+    data.sets["LOAD", fields[0]] += [(fields[1], str(way), value) for way, value in values]
 
 
 _TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {

@@ -1,4 +1,4 @@
-"""What a mesh file holds, before it becomes a `fea.mesh.mesh.Mesh`."""
+"""Content of a mesh file, before it becomes a `fea.mesh.mesh.Mesh`."""
 
 from __future__ import annotations
 
@@ -31,45 +31,27 @@ class MeshFileError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class RawMesh:
-    """Everything in a mesh file, in the file's length unit.
+    """Everything in a mesh file, in the file's length unit."""
 
-    Attributes
-    ----------
-    points
-        Shape (n, 3); some may belong to no cell.
-    blocks
-        (kind, nodes) of cells, facets and lines, in the order of the file; nodes of shape (m, k),
-        int64.
-    element_sets
-        For each name, one array of element numbers per block, shape (m,), int64.
-    node_sets
-        For each name, the nodes' numbers, shape (k,), int64.
-    facet_sets
-        Facet groups that the file defines as faces of cells.
-    """
-
-    points: Array
+    points: Array  # shape (n, 3); some may belong to no cell
+    # (kind, nodes) of cells, facets and lines, in the order of the file; nodes of shape (m, k),
+    # int64.
     blocks: list[Block]
+    # For each name, one array of element numbers per block, shape (m,), int64
     element_sets: Mapping[str, list[Array]] = field(default_factory=dict)
+    # For each name, the nodes' numbers, shape (k,), int64
     node_sets: Mapping[str, Array] = field(default_factory=dict)
+    # Facet groups that the file defines as faces of cells
     facet_sets: Mapping[str, list[Block]] = field(default_factory=dict)
 
 
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     """Return the mesh: scaled, one block for each kind, without points that no cell uses.
 
-    Parameters
-    ----------
-    raw
-        As read.
-    metres
-        The file's length unit in metres.
-
-    Raises
-    ------
-    MeshFileError
-        If there are no solid cells, some of a kind that cannot be solved, points that there are
-        not, or facets in a group that are not faces of a cell.
+    raw: as read.
+    metres: the file's length unit in metres.
+    Raises MeshFileError if there are no solid cells, some of a kind that cannot be solved, points
+    that there are not, or facets in a group that are not faces of a cell.
     """
     kinds = [kind for kind, nodes in raw.blocks if len(nodes)]
     known = {*NODES_PER_CELL, *NODES_PER_FACET, *NODES_PER_LINE}
@@ -99,8 +81,8 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     once = {kind: _without_twins(nodes) for kind, nodes in cells.items()}
     points = raw.points[used] * metres
     blocks = tuple(
-        right_way_round(points, CellBlock(kind, cells[kind][kept]))
-        for kind, (kept, _) in once.items()
+        right_way_round(points, CellBlock(kind, cells[kind][chosen_rows]))
+        for kind, (chosen_rows, _) in once.items()
     )
     # Each element set as numbers of cells within the joined block of their kind.
     renumbered = {kind: new for kind, (_, new) in once.items()}
@@ -128,8 +110,8 @@ def _without_twins(nodes: Array) -> tuple[Array, Array]:
     _, first, twin_of = np.unique(
         np.sort(nodes, axis=1), axis=0, return_index=True, return_inverse=True
     )
-    kept = np.sort(first)
-    return kept, np.searchsorted(kept, first[twin_of.ravel()])
+    rows = np.sort(first)
+    return rows, np.searchsorted(rows, first[twin_of.ravel()])
 
 
 def _facet_groups(
@@ -148,19 +130,19 @@ def _facet_groups(
 
 def _on_cells(name: str, parts: list[Block], number: Array, finder: FaceFinder) -> FacetGroup:
     """Return the faces of cells that a group's facets lie on."""
-    found: dict[str, list[Array]] = {}
+    blocks: dict[str, list[Array]] = {}
     lost = 0
     for kind, nodes in parts:
         faces, missing = finder.find(kind, number[nodes])
         lost += missing
         for face_kind, face_nodes in faces:
-            found.setdefault(face_kind, []).append(face_nodes)
+            blocks.setdefault(face_kind, []).append(face_nodes)
     if lost:
         raise MeshFileError(
             f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
             "mesh the surface and the solid together, or leave the group out"
         )
-    return FacetGroup(tuple(FacetBlock(kind, np.concatenate(n)) for kind, n in found.items()))
+    return FacetGroup(tuple(FacetBlock(kind, np.concatenate(n)) for kind, n in blocks.items()))
 
 
 def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
@@ -171,6 +153,6 @@ def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
         groups[name] = np.concatenate([np.empty(0, dtype=np.int64), *on_lines])
     for name, nodes in raw.node_sets.items():
         groups[name] = np.concatenate([groups.get(name, np.empty(0, dtype=np.int64)), nodes])
-    kept = {name: np.unique(number[nodes]) for name, nodes in groups.items()}
-    kept = {name: nodes[nodes >= 0] for name, nodes in kept.items()}
-    return {name: nodes for name, nodes in kept.items() if len(nodes)}
+    used = {name: np.unique(number[nodes]) for name, nodes in groups.items()}
+    used = {name: nodes[nodes >= 0] for name, nodes in used.items()}
+    return {name: nodes for name, nodes in used.items() if len(nodes)}

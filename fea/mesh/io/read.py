@@ -50,17 +50,10 @@ def read_mesh(path: Path, unit: str) -> Mesh:
     of its own name, another one makes the group ``<array>_<value>`` for each of its values.
     Groups of surface cells become facet groups, groups of lines and points node groups.
 
-    Parameters
-    ----------
-    path
-        The file; its ending says what it is.
-    unit
-        Its length unit, a key of `fea.spec.schema.UNITS`.
-
-    Raises
-    ------
-    BundleError
-        If it cannot be read, has no solid cells, or some that the solver does not know.
+    path: the file; its ending says what it is.
+    unit: its length unit, a key of `fea.spec.schema.UNITS`.
+    Raises BundleError if it cannot be read, has no solid cells, or some that the solver does not
+    know.
     """
     try:
         if path.suffix.lower() != ".inp":
@@ -156,11 +149,8 @@ def _refuse_outside(path: Path) -> None:
     A stranger's bundle could else have whatever this machine holds read as a mesh, and look at it
     as a deformed shape.
 
-    Raises
-    ------
-    MeshFileError
-        If it names a file elsewhere, one of plain bytes (which is looked for where the program
-        runs), or is no XML.
+    Raises MeshFileError if it names a file elsewhere, one of plain bytes (which is looked for where
+    the program runs), or is no XML.
     """
     try:
         items = list(ET.parse(path).iter("DataItem"))
@@ -178,6 +168,6 @@ def _refuse_outside(path: Path) -> None:
 
 
 def _in_same_folder(path: Path, name: str) -> bool:
-    """Tell whether a name is that of a file in the same folder, and no link out of it."""
+    """Return whether a name is that of a file in the same folder, and no link out of it."""
     folder = path.parent.resolve()
     return Path(name).name == name and (folder / name).resolve().parent == folder

@@ -27,20 +27,12 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     A node at a point of the file has its rise, others that of linear interpolation between points,
     or of the nearest point outside of them. Points of one plane or line are interpolated in it.
 
-    Parameters
-    ----------
-    nodes
-        Shape (n, 3), m.
-    field
-        A CSV file with one line of names, then x, y, z (m, in the mesh's axes) and the temperature.
-    reference
-        The temperature without strain, in the unit of the file's.
-
-    Raises
-    ------
-    BundleError
-        If the file has not four finite numbers a line below a line of names, gives a point two
-        temperatures or lies far from the part, or if nothing is heated.
+    nodes: shape (n, 3), m.
+    field: a CSV file with one line of names, then x, y, z (m, in the mesh's axes) and the
+    temperature.
+    reference: the temperature without strain, in the unit of the file's.
+    Raises BundleError if the file has not four finite numbers a line below a line of names, gives a
+    point two temperatures or lies far from the part, or if nothing is heated.
     """
     with field.open(encoding="utf-8", errors="replace") as file:
         names = [name.strip().strip('"').lower()[:1] for name in file.readline().split(",")]
@@ -63,7 +55,7 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
         raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures")
     values = rise / most
     distance, nearest = KDTree(points).query(nodes)
-    found, size = values[nearest], np.ptp(nodes, axis=0).max()
+    shape, size = values[nearest], np.ptp(nodes, axis=0).max()
     if np.median(distance) > size:
         raise _wrong(
             f"its points are {np.median(distance):.3g} m from the part, which is {size:.3g} m "
@@ -75,14 +67,14 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
         centre = points.mean(axis=0)
         _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
         axes = axes[sizes > _SAME * sizes[0]]
-        own, there = (points - centre) @ axes.T, (nodes[between] - centre) @ axes.T
+        here, there = (points - centre) @ axes.T, (nodes[between] - centre) @ axes.T
         if len(axes) == 1:
-            order = np.argsort(own[:, 0])
-            inside = np.interp(there[:, 0], own[order, 0], values[order], np.nan, np.nan)
+            order = np.argsort(here[:, 0])
+            inside = np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
         else:
-            inside = np.asarray(LinearNDInterpolator(own, values)(there))
-        found[between] = np.where(np.isnan(inside), found[between], inside)
-    return found
+            inside = np.asarray(LinearNDInterpolator(here, values)(there))
+        shape[between] = np.where(np.isnan(inside), shape[between], inside)
+    return shape
 
 
 def _wrong(message: str) -> BundleError:

@@ -1,4 +1,4 @@
-"""What a file of another solver holds, written as an Abaqus deck."""
+"""A file of another solver, written as an Abaqus deck."""
 
 from __future__ import annotations
 
@@ -57,29 +57,29 @@ class Translated:
 
     def lines(self) -> list[str]:
         """Return the deck."""
-        found = ["*NODE", *self.nodes]
+        lines = ["*NODE", *self.nodes]
         for (kind, region), rows in self.elements.items():
-            found.append(f"*ELEMENT, TYPE={kind}, ELSET={region}")
-            found += [",\n".join(_rows(row)) for row in rows]
+            lines.append(f"*ELEMENT, TYPE={kind}, ELSET={region}")
+            lines += [",\n".join(_rows(row)) for row in rows]
         for name, nodes in self.groups.items():
-            found += [f"*NSET, NSET={name}", *_rows(nodes)]
+            lines += [f"*NSET, NSET={name}", *_rows(nodes)]
         for name, constants in self.constants.items():
-            found.append(f"*MATERIAL, NAME={name}")
-            found += [f"*{word}\n{row}" for word, row in constants.items()]
+            lines.append(f"*MATERIAL, NAME={name}")
+            lines += [f"*{word}\n{row}" for word, row in constants.items()]
         known = {region for _, region in self.elements}
         pairs = ((region, name) for region, name in self.sections.items() if region in known)
-        found += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
-        found += self.ties
+        lines += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
+        lines += self.ties
         before = Case()
         for case in self.cases or [before]:
-            found.append(f"*STEP, NAME={case.name}" + ", NLGEOM" * self.nonlinear)
+            lines.append(f"*STEP, NAME={case.name}" + ", NLGEOM" * self.nonlinear)
             if case.held != before.held:  # a step keeps what it does not change
-                found += ["*BOUNDARY, OP=NEW", *case.held]
+                lines += ["*BOUNDARY, OP=NEW", *case.held]
             if case.loads != before.loads:
-                found += ["*CLOAD, OP=NEW", *case.loads]
-            found.append("*END STEP")
+                lines += ["*CLOAD, OP=NEW", *case.loads]
+            lines.append("*END STEP")
             before = case
-        return [*found, ""]
+        return [*lines, ""]
 
     def tie(self, name: str, nodes: list[str], reference: str, kind: str) -> None:
         """Let nodes follow a reference node ("KINEMATIC"), or it their mean ("DISTRIBUTING")."""
@@ -89,6 +89,6 @@ class Translated:
         self.ties.append(f"*{kind}")
 
 
-def _rows(words: Iterable[str]) -> list[str]:
-    words = list(words)
-    return [", ".join(words[i : i + 10]) for i in range(0, len(words), 10)]
+def _rows(texts: Iterable[str]) -> list[str]:
+    texts = list(texts)
+    return [", ".join(texts[i : i + 10]) for i in range(0, len(texts), 10)]

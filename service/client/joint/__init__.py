@@ -1,7 +1,6 @@
 """The joint: a part that bends as a force element between two rigid bodies that move."""
 
 from ..errors import JointError, JointRangeError, JointWarning
-from .joint import Joint
-from .linear import LinearPart
+from .joint import Joint, LinearPart
 
 __all__ = ["Joint", "JointError", "JointRangeError", "JointWarning", "LinearPart"]

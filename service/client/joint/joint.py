@@ -13,12 +13,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass
+from numbers import Real
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InvalidArgument, JointError, JointRangeError, JointWarning, warn
+from ...contract import LOADS, OUTPUTS
+from ..errors import Document, InvalidArgument, JointError, JointRangeError, JointWarning, warn
 from ..wrenches import Vector
 
 if TYPE_CHECKING:
@@ -30,7 +33,7 @@ MAX_RANGES = 2.0  # of the range or of LARGEST_TURN: further out the pose is not
 CLOSE = 1e-9  # of the range: changes of the boundary point below this are rounding
 SMALL_ANGLE = 1e-3  # rad: below it 1/12 is right to 1e-9, and times a^2 to rounding
 MAX_STEPS = 8  # towards the boundary point; each gains some digits
-LOADS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
+SYMBOLS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 SHOWN = 0.05  # of the largest: messages leave out smaller loads of a direction
 
 
@@ -91,7 +94,7 @@ class Joint:
         method: str | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> None:
-        if not (math.isfinite(damping) and damping >= 0.0):
+        if not (isinstance(damping, Real) and 0.0 <= damping < math.inf):
             raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
         self._table, self.damping, self._method = table, float(damping), method
         self._at, self.free = moving(table, interface)
@@ -99,37 +102,13 @@ class Joint:
         self._warned = self._uncovered = False
         self._remedy = "Check the masses, the step and the units of the scene, or widen the range"
         self.restart()
-        self._check_range()
-
-    @property
-    def inputs(self) -> dict[str, float]:
-        """The table's further inputs by name, in the component's units."""
-        return dict(
-            zip([load.name for load in self._table.space.scalars], self._further, strict=True)
-        )
-
-    @inputs.setter
-    def inputs(self, given: Mapping[str, float]) -> None:
-        self._further = further_inputs(self._table, given)
-
-    def restart(self) -> None:
-        """Forget the state of the last step."""
-        self.wrench, self.displacement = np.zeros(FREEDOMS), np.zeros(FREEDOMS)
-        # Where the next search begins: loads, displacement and stiffness of all interfaces.
-        self._near: Vector | None = None
-        self._loads = self._moved = np.zeros(0)
-
-    @property
-    def coverage(self) -> str:
-        """How the table covers the wrench: ``covered``, ``thin`` or ``outside``."""
-        loads = self._whole(self.wrench).tolist()
-        return str(self._table.packed.answer(loads, None, self._method).coverage)
-
-    def _check_range(self) -> None:
-        """Refuse a table without stiffness; warn where in its range no joint can invert it."""
+        # A table without stiffness is refused; where in its range no joint can invert it, it warns.
         packed, at, free, method = self._table.packed, self._at, self.free, self._method
         sample = packed.sample(self._whole(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
-        answers = packed.batch(sample, None, method)
+        try:
+            answers = packed.batch(sample, None, method)
+        except ValueError as error:  # no such method
+            raise InvalidArgument(str(error)) from error
         slopes = packed.derivatives(sample, None, method)[:, at, at][:, free][:, :, free]
         slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
         slopes[(slopes == 0.0).all(axis=(1, 2))] = np.nan  # of the nearest row: no spring
@@ -149,13 +128,37 @@ class Joint:
                 JointWarning,
             )
 
+    @property
+    def inputs(self) -> dict[str, float]:
+        """The table's further inputs by name, in the component's units."""
+        return dict(
+            zip([load.name for load in self._table.space.scalars], self._further, strict=True)
+        )
+
+    @inputs.setter
+    def inputs(self, values: Mapping[str, float]) -> None:
+        self._further = further_inputs(self._table, values)
+
+    def restart(self) -> None:
+        """Forget the state of the last step."""
+        self.wrench, self.displacement = np.zeros(FREEDOMS), np.zeros(FREEDOMS)
+        # Where the next search begins: loads, displacement and stiffness of all interfaces.
+        self._near: Vector | None = None
+        self._loads = self._moved = np.zeros(0)
+
+    @property
+    def coverage(self) -> str:
+        """How the table covers the wrench: ``covered``, ``thin`` or ``outside``."""
+        loads = self._whole(self.wrench).tolist()
+        return str(self._table.packed.answer(loads, None, self._method).coverage)
+
     def _more_rows(self) -> str:
         other = "" if self._method is None else f", or leave out method={self._method!r}"
         return f"solve more rows (wrenchbook fill {self._table.name} --for-joint){other}"
 
     def _indefinite(self, wrench: Vector, loads: Vector) -> str:
         """Say where the part moves against a load, (f,), in half widths of the range."""
-        shares = zip(loads, np.array(LOADS)[self.free], strict=True)
+        shares = zip(loads, np.array(SYMBOLS)[self.free], strict=True)
         shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
         return (
             f"{self._name}, method {self._table.packed.answers_by(self._method)!r}: the part "
@@ -355,6 +358,132 @@ class Joint:
         return loads
 
 
+@dataclass(frozen=True)
+class LinearPart:
+    """A part's stiffness about one wrench, for simulators that have springs but no table.
+
+    Attributes
+    ----------
+    component : str
+    table_version : int
+    freedoms : tuple of str
+        The n freedoms that the part does not lock, of ``ux`` to ``rz``.
+    stiffness : list of lists
+        Shape (n, n), N/m to N·m/rad, symmetric: what the wrench on the interface changes by the
+        displacement of the interface, in the undeformed interface frame.
+    wrench, displacement : list of float
+        Shape (n,): the load about which the part is linear, N and N·m, and its displacement, m and
+        rad.
+    largest_error, rms_error : list of float
+        Shape (n,), m and rad: the difference from the table, over its load range.
+    largest_displacement : list of float
+        Shape (n,), m and rad: the table's, for the same wrenches.
+    covered : float
+        The share of these wrenches that the table covers; the others compare with estimates.
+    """
+
+    component: str
+    table_version: int
+    freedoms: tuple[str, ...]
+    stiffness: list[list[float]]
+    wrench: list[float]
+    displacement: list[float]
+    largest_error: list[float]
+    rms_error: list[float]
+    largest_displacement: list[float]
+    covered: float
+
+    @classmethod
+    def of(
+        cls,
+        table: Table,
+        wrench: ArrayLike | None = None,
+        inputs: Mapping[str, float] | None = None,
+    ) -> Self:
+        """Return a table's part, linear about a wrench, shape (6,), N and N·m; about none if None.
+
+        `inputs` are those of the table that are no loads, by name, as `Joint` takes them.
+
+        Raises
+        ------
+        InvalidArgument
+            If the part moves at several interfaces or at none; if the wrench is not 6 finite
+            numbers; if a further input is unknown, missing or beyond its range; if the table's
+            derivative there is not known or not that of springs.
+        """
+        at, free = moving(table, None)
+        packed, places = table.packed, np.arange(table.packed.inputs)[at][free]
+        load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
+        if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
+            raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
+        further = further_inputs(table, inputs or {})
+        centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
+        centre[at] = load
+        slope = packed.derivative(centre.tolist())[np.ix_(places, places)]
+        compliance = 0.5 * (slope + slope.T)
+        if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
+            raise InvalidArgument(
+                f"{table.name} has no stiffness at this load: its derivative is unknown or not "
+                "that of springs; fill the table, or give another load"
+            )
+        loads = packed.sample(centre, places)
+        answers = packed.batch(np.vstack([centre, loads]))
+        moved, first = answers.outputs[1:, places], answers.outputs[0, places]
+        wrong = moved - first - (loads - centre)[:, places] @ compliance
+        return cls(
+            component=table.name,
+            table_version=table.version,
+            freedoms=tuple(OUTPUTS[place] for place in free),
+            stiffness=np.linalg.inv(compliance).tolist(),
+            wrench=centre[places].tolist(),
+            displacement=first.tolist(),
+            largest_error=np.abs(wrong).max(axis=0).tolist(),
+            rms_error=np.sqrt((wrong**2).mean(axis=0)).tolist(),
+            largest_displacement=np.abs(moved).max(axis=0).tolist(),
+            covered=float((np.asarray(answers.coverage[1:]) == 0).mean()),
+        )
+
+    @property
+    def unloaded(self) -> Vector:
+        """Where the springs carry nothing, shape (n,), m and rad."""
+        strain = np.linalg.solve(np.array(self.stiffness), np.array(self.wrench))
+        return np.asarray(np.array(self.displacement) - strain, dtype=float)
+
+    @property
+    def error(self) -> str:
+        """The largest error of each displacement, in words."""
+        shares = [
+            f"{name} {round(100.0 * error / largest, 3):g} %"
+            for name, error, largest in zip(
+                self.freedoms, self.largest_error, self.largest_displacement, strict=True
+            )
+            if largest > 0.0
+        ]
+        return (
+            f"{self.component} as springs is wrong by up to {', '.join(shares) or 'unknown'} of "
+            "the largest displacement in the load range; the table covers "
+            f"{self.covered:.0%} of the wrenches compared"
+        )
+
+    def to_dict(self, mass: ArrayLike | None = None) -> Document:
+        """Return the part as a dict of plain numbers, with units and the condensed mass.
+
+        Parameters
+        ----------
+        mass : array_like, optional
+            Shape (6, 6), kg to kg·m^2; null in the dict where it is not known.
+        """
+        places = [OUTPUTS.index(name) for name in self.freedoms]
+        whole = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(places, places)]
+        return {
+            **asdict(self),
+            "loads": [LOADS[place] for place in places],
+            "mass": None if whole is None else whole.tolist(),
+            "units": "N, N·m, m, rad, kg",
+            "frame": "the undeformed interface frame, about the interface point",
+        }
+
+
 def rotation_vector(R: ArrayLike) -> Vector:
     """Return the rotation vector (3,), rad, of a matrix; InvalidArgument from half a turn on."""
     matrix = np.asarray(R, dtype=float)
@@ -391,14 +520,14 @@ def vector_per_spin(rotation: Vector) -> Vector:
     )
 
 
-def further_inputs(table: Table, given: Mapping[str, float]) -> tuple[float, ...]:
+def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, ...]:
     """Return a table's inputs that are no loads, by their names, in its order.
 
     InvalidArgument if one is unknown, missing or beyond its range.
     """
     space, count = table.space, len(table.space.scalars)
     try:
-        values = space.vector({}, given)[len(space.inputs) - count :]
+        values = space.vector({}, by_name)[len(space.inputs) - count :]
     except ValueError as error:
         raise InvalidArgument(f"{table.name}: {error}") from None
     ends = table.packed.arrays["space/range"][:, len(space.inputs) - count :].T
@@ -412,12 +541,16 @@ def further_inputs(table: Table, given: Mapping[str, float]) -> tuple[float, ...
 
 def moving(table: Table, interface: str | None) -> tuple[slice, NDArray[np.intp]]:
     """Return the place of the interface that moves, and its freedoms that are not locked."""
+    if not hasattr(table, "packed"):
+        raise InvalidArgument(
+            f"a joint takes a Table, from client.download(name) or Table.open(path), not {table!r}"
+        )
     space, locked = table.space, np.asarray(table.packed.arrays["space/locked"], dtype=bool)
     free = {
         name: np.flatnonzero(~locked[FREEDOMS * k : FREEDOMS * (k + 1)])
         for k, name in enumerate(space.interfaces)
     }
-    move = [name for name, own in free.items() if len(own)]
+    move = [name for name, freedoms in free.items() if len(freedoms)]
     if len(move) != 1 or interface not in (None, *move):
         listed = ", ".join(map(repr, move)) or "none"
         raise InvalidArgument(

@@ -280,12 +280,12 @@ def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms."""
     if not hasattr(model, "M_rowadr"):
         raise JointError("MujocoJoint needs MuJoCo 4.0 or newer: pip install 'mujoco>=4.0'")
-    found = []
+    entries = []
     for row, dof in enumerate(dofs.tolist()):
         start, count = int(model.M_rowadr[dof]), int(model.M_rownnz[dof])
         columns = model.M_colind[start : start + count] - dofs[0]
-        found += [(row, int(one), start + k) for k, one in enumerate(columns) if one >= 0]
-    return list(np.array(found).T)
+        entries += [(row, int(at), start + k) for k, at in enumerate(columns) if at >= 0]
+    return list(np.array(entries).T)
 
 
 def _body(model: Model, name: str) -> int:
@@ -293,6 +293,6 @@ def _body(model: Model, name: str) -> int:
     number = engine.mj_name2id(model, _OBJECT.mjOBJ_BODY, name)
     if number < 0:
         names = [engine.mj_id2name(model, _OBJECT.mjOBJ_BODY, k) for k in range(1, model.nbody)]
-        known = ", ".join(repr(one) for one in names if one) or "none with a name"
+        known = ", ".join(repr(text) for text in names if text) or "none with a name"
         raise JointError(f"the scene has no body {name!r}; it has {known}")
     return number

@@ -14,8 +14,7 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from ...contract import OUTPUTS
 from ..errors import JointError
 from ..wrenches import Vector
-from .joint import FREEDOMS
-from .linear import LinearPart
+from .joint import FREEDOMS, LinearPart
 from .mujoco_joint import engine
 
 Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies

@@ -307,10 +307,12 @@ class Mount:
         The interface stands in `pose`: as `step` or `place` has left it, and within `settle` as
         the scene is called with it. Read the sensor in that pose.
         """
-        force, moment, point = (
-            np.asarray(vector, dtype=float).reshape(3) for vector in (force, moment, point)
-        )
-        return from_world(force, moment, point, (self._undeformed[0], self.pose[1]))
+        vectors = [np.asarray(vector, dtype=float) for vector in (force, moment, point)]
+        if any(vector.size != 3 for vector in vectors):
+            shapes = ", ".join(str(vector.shape) for vector in vectors)
+            raise InvalidArgument(f"force, moment and point have three numbers each, not {shapes}")
+        f, m, s = (vector.reshape(3) for vector in vectors)
+        return from_world(f, m, s, (self._undeformed[0], self.pose[1]))
 
     def step(self, force: ArrayLike, moment: ArrayLike | None = None) -> Pose:
         """Return the pose of the interface under one wrench; a simulation's sync step.
@@ -485,9 +487,9 @@ class Mount:
         return answer, target
 
 
-def _require_word(name: str, word: str, words: tuple[str, ...]) -> None:
-    if word not in words:
-        raise InvalidArgument(f"{name} must be one of {', '.join(words)}, not {word!r}")
+def _require_word(name: str, word: str, known: tuple[str, ...]) -> None:
+    if word not in known:
+        raise InvalidArgument(f"{name} must be one of {', '.join(known)}, not {word!r}")
 
 
 def from_table(
@@ -592,7 +594,10 @@ def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
 
 def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
     """Return a pose, axes as columns (3, 3) and point (3,), m; InvalidArgument if it is none."""
-    axes, point = np.array(R0, dtype=float), np.array(p0, dtype=float)
+    try:
+        axes, point = np.array(R0, dtype=float), np.array(p0, dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"R0 and p0 must be numbers, not {R0!r} and {p0!r}") from None
     if axes.shape != (3, 3) or point.shape != (3,):
         raise InvalidArgument(
             f"R0 must have shape (3, 3) and p0 (3,), not {axes.shape} and {point.shape}"

@@ -10,7 +10,8 @@ from wrenchbook.fea.accuracy import convergence, estimate
 from wrenchbook.fea.accuracy.convergence import Study, kept, studied, write
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
 from wrenchbook.fea.accuracy.second_mesh import finer
-from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.failure import mechanism
 from wrenchbook.fea.solve import Solver
 
@@ -145,6 +146,12 @@ def test_a_mesh_that_is_not_finer_is_refused(tmp_path):
     bundle = tube(tmp_path, 12, 0.3)
     with pytest.raises(ValueError, match=r"cells at most 0\.9 times as large"):
         studied(bundle, [tmp_path / "tube.msh"])
+
+
+def test_mistakes_of_a_finer_mesh_are_under_its_name(tmp_path):
+    bundle = tube(tmp_path, 12, 0.3)
+    with pytest.raises(BundleError, match=r"^link\.inp: \S+: the mesh has no facet or node group"):
+        studied(bundle, [SHIPPED / "link" / "link.inp"])
 
 
 def test_a_finer_mesh_with_too_many_unknowns_is_not_made(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.components import component
-from wrenchbook.fea.check.motions import describe, free_motions
+from wrenchbook.fea.check.findings import describe, free_motions
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.inspection.cells import (

@@ -80,11 +80,17 @@ def test_the_text_says_the_frequency(bar, capsys):
         (["--inertia", "1,2,3"], "need --mass"),
         (["--mass", "1", "--inertia", "1,2"], "three numbers"),
         (["--mass", "1", "--centre", "nan,0,0"], "finite"),
+        (["--mass", "1", "--inertia", "1,a,2"], '"1,a,2" must be numbers with commas between them'),
     ],
 )
 def test_a_mass_that_cannot_be_is_a_usage_error(bar, capsys, words, message):
     assert main([*words, str(bar)]) == 2
     assert message in capsys.readouterr().out
+
+
+def test_a_mass_on_a_deck_is_said_to_count_for_nothing():
+    warnings = report(SHIPPED / "plate_ccx", Riding.of(5.0))["warnings"]
+    assert "no natural frequency: its solver gives none" in warnings[-1]["message"]
 
 
 def test_a_bundle_without_density_tells_a_frequency_only_with_a_mass(bar):

@@ -10,12 +10,41 @@ from tests.fea.boxes import box
 from tests.fea.cae import make
 from tests.fea.written_deck import deck_lines
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check.proposal import main, propose
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.quality import folded_cells, volumes
 from wrenchbook.fea.solve import Solver
 
 LOAD = np.array([50.0, 0, 0, 0, 0, 0.8])
+
+CUBE = """*NODE
+1,0,0,0
+2,10,0,0
+3,10,10,0
+4,0,10,0
+5,0,0,30
+6,10,0,30
+7,10,10,30
+8,0,10,30
+*ELEMENT,TYPE=C3D8,ELSET=E
+1,1,2,3,4,5,6,7,8
+*NSET,NSET=FIX
+1,2,3,4
+*NSET,NSET=TIP
+5,6,7,8
+*MATERIAL,NAME=ST
+*ELASTIC
+210000,0.3
+*SOLID SECTION,ELSET=E,MATERIAL=ST
+*BOUNDARY
+FIX,1,3
+*STEP
+*STATIC
+*CLOAD
+TIP,3,-25
+*END STEP
+"""
 
 
 def table(coupling="rigid", section="z1", integration="reduced", **more):
@@ -160,6 +189,36 @@ def test_a_folder_with_a_component_is_not_overwritten(tmp_path):
     with pytest.raises(BundleError, match="name a new folder"):
         propose(make.HERE / "calculix.inp", tmp_path)
     assert (tmp_path / "component.toml").read_text() == "mine"
+
+
+def test_a_folder_that_cannot_be_made_and_a_deck_that_cannot_be_read_are_named(tmp_path, capsys):
+    (tmp_path / "file").write_text("no folder")
+    assert main([str(make.HERE / "calculix.inp"), str(tmp_path / "file")]) == 1
+    assert "cannot be written (File exists); name a new folder" in capsys.readouterr().out
+    for deck in (tmp_path / "none.inp", tmp_path):
+        assert main([str(deck), str(tmp_path / "new")]) == 1
+        assert f"{deck}: cannot be read" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("NSET=FIX", "NSET", "line 12: *NSET has no name for its set; write NSET=NAME"),
+        ("TIP,3,-25", "TIP,3", "TIP, 3 needs a node or set, a freedom and a value"),
+        ("210000,", "-210000,", "material[0].youngs_modulus: must be above 0"),
+    ],
+)
+def test_slips_of_a_deck_are_named_with_what_to_do(tmp_path, capsys, old, new, words):
+    (tmp_path / "a.inp").write_text(CUBE.replace(old, new), encoding="utf-8")
+    assert main([str(tmp_path / "a.inp"), str(tmp_path / "new")]) == 1
+    assert words in capsys.readouterr().out
+
+
+def test_a_case_of_a_deck_without_steps_is_refused_with_what_to_do(tmp_path):
+    text = (SHIPPED / "link" / "link.inp").read_text(encoding="utf-8")
+    (tmp_path / "a.inp").write_text(text, encoding="utf-8")
+    with pytest.raises(BundleError, match='no "last"; it has no steps: leave --case out'):
+        propose(tmp_path / "a.inp", tmp_path / "new", case="last")
 
 
 def test_a_node_in_a_coordinate_system_of_its_own_is_refused_with_its_line(tmp_path):

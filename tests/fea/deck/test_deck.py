@@ -14,8 +14,7 @@ from tests.fea.decks import SOFT, WRENCH, component
 from tests.until import until
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.fea.coupling.rotation import spin_per_vector
-from wrenchbook.fea.deck.checking import deck_report
-from wrenchbook.fea.deck.running import filled
+from wrenchbook.fea.deck.running import deck_report, filled
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers import registry
 from wrenchbook.fea.readers.reader import Reading

@@ -11,6 +11,7 @@ from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh, start
 from wrenchbook.fea.bundle.read import BundleError, bundle_of
 from wrenchbook.fea.component import build, mesh_of
 from wrenchbook.fea.element.mapping import area_weights
+from wrenchbook.fea.inspection.warnings import unit_warnings
 from wrenchbook.fea.mesh.cad.child import opened
 from wrenchbook.fea.mesh.cad.meshing import list_shape, mesh_geometry
 from wrenchbook.fea.mesh.quality import volumes
@@ -156,6 +157,13 @@ def test_a_group_that_names_no_face_is_told_what_there_is(folder, group, where, 
 )
 def test_every_key_of_a_geometry_is_checked(folder, keys, where, said):
     assert said in mistakes(with_mesh(**keys), folder)[where]
+
+
+def test_a_size_in_millimetres_is_warned_of(folder):
+    component = build(bundle_of(with_mesh(size=0.2), folder))
+    warning = unit_warnings(component)[0]
+    assert warning.where == "mesh.size"
+    assert "is 0.2 m, more than the part's" in warning.message
 
 
 def test_the_fingerprint_covers_the_file_and_every_key_of_its_meshing(folder):

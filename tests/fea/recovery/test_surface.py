@@ -6,7 +6,7 @@ import pytest
 from tests.fea.boxes import box
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_places
-from wrenchbook.fea.recovery.surface import surface_of
+from wrenchbook.fea.recovery.fields import surface_of
 
 KINDS = ["hex8", "hex20", "hex27", "tet4", "tet10", "wedge6", "wedge15"]
 SIDES = (0.2, 0.3, 0.5)

@@ -10,7 +10,7 @@ from tests.fea.components import component
 from tests.fea.supports import TABLE
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.recovery.yielding import yielding
+from wrenchbook.fea.recovery.stress import yielding
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import Analysis, Material

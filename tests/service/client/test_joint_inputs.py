@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.service.client.answers import bar_compliance
-from tests.service.client.joint_scenes import HIGH, packed_table, scene, sphere
+from tests.service.client.joint_scenes import HIGH, linear_table, packed_table, scene, sphere
 from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.joint import Joint, LinearPart
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint
@@ -87,3 +87,17 @@ def test_springs_are_those_of_the_temperature():
 def test_a_joint_without_its_inputs_is_refused(inputs, words):
     with pytest.raises(InvalidArgument, match=words):
         Joint(WARM, inputs=inputs)
+
+
+@pytest.mark.parametrize("make", [Joint, LinearPart.of])
+def test_what_is_no_table_is_refused(make):
+    with pytest.raises(InvalidArgument, match="takes a Table"):
+        make(None)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"), [({"damping": "0.1"}, "damping"), ({"method": "x"}, "unknown method")]
+)
+def test_an_option_of_another_kind_is_refused(options: dict, text: str):
+    with pytest.raises(InvalidArgument, match=text):
+        Joint(linear_table(bar_compliance()), **options)

@@ -346,3 +346,10 @@ def test_a_restart_forgets_what_was():
 def test_a_step_by_newton_without_the_scenes_stiffness_says_what_to_give():
     with pytest.raises(ValueError, match="needs the scene's stiffness="):
         mounted(relaxation="newton").step(WEIGHT)
+
+
+def test_numbers_of_another_kind_or_count_are_refused():
+    with pytest.raises(ValueError, match="R0 and p0 must be numbers, not 'x'"):
+        Mount(LinearTable(), "plate", "x", POINT)
+    with pytest.raises(ValueError, match="three numbers each"):
+        mounted().wrench_of([0, 0, 1, 2], [0, 0, 0], [0, 0, 1])
