@@ -65,10 +65,8 @@ typedef struct {
     const wb_fit *fit;
 } wb_composition;
 
-/* What answers the outputs of one factor: their covariance, and the neighbourhoods that give sigma.
- * Shares of the same covariance follow each other and point to the same `term`. */
+/* The neighbourhoods that give sigma of the outputs of one factor. */
 typedef struct {
-    const double *term, *rates; /* the kriging's, or their own */
     int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
     int64_t count, levels;
     const int32_t *outputs, *number, *places;

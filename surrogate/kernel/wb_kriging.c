@@ -86,7 +86,7 @@ WB_VECTORS static int nearest(const wb_kriging *k, const wb_share *share, int in
                    double *restrict distance) {
     double closest = INFINITY;
     memcpy(distance, share->penalty, (size_t)k->stride * sizeof(double));
-    add_distances(share->rates, inputs, apart, k->stride, distance);
+    add_distances(k->rates, inputs, apart, k->stride, distance);
     for (int row = 0; row < k->stride; row++)
         closest = distance[row] < closest ? distance[row] : closest;
     for (int row = 0; row < k->stride; row++)
@@ -179,7 +179,7 @@ static double squared_deviation(const wb_kriging *k, const wb_share *share, int 
     for (int a = 0; a < terms; a++)
         for (int b = 0; b < terms; b++)
             loose += left[a] * share->mean_covariance[terms * a + b] * left[b];
-    for (int term = 0; term < k->terms; term++) prior += share->term[terms * term + inputs];
+    for (int term = 0; term < k->terms; term++) prior += k->term[terms * term + inputs];
     double spent = product(work->reduced, work->reduced, padded);
     return fmax(prior - spent, share->least[anchor]) + loose;
 }
@@ -211,11 +211,11 @@ static int is_spanned(const wb_kriging *k, int inputs, const double *at) {
     return 1;
 }
 
-/* The covariances of a value of a share with all rows. */
-static void covary(const wb_kriging *k, const wb_share *share, int n, wb_work *work) {
+/* The covariances of a value with all rows. */
+static void covary(const wb_kriging *k, int n, wb_work *work) {
     memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
-        const double *own = share->term + (n + 1) * term;
+        const double *own = k->term + (n + 1) * term;
         if (k->bent)
             add_bent_covariances(own, n, work->apart, k->stride, work->first, work->second,
                                  work->wide, work->flat);
@@ -234,20 +234,15 @@ static double value_of(const wb_table *t, const wb_kriging *k, const wb_work *wo
     return value;
 }
 
-/* Whether a share has another covariance than the one before it. */
-static int is_other(const wb_kriging *k, int s) {
-    return !s || k->share[s].term != k->share[s - 1].term;
-}
-
 /* The scaled loads, values over their spreads, and sigma of each share over its process deviation;
  * `values` or `sigma` may be NULL. */
 static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
                     double *at, double *values, double *sigma) {
     int n = t->inputs;
     scale_loads(k, n, wrench, at, work->apart);
+    covary(k, n, work);
     for (int s = 0; s < k->shares; s++) {
         const wb_share *share = &k->share[s];
-        if (is_other(k, s)) covary(k, share, n, work);
         for (int q = 0; values && q < t->outputs; q++)
             if (share->outputs[q]) values[q] = value_of(t, k, work, at, q);
         if (!sigma) continue;
@@ -391,18 +386,18 @@ WB_VECTORS static void add_bent_slope(const double *term, int inputs, const doub
     }
 }
 
-/* Whether a share from `first` on with the covariance of that one answers output q. */
-static int answers(const wb_kriging *k, int first, int q) {
-    for (int s = first; s < k->shares && k->share[s].term == k->share[first].term; s++)
+/* Whether a share answers output q: a scene's table has those of the outputs that it reads. */
+static int answers(const wb_kriging *k, int q) {
+    for (int s = 0; s < k->shares; s++)
         if (k->share[s].outputs[q]) return 1;
     return 0;
 }
 
-/* The derivatives of a covariance's terms by the squared distance, to work->wide. */
-static void bend_terms(const wb_kriging *k, const double *terms, int n, const wb_work *work) {
+/* The derivatives of the covariance's terms by the squared distance, to work->wide. */
+static void bend_terms(const wb_kriging *k, int n, const wb_work *work) {
     int wide = k->bent ? 3 : 2;
     for (int term = 0; term < k->terms; term++) {
-        const double *own = terms + (n + 1) * term;
+        const double *own = k->term + (n + 1) * term;
         double *first = work->wide + (int64_t)wide * term * k->stride, *second = first + k->stride;
         if (k->bent) bend_bent(own, n, work->apart, k->stride, first, second, second + k->stride);
         else bend(own, n, work->apart, k->stride, first, second);
@@ -410,12 +405,11 @@ static void bend_terms(const wb_kriging *k, const double *terms, int n, const wb
 }
 
 /* The covariances of the slope by load a with all rows. */
-static void covary_slope(const wb_kriging *k, const double *terms, int n, int a,
-                         const wb_work *work) {
+static void covary_slope(const wb_kriging *k, int n, int a, const wb_work *work) {
     int wide = k->bent ? 3 : 2;
     memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
-        const double *own = terms + (n + 1) * term;
+        const double *own = k->term + (n + 1) * term;
         const double *first = work->wide + (int64_t)wide * term * k->stride;
         const double *second = first + k->stride;
         add_slope(own, n, work->apart, k->stride, first, second, a, work->flat);
@@ -432,18 +426,14 @@ void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work
     double at[WB_MOST];
     memset(derivative, 0, (size_t)(n * m) * sizeof(double));
     scale_loads(k, n, wrench, at, work->apart);
-    for (int s = 0; s < k->shares; s++) {
-        const double *terms = k->share[s].term;
-        if (!is_other(k, s)) continue;
-        bend_terms(k, terms, n, work);
-        for (int a = 0; a < n; a++) {
-            covary_slope(k, terms, n, a, work);
-            for (int q = 0; q < m; q++) {
-                if (!answers(k, s, q)) continue;
-                double slope = product(work->flat, k->weights + (int64_t)q * count, count);
-                slope += k->coefficients[m * (1 + a) + q];
-                derivative[n * q + a] = slope * k->spread[q] * k->rate[a] + k->tangent[n * q + a];
-            }
+    bend_terms(k, n, work);
+    for (int a = 0; a < n; a++) {
+        covary_slope(k, n, a, work);
+        for (int q = 0; q < m; q++) {
+            if (!answers(k, q)) continue;
+            double slope = product(work->flat, k->weights + (int64_t)q * count, count);
+            slope += k->coefficients[m * (1 + a) + q];
+            derivative[n * q + a] = slope * k->spread[q] * k->rate[a] + k->tangent[n * q + a];
         }
     }
 }

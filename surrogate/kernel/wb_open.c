@@ -263,10 +263,10 @@ static void read_share(reader *r, const char *kriging, int number, const wb_krig
                        wb_share *share) {
     static const char *const PARTS[] = {"outputs", "number", "places", "panels", "unsettled",
                                         "least", "penalty", "mean_covariance", "sigma", "factors",
-                                        "reach", "own_terms", "own_rates"};
-    char name[13][WB_NAME];
+                                        "reach"};
+    char name[11][WB_NAME];
     int64_t n = r->t->inputs, shape[2] = {-1, -1};
-    for (int part = 0; part < 13; part++)
+    for (int part = 0; part < 11; part++)
         snprintf(name[part], sizeof name[part], "%.16s/share%d/%s", kriging, number, PARTS[part]);
     share->outputs = ints(r, name[0], r->t->outputs);
     share->number = ints(r, name[1], k->stride);
@@ -286,11 +286,6 @@ static void read_share(reader *r, const char *kriging, int number, const wb_krig
     share->sigma = doubles(r, name[8], 1, share->levels);
     share->factors = doubles(r, name[9], 2, share->levels, (int64_t)r->t->outputs);
     share->reach = doubles(r, name[10], 1, (int64_t)1);
-    share->term = k->term, share->rates = k->rates;
-    if (exists(r, name[11]) || exists(r, name[12])) {
-        share->term = doubles(r, name[11], 2, (int64_t)k->terms, n + 1);
-        share->rates = doubles(r, name[12], 1, n);
-    }
     if (*r->bad) return;
     within(r, name[1], share->number, k->stride, 0, share->count);
     within(r, name[2], share->places, shape[0] * shape[1], 0, (int64_t)k->readings * k->stride);

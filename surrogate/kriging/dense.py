@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ class Dense:
     Attributes
     ----------
     equations : Equations
+    hyperparameters : Hyperparameters
     shares : tuple of Neighbourhoods
     weights : ndarray, shape (n, p, 6), spreads
     coefficients : ndarray, shape (7, 6), spreads
@@ -53,6 +54,7 @@ class Dense:
     """
 
     equations: Equations
+    hyperparameters: Hyperparameters
     shares: tuple[Neighbourhoods, ...]
     weights: Floats
     coefficients: Floats
@@ -67,61 +69,34 @@ class Dense:
 
         Errors are 95 % error bars; where they are not known, some answers err by more.
         """
-        values, errors = np.empty((2, len(x), self.weights.shape[2]))
-        known = np.empty(values.shape, dtype=bool)
-        for hyperparameters, shares in self._by_hyperparameters().items():
-            across = block(x, self.equations.x, hyperparameters, 1, self.equations.places)
-            across = across.reshape(len(x), -1)
-            outputs, weights = self._weights(shares)
-            values[:, outputs] = row_by_row(across, weights) + self.coefficients[0, outputs]
-            values[:, outputs] += row_by_row(x, self.coefficients[1:, outputs])
-            for place in shares:
-                share, found = self.shares[place], self.calibrations[place]
-                sigma, own = deviations(x, across, share), share.factor.outputs
-                errors[:, own] = sigma[:, None] * found.at(sigma) * self.deviation[own]
-                known[:, own] = (sigma <= found.reach)[:, None]
+        outputs = self.weights.shape[2]
+        errors, known = np.empty((len(x), outputs)), np.empty((len(x), outputs), dtype=bool)
+        across = block(x, self.equations.x, self.hyperparameters, 1, self.equations.places)
+        across = across.reshape(len(x), -1)
+        values = row_by_row(across, self.weights.reshape(-1, outputs)) + self.coefficients[0]
+        values += row_by_row(x, self.coefficients[1:])
+        for share, found in zip(self.shares, self.calibrations, strict=True):
+            sigma, own = deviations(x, across, share), share.factor.outputs
+            errors[:, own] = sigma[:, None] * found.at(sigma) * self.deviation[own]
+            known[:, own] = (sigma <= found.reach)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
         return values, errors, known
 
     def slopes(self, x: Floats) -> Floats:
         """Return the derivatives of the values by the loads at places (m, 6), shape (m, 6, 6)."""
         places = 1 + self.equations.loads, self.equations.places
-        slopes = np.empty((len(x), self.weights.shape[2], x.shape[1]))
-        for hyperparameters, shares in self._by_hyperparameters().items():
-            across = block(x, self.equations.x, hyperparameters, *places)[:, 1:]
-            outputs, weights = self._weights(shares)
-            found = across.reshape(*x.shape, -1) @ weights + self.coefficients[1:, outputs]
-            slopes[:, outputs] = found.transpose(0, 2, 1)
-        return slopes
-
-    def _by_hyperparameters(self) -> dict[Hyperparameters, list[int]]:
-        """Return which of the shares each set of hyperparameters is of."""
-        found: dict[Hyperparameters, list[int]] = {}
-        for place, share in enumerate(self.shares):
-            found.setdefault(share.factor.hyperparameters, []).append(place)
-        return found
-
-    def _weights(self, shares: list[int]) -> tuple[NDArray[np.intp], Floats]:
-        """Return the outputs (k,) of some shares and their weights (n p, k), spreads."""
-        outputs = np.sort(np.concatenate([self.shares[one].factor.outputs for one in shares]))
-        return outputs, self.weights[:, :, outputs].reshape(-1, len(outputs))
+        across = block(x, self.equations.x, self.hyperparameters, *places)[:, 1:]
+        weights = self.weights.reshape(-1, self.weights.shape[2])
+        found = across.reshape(*x.shape, -1) @ weights + self.coefficients[1:]
+        return found.transpose(0, 2, 1)
 
     def sigmas_with(self, pending: Floats, x: Floats) -> Floats:
-        """Return sigma at places (m, 6) over what it will be once others are solved, (m, 6).
+        """Return sigma at places (m, 6) over what it will be once others are solved, (m,).
 
-        The ratio, below 1, is that of the factor that most rows tell of those of the same
-        hyperparameters.
+        The ratio, below 1, is that of the factor that most rows tell of.
         """
-        ratios = np.empty((len(x), self.weights.shape[2]))
-        for shares in self._by_hyperparameters().values():
-            factors = [self.shares[place].factor for place in shares]
-            largest = max(factors, key=lambda own: len(own.rows))
-            ratios[:, self._weights(shares)[0]] = self._sigmas_with(largest, pending, x)[:, None]
-        return ratios
-
-    def _sigmas_with(self, factor: KrigingFactor, pending: Floats, x: Floats) -> Floats:
-        """Return the ratio of one factor, shape (m,)."""
-        held = factor.hyperparameters
+        factor = max((share.factor for share in self.shares), key=lambda own: len(own.rows))
+        held = self.hyperparameters
         known = np.zeros((len(pending), self.equations.places), dtype=bool)
         known[:, 0] = True
         known[:, 1:] = self.equations.known[:, 1:].any(axis=0)
@@ -150,7 +125,8 @@ class Dense:
 
 def dense(
     equations: Equations,
-    shares: list[tuple[Hyperparameters, Share]],
+    hyperparameters: Hyperparameters,
+    shares: list[Share],
     scaling: Scaling,
     settings: KrigingSettings = DEFAULTS,
 ) -> Dense:
@@ -158,8 +134,6 @@ def dense(
 
     Parameters
     ----------
-    shares : list of (Hyperparameters, Share)
-        Those of the same hyperparameters stand together.
     scaling : Scaling
         Tells which loads take part and where no load is.
     """
@@ -169,12 +143,8 @@ def dense(
     deviation, rounding = np.empty((2, equations.data.shape[2]))
     spreads: list[Neighbourhoods] = []
     calibrations: list[Calibration] = []
-    table = np.empty((0, 0))
-    # Errors are known where those of all outputs are, and each set has other distances.
-    whole = replace(settings, enough=1 - (1 - settings.enough) / len(dict(shares)))
-    for hyperparameters, share in shares:
-        if not spreads or hyperparameters is not spreads[-1].factor.hyperparameters:
-            table = covariance(x, known, x, known, hyperparameters)
+    table = covariance(x, known, x, known, hyperparameters)
+    for share in shares:
         factor = factorise(equations, hyperparameters, *share, settings, table)
         own, outputs = neighbourhoods_of(equations, factor, table, settings), factor.outputs
         weights[:, :, outputs] = _of_all_rows(equations, factor)
@@ -184,9 +154,9 @@ def dense(
         alone = left_out(equations, factor, np.arange(len(factor.rows)))
         errors[np.ix_(factor.rows, outputs)] = alone.errors
         spreads.append(own)
-        calibrations.append(calibrated(equations, own, table, scaling, span, whole))
+        calibrations.append(calibrated(equations, own, table, scaling, span, settings))
     parts = weights, coefficients, deviation, rounding, errors
-    return Dense(equations, tuple(spreads), *parts, tuple(calibrations), span)
+    return Dense(equations, hyperparameters, tuple(spreads), *parts, tuple(calibrations), span)
 
 
 def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> Floats:

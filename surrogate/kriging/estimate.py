@@ -13,7 +13,6 @@ from .correlation import Hyperparameters
 from .equations import Equations, Scaling
 from .factor import Share, factorise, shares_of
 from .likelihood import maximise, maximise_with_noise
-from .own_sets import are_spread, own_sets
 from .reading_noise import reading_noise
 from .settings import KrigingSettings
 
@@ -26,9 +25,7 @@ class Estimate(NamedTuple):
     Attributes
     ----------
     hyperparameters : Hyperparameters
-        Common to all outputs that have none of their own.
-    own : dict of int to Hyperparameters
-        Of the outputs that have their own.
+        Common to all outputs.
     noise_scale : ndarray, shape (6,), spreads squared
         Process variances that noise is held against.
     reading_variance : ndarray, shape (6,), spreads squared
@@ -36,7 +33,6 @@ class Estimate(NamedTuple):
     """
 
     hyperparameters: Hyperparameters
-    own: dict[int, Hyperparameters]
     noise_scale: Floats
     reading_variance: Floats
 
@@ -50,8 +46,7 @@ def estimated(
 
     Noise counts relative to the process variance, which the hyperparameters decide: with noise the
     likelihood is maximised a second time, with what the first time found. Noise that nobody stated
-    is one more hyperparameter, first of all outputs together, then of each by itself. At last
-    outputs get hyperparameters of their own where these are far more likely.
+    is one more hyperparameter, first of all outputs together, then of each by itself.
     """
     chosen = equations.take(spread_rows(equations, settings.likelihood_equations))
     variance, reading = np.ones_like(scaling.spread), np.zeros_like(scaling.spread)
@@ -60,7 +55,6 @@ def estimated(
         bounds = settings.theta_bounds[0], settings.noise_theta_most
         settings = replace(settings, theta_bounds=bounds)
     before: Hyperparameters | None = None
-    shares: list[Share] = []
     noisy = unstated or bool((chosen.noise > settings.nugget).any())
     for stage in range(1 + noisy):
         current = chosen.with_reading_noise(reading)
@@ -74,9 +68,7 @@ def estimated(
             found = factorise(chosen, before, *share, settings)
             variance[share.outputs] = found.variance
     assert before is not None
-    spread = are_spread(equations, scaling, settings)
-    own = own_sets(chosen, shares, before, scaling, settings) if spread else {}
-    return Estimate(before, own, variance, reading)
+    return Estimate(before, variance, reading)
 
 
 def _telling(shares: list[Share], scaling: Scaling) -> list[Share]:

@@ -8,7 +8,6 @@ defined where they do not.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -40,10 +39,7 @@ class Share(NamedTuple):
 
 
 def shares_of(
-    equations: Equations,
-    variance: Floats,
-    settings: KrigingSettings = DEFAULTS,
-    alone: Collection[int] = (),
+    equations: Equations, variance: Floats, settings: KrigingSettings = DEFAULTS
 ) -> list[Share]:
     """Return the outputs in groups that one factor answers.
 
@@ -52,14 +48,12 @@ def shares_of(
     variance : ndarray, shape (6,), dimensionless
         Process variance of each output, spreads squared: noise counts relative to it. Outputs whose
         relative noise differs by more than `like_noise` at some row get a factor each.
-    alone : collection of int, optional
-        Outputs that get a factor each in any case; theirs are the last ones.
     """
     noise = equations.noise / variance
     # Below the nugget noise changes nothing.
     size = np.log(np.maximum(noise, settings.nugget))
     groups: list[list[int]] = []
-    for output in sorted(set(range(noise.shape[1])) - set(alone)):
+    for output in range(noise.shape[1]):
         for group in groups:
             rows = equations.measured[:, group[0]]
             same = (rows == equations.measured[:, output]).all()
@@ -69,13 +63,12 @@ def shares_of(
                 break
         else:
             groups.append([output])
-    groups += [[output] for output in sorted(alone)]
-    return [_share(equations, noise, np.array(group, dtype=np.intp)) for group in groups]
-
-
-def _share(equations: Equations, noise: Floats, outputs: NDArray[np.intp]) -> Share:
-    rows = np.flatnonzero(equations.measured[:, outputs[0]])
-    return Share(outputs, rows, noise[np.ix_(rows, outputs)].mean(axis=1))
+    shares = []
+    for group in groups:
+        rows = np.flatnonzero(equations.measured[:, group[0]])
+        mean_noise = noise[np.ix_(rows, group)].mean(axis=1)
+        shares.append(Share(np.array(group, dtype=np.intp), rows, mean_noise))
+    return shares
 
 
 class SingularCovarianceError(ArithmeticError):

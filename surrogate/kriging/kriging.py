@@ -43,7 +43,7 @@ class Kriging:
     settings : KrigingSettings
     scaling : Scaling
     hyperparameters : Hyperparameters
-        Of the outputs that have none of their own in `inside`.
+        Common to all outputs.
     reading_variance : ndarray, shape (6,), spreads squared
         Of one reading whose uncertainty nobody stated.
     inside : Dense
@@ -113,11 +113,8 @@ class Kriging:
             )
         found = estimated(equations, scaling, settings)
         noisy = equations.with_reading_noise(found.reading_variance)
-        shares = [
-            (found.own.get(int(share.outputs[0]), found.hyperparameters), share)
-            for share in shares_of(noisy, found.noise_scale, settings, found.own)
-        ]
-        inside = dense(noisy, shares, scaling, settings)
+        shares = shares_of(noisy, found.noise_scale, settings)
+        inside = dense(noisy, found.hyperparameters, shares, scaling, settings)
         return cls(
             settings, scaling, found.hyperparameters, found.reading_variance, inside, tangent
         )
@@ -126,13 +123,7 @@ class Kriging:
     def detail(self) -> str:
         """How it answers, in words."""
         rows, equations = len(self.inside.equations), self.inside.equations.count
-        own = sum(
-            len(share.factor.outputs)
-            for share in self.inside.shares
-            if share.factor.hyperparameters is not self.hyperparameters
-        )
-        scales = f", {own} of the outputs by length scales of their own" if own else ""
-        return f"kriging, one factor over {rows} rows ({equations} equations){scales}"
+        return f"kriging, one factor over {rows} rows ({equations} equations)"
 
     @property
     def reading(self) -> Floats:
@@ -194,7 +185,7 @@ class Kriging:
             for part in self._chunks(len(at)):
                 bars[part] = self.inside.answers(places[part])[1] * spread
                 if len(pending):
-                    bars[part] *= self.inside.sigmas_with(others, places[part])
+                    bars[part] *= self.inside.sigmas_with(others, places[part])[:, None]
         return bars
 
     def left_out(self) -> Floats:

@@ -69,27 +69,6 @@ class KrigingSettings:
     likelihood_steps: int = 60
     # Steps end where the likelihood's relative change is below this: the bars do not see more.
     likelihood_accuracy: float = 1e-6
-    # An output may have hyperparameters of its own from so many rows of several axes on, with as
-    # many values of each load, and from so many equations on for each hyperparameter: 9 solves with
-    # second derivatives, 15 with slopes. Of 6 errors grew, and of rows on 3 or 5 levels of each
-    # load, or of one axis each, up to 250 times.
-    own_rows: int = 9
-    own_equations: int = 15
-    # By how much its log likelihood has to rise for that, an equation: readings are predicted from
-    # each other with half the deviation (exp(-0.7)); of `plate_thin` gains are 0.02 to 0.7, and
-    # errors 0.7 to 1.8 times as large. And what may be left of the errors of rows left out: of two
-    # thirds errors at 15 rows were up to twice as large, and the calibration of one output covers
-    # less; with a quarter friction had no set of its own in two of five tables of 30 solves.
-    own_gain: float = 0.7
-    own_error: float = 1 / 3
-    # Of an output's spread: rows left out that are answered to this need no better answers.
-    own_least: float = 1e-4
-    # A search is made where one step of Fisher scoring promises so much, an equation: of 28 made-up
-    # tables those that gained enough had 0.25 to 2.7, those of `plate_thin` 0.02 to 0.31.
-    own_promise: float = 0.25
-    # Its steps end where its likelihood's relative change is below this: half the steps, and errors
-    # are the same to a tenth.
-    own_accuracy: float = 1e-4
     # One dense factor up to here: 400 solved rows of seven equations, or 2,500 measured ones, take
     # about a second and 60 MB.
     dense_equations: int = 2800

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
-from ..kriging.correlation import Hyperparameters
 from ..kriging.neighbourhood import Neighbourhoods
 from ..table.rows import Floats
 
@@ -37,8 +36,7 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     ``lost`` (m), what sums lose to rounding, m and rad; ``floor`` (1), the least error over an
     answer's size; ``tangent`` (m, n), SI, added to the derivative; ``span`` and ``span_loads``
     (2, n), the ends, scaled and in N and N·m, between which errors are known; ``shares`` (1), how
-    many factors there are. Where outputs have hyperparameters of their own, their factor has
-    ``own_terms`` and ``own_rates`` in the place of ``terms`` and ``rates``.
+    many factors there are.
     """
     inside, scaling = kriging.inside, kriging.scaling
     rows = len(inside.equations)
@@ -47,7 +45,8 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     weights_by_place = np.zeros((*inside.weights.shape[:0:-1], stride))
     weights_by_place[:, :, :rows] = inside.weights.transpose(2, 1, 0)
     yield "x", x
-    yield "terms", _terms(kriging.hyperparameters)
+    rates, weights = kriging.hyperparameters.terms
+    yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", kriging.hyperparameters.inverse_squares
     yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
     if inside.equations.places > 1 + len(x):
@@ -67,22 +66,8 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     for number, (share, found) in enumerate(zip(inside.shares, inside.calibrations, strict=True)):
         outputs, places = len(inside.deviation), inside.equations.places
         arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
-        for name, array in chain(*arrays, _own_set(kriging, share)):
+        for name, array in chain(*arrays):
             yield f"share{number}/{name}", array
-
-
-def _own_set(kriging: Kriging, share: Neighbourhoods) -> Iterator[tuple[str, Array]]:
-    """Yield the hyperparameters of a factor that has its own."""
-    own = share.factor.hyperparameters
-    if own is not kriging.hyperparameters:
-        yield "own_terms", _terms(own)
-        yield "own_rates", own.inverse_squares
-
-
-def _terms(hyperparameters: Hyperparameters) -> Floats:
-    """Return the inverse squared lengths and the weight of each term, (t, n + 1), dimensionless."""
-    rates, weights = hyperparameters.terms
-    return np.concatenate((rates, weights[:, None]), axis=1)
 
 
 def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:

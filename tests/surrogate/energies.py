@@ -95,12 +95,4 @@ def part(slopes: Slopes, seed: int, nonlinear: float = 0.3, count: int = 8) -> P
     return Part(stiff, directions, slopes, size)
 
 
-def part_with_friction(slopes: Slopes, seed: int) -> Part:
-    """Return a part whose u_x is of another kind: it follows F_x alone, four times as steeply."""
-    found = part(slopes, seed)
-    directions = 0.6 * found.directions
-    directions[:, 0] = 0.0
-    return found._replace(directions=np.vstack((directions, 4.0 * np.eye(6)[:1])))
-
-
 PARTS = {one.__name__: one for one in (stiffening, saturating, waving, rising)}

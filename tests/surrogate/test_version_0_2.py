@@ -2,8 +2,7 @@
 
 A smooth table of 20 solves; the answers are those of the program that wrote it, the commit before
 77a621e5. On one machine they are equal to the last bit; another compiler or BLAS may round
-otherwise. Outputs with length scales of their own, which
-0.2 did not have, answer by another one.
+otherwise.
 """
 
 from pathlib import Path
@@ -29,14 +28,4 @@ def test_an_hdf5_table_answers_as_it_did(then):
     assert meta.load_range.space.is_default
     table = build(rows, meta.load_range, tolerance=meta.tolerance, linear=False)
     found = packed_of(table).batch(then["wrenches"]).outputs
-    kriging = table.thinnest.kriging
-    common = [
-        output
-        for share in kriging.inside.shares
-        if share.factor.hyperparameters is kriging.hyperparameters
-        for output in share.factor.outputs
-    ]
-    assert len(common) == 4
-    np.testing.assert_allclose(found[:, common], then["kriging"][:, common], rtol=1e-9)
-    size = np.ptp(rows.displacement, axis=0)
-    assert (np.abs(found - then["kriging"]) < 0.01 * size).all()  # its errors were some percent
+    np.testing.assert_allclose(found, then["kriging"], rtol=1e-9)

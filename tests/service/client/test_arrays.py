@@ -21,7 +21,6 @@ MISSING = "the extra {!r} is not installed"
 METHODS = ["kriging", "griddata", "linear"]
 BENT = [
     *("second derivatives", "second derivatives of some"),
-    *("own length scales", "own length scales, second derivatives"),
 ]
 
 

@@ -9,14 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
-from tests.surrogate.energies import PARTS, part, part_with_friction
-from tests.surrogate.kriging.responses import solved as with_slopes
-from tests.surrogate.kriging.responses import stiff_beside_soft
+from tests.surrogate.energies import PARTS, part
 from tests.surrogate.law import Law, build
 from tests.surrogate.law.whole_bars import whole_bars
 from tests.surrogate.responses import HIGH
-from tests.surrogate.responses import RANGE as UNIT_RANGE
-from tests.surrogate.responses import full_wrenches as unit_wrenches
 from tests.surrogate.softening import softening_table
 from wrenchbook.surrogate.build import AnyTable
 from wrenchbook.surrogate.kernel.binding import PackedTable
@@ -105,18 +101,6 @@ def bent(second: int) -> AnyTable:
     return build(rows, LoadRange(-1.1 * HIGH, 1.1 * HIGH))
 
 
-def uneven() -> AnyTable:
-    """Solves of a response whose outputs have length scales of their own."""
-    return build(with_slopes(stiff_beside_soft, unit_wrenches(30, 31)), UNIT_RANGE)
-
-
-def uneven_bent() -> AnyTable:
-    """The same of a part whose rows bring second derivatives."""
-    made = part_with_friction(PARTS["stiffening"], 2)
-    rows = made.rows(np.random.default_rng(5).uniform(-1, 1, (20, 6)))
-    return build(rows, LoadRange(-1.1 * HIGH, 1.1 * HIGH))
-
-
 def repeated() -> AnyTable:
     """Rows of one wrench, and near each other, of several sources."""
     wrenches = np.concatenate((clean(12), full_wrenches(6), full_wrenches(6)))
@@ -136,8 +120,6 @@ KINDS = {
     "few with tangents": lambda: tangent_rows(6),
     "second derivatives": lambda: bent(20),
     "second derivatives of some": lambda: bent(8),
-    "own length scales": uneven,
-    "own length scales, second derivatives": uneven_bent,
     "thin": lambda: measured(clean(5)),
     "planar": lambda: measured(grid((2, 3), 5)),
     "one force": lambda: measured(grid((2,), 7)),

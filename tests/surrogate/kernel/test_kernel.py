@@ -66,9 +66,7 @@ def test_the_order_and_the_company_of_wrenches_change_no_bit():
     assert same_bits([column[:7] for column in whole], packed.batch(asked[:7]))
 
 
-@pytest.mark.parametrize(
-    "kind", ["solved", "clean and full", "uncertain", "second derivatives", "own length scales"]
-)
+@pytest.mark.parametrize("kind", ["solved", "clean and full", "uncertain", "second derivatives"])
 def test_other_optimisation_and_vectors_change_no_bit(kind, tmp_path, monkeypatch):
     """As on a processor without AVX2, and by another compiler's choice of instructions."""
     sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
@@ -122,7 +120,6 @@ def test_without_a_kriging_the_default_method_answers_and_is_named():
     "kind",
     [
         *("solved", "few with tangents", "linear", "clean and full", "second derivatives"),
-        *("own length scales", "own length scales, second derivatives"),
     ],
 )
 def test_the_inverse_of_a_displacement_is_its_wrench(kind):

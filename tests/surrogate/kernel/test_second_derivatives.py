@@ -65,7 +65,6 @@ def test_derivatives_of_several_interfaces_and_further_inputs_are_differences_of
     "kind",
     [
         *("second derivatives", "second derivatives of some"),
-        *("own length scales", "own length scales, second derivatives"),
     ],
 )
 def test_derivatives_are_differences_of_values(kind):

@@ -74,36 +74,6 @@ def boundary_layer(x: np.ndarray) -> np.ndarray:
     return x @ LINEAR.T + 5e-4 * rise[:, None] * np.array([0.3, 0.2, 1, 0.5, 1, 0.1])
 
 
-def friction(x: np.ndarray) -> np.ndarray:
-    """Return the smooth response, but for u_x, which a force has to overcome friction for."""
-    out, force = smooth(x), x[:, 0] + 0.4 * x[:, 4]
-    out[:, 0] = 1e-3 * (0.2 * force + np.tanh(force / 0.25))
-    return out
-
-
-def stiff_beside_soft(x: np.ndarray) -> np.ndarray:
-    """Return translations that saturate, and rotations that are nearly linear."""
-    out, moved = x @ LINEAR.T, x[:, :3] + 0.5 * x[:, [1, 2, 0]]
-    out[:, :3] += 3e-4 * np.tanh(2.5 * moved)
-    out[:, 3:] += 1e-5 * x[:, :3] ** 2
-    return out
-
-
-def mirrored(x: np.ndarray) -> np.ndarray:
-    """Return the smooth response, but for r_z, which symmetry makes of products of loads."""
-    out = smooth(x)
-    twist = x[:, 0] * x[:, 4] - x[:, 1] * x[:, 3] + 0.5 * x[:, 5]
-    out[:, 5] = 1e-4 * (twist + 0.3 * np.sin(2 * x[:, 0] * x[:, 1]) * x[:, 5])
-    return out
-
-
-# Responses one of whose outputs is of another kind than the others, and which ones.
-UNEVEN: dict[str, tuple[Response, list[int]]] = {
-    "friction": (friction, [0]),
-    "stiff_beside_soft": (stiff_beside_soft, [0, 1, 2]),
-    "mirrored": (mirrored, [5]),
-}
-
 RESPONSES: dict[str, Response] = {
     "smooth": smooth,
     "hardening": hardening,

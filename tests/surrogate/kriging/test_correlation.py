@@ -7,8 +7,11 @@ from wrenchbook.surrogate.kriging.correlation import (
     Hyperparameters,
     block,
     covariance,
+    derivatives,
     indices,
+    joins,
     matern,
+    places_of,
 )
 from wrenchbook.surrogate.table.space import DEFAULT
 
@@ -87,3 +90,10 @@ def test_an_axis_without_shared_loads_adds_a_constant() -> None:
     expected = block(moved, V, only_x, 1, 1) - block(X, V, only_x, 1, 1)
     # axes y and z read M_x, M_y, M_z too: they do not change with F_x
     np.testing.assert_allclose(apart, expected, atol=1e-14)
+
+
+def test_variances_of_the_prior_are_those_of_the_covariance() -> None:
+    count = places_of(6, 2)
+    joined, sign = joins(6, count, count)
+    coincident = np.diag(derivatives(np.zeros((1, 6)), HELD, 4)[0][joined] * sign)
+    np.testing.assert_allclose(HELD.prior(count)[:7], coincident[:7], rtol=1e-12)

@@ -130,9 +130,7 @@ OPTIONAL = re.compile(  # words are made of these, or there is no such part with
 )
 
 
-@pytest.mark.parametrize(
-    "kind", ["clean", "solved", "clean and full", "second derivatives", "own length scales"]
-)
+@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
 def test_a_table_without_one_of_its_arrays_is_refused_by_its_name(kind):
     found = read(bytes(content_of(kind)))
     for name in found.arrays:
@@ -142,9 +140,7 @@ def test_a_table_without_one_of_its_arrays_is_refused_by_its_name(kind):
                 PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
 
 
-@pytest.mark.parametrize(
-    "kind", ["clean", "solved", "clean and full", "second derivatives", "own length scales"]
-)
+@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
 def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
     found = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 50)
@@ -160,7 +156,7 @@ def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
                 continue
 
 
-@pytest.mark.parametrize("kind", ["clean and full", "second derivatives", "own length scales"])
+@pytest.mark.parametrize("kind", ["clean and full", "second derivatives"])
 def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it(kind):
     found = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 100)
@@ -227,7 +223,7 @@ def test_a_correlation_that_the_kernel_does_not_have_is_refused():
 
 @pytest.mark.parametrize("own", [0, 1])
 def test_an_output_that_two_factors_answer_or_none_is_refused(own):
-    found = read(bytes(content_of("own length scales")))
+    found = read(bytes(content_of("full")))
     outputs = np.full(6, own, dtype=np.int32)
     arrays = {**found.arrays, "g0/kriging/share0/outputs": outputs}
     with pytest.raises(PackedTableError, match="outputs"):
