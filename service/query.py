@@ -22,7 +22,7 @@ from wrenchbook.service.client.replies import EXACT, ROUNDED
 from wrenchbook.service.contract import OnThin, by_part
 from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.submission import Placed
+from wrenchbook.service.submission import Placement
 from wrenchbook.service.tables.mapped import (
     ROW,
     ROW_DETAIL,
@@ -135,7 +135,7 @@ class BatchOutcome:
     replies: Replies
     elapsed_us: float
     method: str
-    jobs: dict[int, Placed] = field(default_factory=dict)
+    jobs: dict[int, Placement] = field(default_factory=dict)
     derivatives: Floats | None = None
     tolerance: Tolerance | None = None
 
@@ -264,10 +264,10 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
                 coverage="outside",
             )
         asked_by, urgent = query.on_thin, query.wait_s > 0
-        job = submission.own(name, query.wrench, urgent=urgent, asked_by=asked_by)
-        placed, why = Placed(job, own=True), ""
+        job = submission.accept(name, query.wrench, urgent=urgent, asked_by=asked_by)
+        placed, why = Placement(job, exact=True), ""
     elif beyond:
-        placed = Placed(None, own=False)
+        placed = Placement(None, exact=False)
         why = (
             "no solve is queued beyond the load range unless beyond_range (--beyond-range): "
             f"{beyond}"
@@ -280,7 +280,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
-    return _ended(workspace, query, outcome) if placed.own else outcome
+    return _ended(workspace, query, outcome) if placed.exact else outcome
 
 
 def _uncovered(workspace: Workspace, component: Component, query: Query, outcome: Outcome) -> Rows:
@@ -438,7 +438,7 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         place_jobs = workspace.submission.each
     placed = iter(place_jobs(name, acting[thin[~out]]))
     outcome.jobs = {
-        place: Placed(None, own=False, reason="beyond-range") if is_out else next(placed)
+        place: Placement(None, exact=False, reason="beyond-range") if is_out else next(placed)
         for place, is_out in zip(thin.tolist(), out.tolist(), strict=True)
     }
     _take_rows(workspace, acting, query, outcome)
@@ -571,8 +571,8 @@ def _take_rows(
         if placed.job is None:
             continue
         job = jobs[placed.job.id]
-        outcome.jobs[place] = Placed(job, placed.own)
-        if job.row is not None and placed.own:
+        outcome.jobs[place] = Placement(job, placed.exact)
+        if job.row is not None and placed.exact:
             _take_row(workspace, wrenches, query, outcome, place, job.row)
 
 

@@ -91,6 +91,13 @@ def by_name(option: str, values: list[str] | None) -> list[tuple[str, str]]:
     return list(pairs.items())
 
 
+def in_folder(file: Path | None) -> Path | None:
+    """Refuse a file to write whose folder is not there, before anything is solved or served."""
+    if file is not None and not file.parent.is_dir():
+        raise typer.BadParameter(f"there is no folder {file.parent}")
+    return file
+
+
 def number(text: str) -> float:
     """Return a number; InvalidArgument if it is none."""
     try:

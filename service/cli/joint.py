@@ -18,6 +18,7 @@ from wrenchbook.service.cli.connect import (
     Server,
     connected,
     further_inputs,
+    in_folder,
 )
 from wrenchbook.service.cli.render import matrix_table, print_json, show
 from wrenchbook.service.client import Client
@@ -55,7 +56,9 @@ def joint(
     force: _Force = ZERO,
     moment: _Moment = ZERO,
     further: FurtherInput = None,
-    out: Annotated[Path | None, typer.Option(help="write to this file, not to stdout")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="write to this file, not to stdout", callback=in_folder)
+    ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -114,7 +117,9 @@ def stiffness(
     force: _Force = ZERO,
     moment: _Moment = ZERO,
     further: FurtherInput = None,
-    out: Annotated[Path | None, typer.Option(help="write JSON to this file")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="write JSON to this file", callback=in_folder)
+    ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,

@@ -22,6 +22,7 @@ from wrenchbook.service.cli.connect import (
     by_name,
     connected,
     further_inputs,
+    in_folder,
     number,
 )
 from wrenchbook.service.cli.jobs import jobs
@@ -195,7 +196,9 @@ def solve(
 @app.command(cls=NumbersCommand)
 def deformed(
     name: Name,
-    file: Annotated[Path, typer.Argument(help="file to write: .glb, .vtu or .json")],
+    file: Annotated[
+        Path, typer.Argument(help="file to write: .glb, .vtu or .json", callback=in_folder)
+    ],
     force: Force = None,
     moment: Moment = None,
     as_json: AsJson = False,
@@ -285,7 +288,8 @@ def report(
     name: Name,
     wrenches: Annotated[int, typer.Option(min=3, help="random wrenches to compare")] = 24,
     html: Annotated[
-        Path | None, typer.Option(help="also write a page with plots to this file")
+        Path | None,
+        typer.Option(help="also write a page with plots to this file", callback=in_folder),
     ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,

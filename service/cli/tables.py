@@ -8,7 +8,15 @@ from typing import Annotated, Any
 
 import typer
 
-from wrenchbook.service.cli.connect import DEFAULT_SERVER, AsJson, Data, Name, Server, connected
+from wrenchbook.service.cli.connect import (
+    DEFAULT_SERVER,
+    AsJson,
+    Data,
+    Name,
+    Server,
+    connected,
+    in_folder,
+)
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.library import check_readable, table_format
@@ -135,7 +143,9 @@ def export_table(
     file: Annotated[
         Path,
         typer.Argument(
-            help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .wbt, .fmu or .zip file; - prints CSV"
+            help="a .csv, .xlsx, .parquet, .json, .h5, .hdf5, .wbt, .fmu or .zip file; - prints "
+            "CSV",
+            callback=in_folder,
         ),
     ],
     method: Annotated[

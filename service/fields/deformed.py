@@ -31,35 +31,20 @@ from wrenchbook.surrogate.table.rows import Rows, why_beyond
 
 Floats = NDArray[np.float64]
 
+# Rows that a field is interpolated of: with slopes as good as all, and a factor of 0.02 s.
 MAX_ROWS = 60
-"""Rows that a field is interpolated of: with slopes as good as all, and a factor of 0.02 s."""
-
-BLEND_BYTES = 128 << 20
-"""Of the fields that one component's interpolation holds; larger surfaces take fewer rows."""
-
-MIN_ROWS = 8
-"""Rows taken however large their fields are: fewer give neither an answer nor an error."""
-
-MAX_BLENDS = 2
-"""Components whose interpolation is kept at once."""
-
-THREADS = 2
-"""Surfaces made at once: each may take a processor."""
-
+BLEND_BYTES = 128 << 20  # of one component's interpolation; larger surfaces take fewer rows
+MIN_ROWS = 8  # however large their fields are: fewer give neither an answer nor an error
+MAX_BLENDS = 2  # components whose interpolation is in memory at once
+THREADS = 2  # surfaces at once: each may take a processor
+# Half ranges beyond an end of the load range: further out rows do not determine a surface.
 FARTHEST = 2.0
-"""Half ranges beyond an end of the load range: further out rows do not determine a surface."""
-
-SAME = 1e-6
-"""Of the load range: a wrench so near to a row's is the one that row was rounded from."""
-
+SAME = 1e-6  # of the load range: a wrench so near to a row's is the one that row was rounded from
+# Of the largest displacement of any row: a vertex's error bar allowed without a tolerance.
 WITHOUT_TOLERANCE = 0.01
-"""Of the largest displacement of any row: a vertex's error bar allowed without a tolerance."""
-
-LEVEL = 0.95
-"""Share of a row's vertices, and of rows, that an error bar covers."""
-
+LEVEL = 0.95  # share of a row's vertices, and of rows, that an error bar covers
+# Error bars widen by this over the number of rows left out: few show a tail badly (as tables').
 WIDENING = 5.0
-"""Error bars widen by this over the number of rows left out: few show a tail badly (as tables')."""
 
 
 class NoFieldsError(Exception):
@@ -67,7 +52,7 @@ class NoFieldsError(Exception):
 
     def __init__(self, component: Component, why: str) -> None:
         name = component.name
-        how = (
+        text = (
             f"{name!r} has no deformed surface yet: {why}. Each solve by the embedded solver "
             "leaves one (a deck's own solver leaves none): POST this wrench to "
             f"/v1/components/{name}/solve, or ask for several by /v1/components/{name}/fill. A row "
@@ -75,11 +60,11 @@ class NoFieldsError(Exception):
             "its wrench to /solve."
         )
         if not component.has_fea:
-            how = (
+            text = (
                 f"{name!r} is a table without a finite-element setup: there is no surface to "
                 "deform. Add the component as a bundle with a mesh."
             )
-        super().__init__(how)
+        super().__init__(text)
 
 
 class TooFarError(ValueError):
@@ -94,7 +79,7 @@ class DeformedSurfaces:
 
     def __init__(self, store: FieldStore) -> None:
         self._store = store
-        self._kept: OrderedDict[str, tuple[Any, Blend]] = OrderedDict()
+        self._blends: OrderedDict[str, tuple[Any, Blend]] = OrderedDict()
         self._lock = threading.Lock()
         self.threads = ThreadPoolExecutor(THREADS, thread_name_prefix="deformed")
 
@@ -130,7 +115,13 @@ class DeformedSurfaces:
             shape = self._own(component, rows, acting) or self._between(
                 component, rows, acting, hyperparameters
             )
-        shape = _with_solver_error(component, shape, solver, shares)
+        if shape.error is not None:  # coverage stays the table's
+            wrench = np.array(shape.wrench)
+            parts = error_parts(shape.error, shape.follows, solver, wrench, shares)
+            limit, total, within = component.tolerance, parts.total, None
+            if limit is not None and parts.are_whole:
+                within = bool(total.max(initial=0.0) <= limit.translation)
+            shape = replace(shape, error=total, parts=parts, within_tolerance=within)
         if beyond and shape.source != "row":
             return replace(shape, coverage="outside", reason=beyond)
         return shape
@@ -204,15 +195,35 @@ class DeformedSurfaces:
         wrench: Floats,
         hyperparameters: Hyperparameters | None,
     ) -> Deformed:
-        """Return the interpolation of the rows that have fields."""
-        places = self._having_fields(component, rows)
+        """Return the interpolation of the rows that have fields, one for each wrench in range."""
+        if not len(rows):
+            raise NoFieldsError(component, "its table has no rows")
+        inside = component.load_range.holds(rows.wrench)
+        solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & inside)
+        wrenches = rows.wrench[solved]
+        having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
+        if not having:
+            why = f"none of its {len(rows)} rows has one; they were imported or solved before"
+            raise NoFieldsError(component, why)
+        cells = np.rint(wrenches[having] / (2 * SAME * component.load_range.scale))
+        _, first = np.unique(cells, axis=0, return_index=True)
+        places = solved[having][np.sort(first)]
         with self._lock:  # one at a time: a new interpolation takes a processor and its memory
             blend = self._blend(component, rows.take(places), wrench, hyperparameters)
         fields = blend.at(wrench)
         error = fields.error
         if error is not None:
             error = np.maximum(error, rounding(fields.displacement))
-        coverage, reason = _judged(component, blend, error)
+        reason = ""
+        if error is None:
+            reason = f"{len(blend.rows)} row(s) with a surface: too few for an error bar"
+        else:
+            limit = component.tolerance
+            allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
+            worst = float(error.max(initial=0.0))
+            if worst > allowed:
+                reason = f"a vertex may be wrong by {worst:.3g} m, over {allowed:.3g} m"
+        coverage = "thin" if reason else "covered"
         stress = None
         if fields.stress is not None:
             stress = largest_stress(component, blend.geometry, fields.stress, fields.stress_error)
@@ -231,21 +242,6 @@ class DeformedSurfaces:
             follows=vertex_modes(slopes, rows.compliance[np.flatnonzero(rows.seq == number)[0]]),
         )
 
-    def _having_fields(self, component: Component, rows: Rows) -> NDArray[np.intp]:
-        """Return the places of rows with fields, one for each wrench within the load range."""
-        if not len(rows):
-            raise NoFieldsError(component, "its table has no rows")
-        inside = component.load_range.holds(rows.wrench)
-        solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & inside)
-        wrenches = rows.wrench[solved]
-        having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
-        if not having:
-            why = f"none of its {len(rows)} rows has one; they were imported or solved before"
-            raise NoFieldsError(component, why)
-        grains = np.rint(wrenches[having] / (2 * SAME * component.load_range.scale))
-        _, first = np.unique(grains, axis=0, return_index=True)
-        return solved[having][np.sort(first)]
-
     def _blend(
         self,
         component: Component,
@@ -262,34 +258,29 @@ class DeformedSurfaces:
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
         lengths = None if hyperparameters is None else hyperparameters.logarithms.tobytes()
         key = component.fingerprint, near.seq.tobytes(), lengths
-        kept = self._kept.get(component.name)
-        if kept is not None and kept[0] == key:
-            self._kept.move_to_end(component.name)
-            return kept[1]
-        self._kept.pop(component.name, None)  # before its like takes as much memory again
-        blend = self._made(component, near, hyperparameters)
-        self._kept[component.name] = key, blend
-        while len(self._kept) > MAX_BLENDS:
-            self._kept.popitem(last=False)
-        return blend
-
-    def _made(
-        self, component: Component, rows: Rows, hyperparameters: Hyperparameters | None
-    ) -> Blend:
-        found: list[tuple[int, RowFields]] = []
-        for place, wrench in enumerate(rows.wrench):
-            found += [(place, row) for row in self._readable(component, wrench[None])]
-        if not found:
+        cached = self._blends.get(component.name)
+        if cached is not None and cached[0] == key:
+            self._blends.move_to_end(component.name)
+            return cached[1]
+        self._blends.pop(component.name, None)  # before its like takes as much memory again
+        read: list[tuple[int, RowFields]] = []
+        for place, row_wrench in enumerate(near.wrench):
+            read += [(place, row) for row in self._readable(component, row_wrench[None])]
+        if not read:
             raise NoFieldsError(component, "the files of the nearest rows are damaged")
-        digest = found[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
-        like = [(place, row) for place, row in found if row.meta["geometry"] == digest]
-        kept = rows.take([place for place, _ in like])
+        digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
+        like = [(place, row) for place, row in read if row.meta["geometry"] == digest]
+        used = near.take([place for place, _ in like])
         try:
             geometry = self._geometry(component, like[0][1])
-            weights = FieldWeights.of(kept.wrench, component.load_range, hyperparameters)
+            weights = FieldWeights.of(used.wrench, component.load_range, hyperparameters)
         except (DamagedFieldsError, SingularCovarianceError) as error:
             raise NoFieldsError(component, str(error)) from error
-        return Blend.of(geometry, weights, [row for _, row in like], tuple(kept.seq.tolist()))
+        blend = Blend.of(geometry, weights, [row for _, row in like], tuple(used.seq.tolist()))
+        self._blends[component.name] = key, blend
+        while len(self._blends) > MAX_BLENDS:
+            self._blends.popitem(last=False)
+        return blend
 
     def _readable(self, component: Component, wrenches: Floats) -> Iterator[RowFields]:
         """Yield the fields of rows; those whose file is gone or damaged have none."""
@@ -301,35 +292,6 @@ class DeformedSurfaces:
 
     def _geometry(self, component: Component, row: RowFields) -> SurfaceGeometry:
         return self._store.geometry(component.name, component.fingerprint, row.meta["geometry"])
-
-
-def _with_solver_error(
-    component: Component,
-    shape: Deformed,
-    solver: SolverError | None,
-    shares: Mapping[str, Sequence[float] | None] | None,
-) -> Deformed:
-    """Return a surface whose error bars include the solver's error; coverage stays the table's."""
-    if shape.error is None:
-        return shape
-    parts = error_parts(shape.error, shape.follows, solver, np.array(shape.wrench), shares)
-    limit, total, within = component.tolerance, parts.total, None
-    if limit is not None and parts.are_whole:
-        within = bool(total.max(initial=0.0) <= limit.translation)
-    return replace(shape, error=total, parts=parts, within_tolerance=within)
-
-
-def _judged(component: Component, blend: Blend, error: Floats | None) -> tuple[str, str]:
-    """Return the coverage of an interpolation, and the reason if it is not covered."""
-    if error is None:
-        count = len(blend.rows)
-        return "thin", f"{count} row(s) with a surface: too few for an error bar"
-    limit = component.tolerance
-    allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
-    worst = float(error.max(initial=0.0))
-    if worst > allowed:
-        return "thin", f"a vertex may be wrong by {worst:.3g} m, over {allowed:.3g} m"
-    return "covered", ""
 
 
 class BlendedFields(NamedTuple):
@@ -379,20 +341,26 @@ class Blend:
         spread = np.sqrt((ratios**2).mean(axis=0))
         relative = ratios / np.where(spread > 0, spread, 1.0)
         factor = _conformal(np.quantile(relative, LEVEL, axis=1))
-        stresses = _stress_factor(values[:, 0, moved:], errors[:, moved:], rows, sigmas)
-        return cls(geometry, weights, values, numbers, largest, spread, factor, stresses)
+        stress_factor = None
+        if values.shape[2] > moved:
+            # Of each row left out the predicted largest is compared with its true one.
+            predicted = values[:, 0, moved:] - errors[:, moved:]
+            predicted = von_mises(predicted.reshape(len(rows), -1, 6)).max(axis=1)
+            true = np.array([row.meta["largest"] for row in rows])
+            stress_factor = _conformal(np.abs(predicted - true) / sigmas)
+        return cls(geometry, weights, values, numbers, largest, spread, factor, stress_factor)
 
     def at(self, wrench: Floats) -> BlendedFields:
         """Return the fields at a wrench (6,), N and N·m."""
-        found = self.weights.at(wrench)
-        lambdas = np.concatenate((found.values[:, None], found.slopes), axis=1)
+        at = self.weights.at(wrench)
+        lambdas = np.concatenate((at.values[:, None], at.slopes), axis=1)
         fields = np.tensordot(lambdas, self.values, axes=2)
         moved = 3 * len(self.geometry.vertices)
         displacement = fields[:moved].reshape(-1, 3)
-        error = None if self.spread is None else self.factor * found.sigma * self.spread
+        error = None if self.spread is None else self.factor * at.sigma * self.spread
         stress = fields[moved:].reshape(-1, 6) if len(fields) > moved else None
         factor = self.stress_factor
-        stress_error = None if factor is None else factor * found.sigma
+        stress_error = None if factor is None else factor * at.sigma
         return BlendedFields(displacement, error, stress, stress_error)
 
     def nearest(self, wrench: Floats) -> tuple[int, Floats]:
@@ -409,32 +377,13 @@ class Blend:
 
 def _columns(row: RowFields) -> Floats:
     """Return a row's fields and slopes, shape (7, d)."""
-    parts: list[Any] = []
-    for field, slopes in (
-        (row.displacement, row.displacement_slopes),
-        (row.stress, row.stress_slopes),
-    ):
-        whole = np.concatenate((field[..., None], slopes), axis=-1)
-        parts.append(np.moveaxis(whole, -1, 0).reshape(7, -1))
-    return np.concatenate(parts, axis=1)
-
-
-def _stress_factor(
-    stress: Floats, errors: Floats, rows: Sequence[RowFields], sigmas: Floats
-) -> float | None:
-    """Return the error bar of the largest von Mises stress over sigma, Pa; None without stresses.
-
-    Of each row left out the predicted largest is compared with its own largest.
-    """
-    if not stress.shape[1]:
-        return None
-    largest = von_mises((stress - errors).reshape(len(rows), -1, 6)).max(axis=1)
-    true = np.array([row.meta["largest"] for row in rows])
-    return _conformal(np.abs(largest - true) / sigmas)
+    fields = (row.displacement, row.displacement_slopes), (row.stress, row.stress_slopes)
+    columns = (np.concatenate((field[..., None], slopes), axis=-1) for field, slopes in fields)
+    return np.concatenate([np.moveaxis(of, -1, 0).reshape(7, -1) for of in columns], axis=1)
 
 
 def _conformal(ratios: Floats) -> float:
     """Return the ratio that 95 % of one more row are below, widened for few rows."""
     rank = int(np.ceil(LEVEL * (len(ratios) + 1)))
-    found = float(np.sort(ratios)[min(rank, len(ratios)) - 1])
-    return found * (1 + WIDENING / len(ratios))
+    ratio = float(np.sort(ratios)[min(rank, len(ratios)) - 1])
+    return ratio * (1 + WIDENING / len(ratios))

@@ -28,11 +28,10 @@ from wrenchbook.service.fields.record import (
     read_meta,
     read_row,
 )
-from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.files.durable import sync
 
+# Of one component, some thousand rows of 1,000 vertices; later rows have no fields.
 MOST_BYTES = 1 << 30
-"""Kept of one component, some thousand rows of 1,000 vertices; later rows have no fields."""
-
 _LINEAR = "linear"
 _HEADER_BYTES = 1 << 20  # what is read for a file's header, which is far shorter
 
@@ -66,12 +65,16 @@ class FieldStore:
             place = self._place(component, fingerprint)
             place.mkdir(parents=True, exist_ok=True)
             size = row.stat().st_size + geometry.stat().st_size
-            if not self._has_room(component, fingerprint, size):
+            if self._bytes_of(component) + size > self._most_bytes:  # older set-ups make room
+                for old in self._folder.joinpath(component).iterdir():
+                    if old.name != fingerprint:
+                        shutil.rmtree(old, ignore_errors=True)
+            if self._bytes_of(component) + size > self._most_bytes:
                 _log.warning("%s: no room for more fields; this row has none", component)
                 return False
             geometry.replace(place / f"{digest_of(geometry.read_bytes())}.geometry")
             row.replace(place / f"{_LINEAR if linear else key_of(wrench)}.fields")
-            sync_folder(place)
+            sync(place)
         except (OSError, DamagedFieldsError) as error:
             _log.warning("%s: a row's fields were not kept: %s", component, error)
             return False
@@ -93,10 +96,10 @@ class FieldStore:
         Raises `DamagedFieldsError` if the file is damaged, or gone, or of another wrench.
         """
         key = key_of(wrench)
-        found = self._read(self._place(component, fingerprint) / f"{key}.fields")
-        if key_of(found.meta["wrench"]) != key:
+        row = self._read(self._place(component, fingerprint) / f"{key}.fields")
+        if key_of(row.meta["wrench"]) != key:
             raise DamagedFieldsError(f"{key}.fields holds another wrench")
-        return found
+        return row
 
     def linear(self, component: str, fingerprint: str) -> RowFields | None:
         """Return the six unit fields of a linear component; None before its first solve.
@@ -109,10 +112,10 @@ class FieldStore:
     def geometry(self, component: str, fingerprint: str, digest: str) -> SurfaceGeometry:
         """Return the geometry of a row's fields; raises `DamagedFieldsError` without."""
         path = self._place(component, fingerprint) / f"{digest}.geometry"
-        found = read_geometry(_content(path))
-        if found.digest != digest:
+        geometry = read_geometry(_content(path))
+        if geometry.digest != digest:
             raise DamagedFieldsError(f"{path.name} holds another geometry")
-        return found
+        return geometry
 
     def _read(self, path: Path) -> RowFields:
         try:
@@ -122,15 +125,6 @@ class FieldStore:
 
     def _place(self, component: str, fingerprint: str) -> Path:
         return self._folder / component / fingerprint
-
-    def _has_room(self, component: str, fingerprint: str, size: int) -> bool:
-        """Return whether so many bytes more may be kept, after older set-ups have made room."""
-        if self._bytes_of(component) + size <= self._most_bytes:
-            return True
-        for old in self._folder.joinpath(component).iterdir():
-            if old.name != fingerprint:
-                shutil.rmtree(old, ignore_errors=True)
-        return self._bytes_of(component) + size <= self._most_bytes
 
     def _bytes_of(self, component: str) -> int:
         size = 0

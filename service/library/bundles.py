@@ -213,7 +213,6 @@ def extract(archive: Path, target: Path) -> Path:
     """
     try:
         with zipfile.ZipFile(archive) as bundle:
-            _refuse_hostile(bundle)
             _unpack(bundle, target)
     except zipfile.BadZipFile as error:
         raise one_problem(
@@ -238,7 +237,8 @@ def extract(archive: Path, target: Path) -> Path:
     return folders[0]
 
 
-def _refuse_hostile(bundle: zipfile.ZipFile) -> None:
+def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
+    """Refuse a hostile archive, then write each member and count its bytes."""
     entries = bundle.infolist()
     if len(entries) > MAX_FILES:
         message = f"The zip holds {len(entries)} files; at most {MAX_FILES} are accepted."
@@ -254,12 +254,8 @@ def _refuse_hostile(bundle: zipfile.ZipFile) -> None:
         if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             why = f"{name!r} is compressed by method {info.compress_type}"
             raise one_problem("bundle", _CANNOT_UNPACK.format(why=why))
-
-
-def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
-    """Write each member and count its bytes: the size in its header may be wrong."""
-    remaining = MAX_BUNDLE_BYTES
-    for info in bundle.infolist():
+    remaining = MAX_BUNDLE_BYTES  # counted here: the size in a header may be wrong
+    for info in entries:
         path = target.joinpath(*Path(info.filename).parts)
         if info.is_dir():
             path.mkdir(parents=True, exist_ok=True)

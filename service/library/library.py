@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.bundle.tables import is_slug
-from wrenchbook.service.files.durable import sync_folder, sync_tree
+from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.library.bundles import (
     check_mesh,
     copy_bundle,
@@ -97,7 +97,14 @@ class Library:
         Files that no request reads are looked at once in `LOOK_SECONDS`, what other processes
         have added at once.
         """
-        self._take_up_new()
+        with contextlib.suppress(OSError):
+            stamp = os.stat(self._own).st_mtime_ns  # noqa: PTH116 (fifty times a second)
+            # What came within a tick of the last look, 10 ms at most, has left the time as it was.
+            if stamp != self._own_stamp or time.time_ns() - stamp <= 1e8:
+                self._own_stamp = stamp
+                for folder in _bundle_folders(self._own):
+                    if folder.name not in self._components and folder.name not in self._broken:
+                        self._look_for(folder.name)
         if time.monotonic() >= self._next_look:
             self._next_look = time.monotonic() + LOOK_SECONDS
             self.names()
@@ -147,20 +154,6 @@ class Library:
                 if self._components.get(name) is before:
                     self._try(folder, shipped=folder.parent == self._shipped)
         return self._components.get(name)
-
-    def _take_up_new(self) -> None:
-        """Take up the components that have come since the last look; takes microseconds."""
-        try:
-            stamp = os.stat(self._own).st_mtime_ns  # noqa: PTH116 (fifty times a second)
-        except OSError:
-            return
-        # What came within a tick of the last look, 10 ms at most, has left the time as it was.
-        if stamp == self._own_stamp and time.time_ns() - stamp > 1e8:
-            return
-        self._own_stamp = stamp
-        for folder in _bundle_folders(self._own):
-            if folder.name not in self._components and folder.name not in self._broken:
-                self._look_for(folder.name)
 
     def add_zip(self, archive: BinaryIO, *, decks: bool = True) -> Component:
         """Add a component from a zip of its bundle folder.
@@ -240,7 +233,7 @@ class Library:
                 if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                     raise ComponentExistsError(_TAKEN.format(name=name)) from error
                 raise
-            sync_folder(self._own)
+            sync(self._own)
             return self._register(final, shipped=False)
 
     def _try(self, folder: Path, *, shipped: bool) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError
 from wrenchbook.service.ledger.repair import Acknowledged, salvage
 from wrenchbook.service.library.component import Component
@@ -73,6 +73,9 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
         findings += _losses(ledger, repair=repair)
     except LedgerError as error:
         findings.append(DataFinding("fault", str(error)))
+    except OSError as error:  # a full disk, while something is written anew
+        remedy = "make room, or make the directory writable, and repeat the command"
+        findings.append(DataFinding("fault", f"the check could not be completed: {error}", remedy))
     finally:
         ledger.close()
     return findings
@@ -98,7 +101,11 @@ def _opened(folder: Path, *, repair: bool) -> tuple[Ledger | None, list[DataFind
         return Ledger(path), findings
     except LedgerDamagedError as error:
         if repair and not in_use(folder):
-            findings += _rebuilt(folder, str(error))
+            try:
+                findings += _rebuilt(folder, str(error))
+            except OSError as failure:
+                remedy = f"no new one could be written: {failure}. Nothing was changed; make room"
+                return None, [*findings, DataFinding("fault", str(error), remedy)]
             ledger, more = _opened(folder, repair=False)
             return ledger, findings + more
         remedy = f"stop the server and restore a backup, or {REPAIR}"
@@ -130,7 +137,7 @@ def _rebuilt(folder: Path, what: str) -> list[DataFinding]:
             if (old := path.with_name(f"{LEDGER}{end}")).exists():
                 move_aside(old)
         new.rename(path)
-        sync_folder(folder)
+        sync(folder)
     jobs, rows, highest = salvaged.read["jobs"], salvaged.read["rows"], salvaged.highest_job
     text = f"a new one was made: {jobs} jobs of {highest} and {rows} rows could be read, others "
     text += "come from the tables' files"

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from wrenchbook.service.files import lock
-from wrenchbook.service.files.durable import sync_folder, sync_tree
+from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.keys import FILE as KEYS
 from wrenchbook.service.ledger import Ledger, LedgerError
 from wrenchbook.service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
@@ -31,7 +31,7 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
     """
     folder = folder.absolute()
     verify(source)
-    draft, aside = folder / _DRAFT, None
+    draft, aside, state = folder / _DRAFT, None, "Nothing was changed"
 
     def place(name: str):
         path = draft / name
@@ -52,17 +52,20 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
         if present:
             aside = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
             aside.mkdir(0o700)
+            state = f"The restore is not complete. The former files are in {aside}"
             # The ledger and its log first.
             for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
                 if not entry.name.startswith(".before-restore-"):
                     entry.rename(aside / entry.name)
+        if aside is None:
+            state = "The restore is not complete"
         for entry in sorted(draft.iterdir(), key=lambda entry: entry.name == LEDGER):
             entry.rename(folder / entry.name)
-        sync_folder(folder)
+        sync(folder)
     except LedgerError as error:
         raise BackupError(f"the ledger in {source} cannot be used: {error}") from error
     except OSError as error:
-        raise BackupError(f"{folder} cannot be written: {error}") from error
+        raise BackupError(f"{folder} cannot be written: {error}. {state}") from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return manifest, aside

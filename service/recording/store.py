@@ -31,7 +31,6 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import COVERED, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance
-from wrenchbook.surrogate.table.space import Space
 
 Floats = NDArray[np.float64]
 Kind = Literal["recording", "envelope"]
@@ -400,23 +399,18 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
         # NaN stays: what is not known at one point is no estimate of the largest.
         largest = (np.abs(answers.outputs) + answers.errors).max(axis=0)
     kind = "unknown" if np.isnan(largest).any() else "bound" if exact else "estimate"
-    negligible, reason = _judged(largest, coverage, kind, tolerance, space)
+    negligible, reason = True, "" if kind == "bound" else "an estimate by the table, see formula"
+    if tolerance is None:
+        negligible = None
+        reason = "the component has no tolerance: ask with ?translation=...&rotation=..."
+    elif (largest > np.where(space.is_rotation, tolerance.rotation, tolerance.translation)).any():
+        negligible, reason = False, ""
+    elif kind == "unknown":
+        negligible = None
+        reason = "the table does not answer over all of the box; start the envelope's solves"
+    elif coverage == OUTSIDE and kind != "bound":
+        negligible = None
+        reason = "part of the box is outside the table, where an estimate is no proof"
     number = f"the {len(corners)}" if len(corners) < MAX_CORNERS else len(corners)
     formula = EXACT if exact else ESTIMATE.format(number)
     return Bound(largest, kind, formula, COVERAGE[coverage], negligible, reason)
-
-
-def _judged(
-    largest: Floats, coverage: int, kind: str, tolerance: Tolerance | None, space: Space
-) -> tuple[bool | None, str]:
-    """Whether the largest displacement is within the tolerance, and why that is not known."""
-    if tolerance is None:
-        return None, "the component has no tolerance: ask with ?translation=...&rotation=..."
-    allowed = np.where(space.is_rotation, tolerance.rotation, tolerance.translation)
-    if (largest > allowed).any():
-        return False, ""
-    if kind == "unknown":
-        return None, "the table does not answer over all of the box; start the envelope's solves"
-    if coverage == OUTSIDE and kind != "bound":
-        return None, "part of the box is outside the table, where an estimate is no proof"
-    return True, "" if kind == "bound" else "an estimate by the table, see formula"

@@ -236,10 +236,8 @@ TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5
 def answer_times(table: PackedTable, method: str, wrenches: np.ndarray) -> tuple[float, float]:
     """Return median and 99 % of the processor times of single answers, µs.
 
-    Parameters
-    ----------
-    wrenches : ndarray, shape (n, 6), N and N·m
-        Answered in order; the first once before, so that one-time work is not counted.
+    The `wrenches`, (n, 6), N and N·m, are answered in order; the first once before, so that
+    one-time work is not counted.
     """
     loads = wrenches.tolist()
     table.answer(loads[0], None, method)

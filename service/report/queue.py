@@ -21,7 +21,7 @@ State = Literal["none", "running", "done", "failed"]
 
 
 @dataclass(frozen=True)
-class Making:
+class ReportState:
     """Progress of a report; ``message`` is why it failed."""
 
     state: State
@@ -30,14 +30,9 @@ class Making:
 
 
 class Reports:
-    """Makes and keeps reports.
+    """Makes reports in `folder`, ``<component>/report.json``, ``.md`` and ``.html``.
 
-    Parameters
-    ----------
-    folder:
-        Where they are kept, ``<component>/report.json``, ``.md`` and ``.html``.
-    tables:
-        Where the HDF5 tables are.
+    `tables` has the HDF5 tables.
     """
 
     def __init__(self, folder: Path, tables: Path) -> None:
@@ -49,10 +44,7 @@ class Reports:
     def make(self, component: Component, wrenches: int, seed: int) -> None:
         """Start making a component's report, unless that goes on already.
 
-        Raises
-        ------
-        FileNotFoundError
-            If the component's table has not been written yet: it has no rows.
+        Raises FileNotFoundError if the component's table has not been written yet: it has no rows.
         """
         table = self._tables / f"{component.name}.h5"
         if not table.exists():
@@ -69,8 +61,8 @@ class Reports:
                 return
             order = {"bundle": str(component.folder), "table": str(table)}
             write_whole(folder / "order.json", {**order, "wrenches": wrenches, "seed": seed})
-            for left in ("failure.json", CANCEL, "progress.json"):
-                (folder / left).unlink(missing_ok=True)
+            for file in ("failure.json", CANCEL, "progress.json"):
+                (folder / file).unlink(missing_ok=True)
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
             try:
                 with (folder / "log.txt").open("wb") as log:
@@ -97,20 +89,22 @@ class Reports:
                 making.terminate()
                 making.wait()
 
-    def state(self, name: str) -> Making:
+    def state(self, name: str) -> ReportState:
         """Return how far a component's report is."""
         folder = self._folder / name
         with self._lock:
             alive = self._is_alive(name)
         if alive:
             progress = _read(folder / "progress.json") or {}
-            return Making(
+            return ReportState(
                 "running", progress.get("fraction", 0.0), progress.get("message", "starting")
             )
         failure = _read(folder / "failure.json")
         if failure:
-            return Making("failed", 0.0, failure["message"])
-        return Making("done", 1.0) if (folder / FILES["json"]).exists() else Making("none")
+            return ReportState("failed", 0.0, failure["message"])
+        return (
+            ReportState("done", 1.0) if (folder / FILES["json"]).exists() else ReportState("none")
+        )
 
     def file(self, name: str, format: str) -> Path | None:  # noqa: A002 (the contract's word)
         """Return the file of the latest report in a format of `FILES`; None if there is none."""

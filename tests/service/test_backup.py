@@ -1,5 +1,6 @@
 """A backup is whole or is none, and restores to the same answers."""
 
+import errno
 import json
 import os
 import random
@@ -7,6 +8,7 @@ import stat
 import zipfile
 from contextlib import closing
 from hashlib import blake2b
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -323,6 +325,54 @@ def test_a_backup_that_cannot_be_written_is_told_and_leaves_nothing(folder, tmp_
     with pytest.raises(BackupError, match="no data directory"):
         back_up(tmp_path, tmp_path / "b")
     assert not (tmp_path / "b").exists()
+
+
+def test_a_backup_names_the_file_that_cannot_be_read(folder, tmp_path, monkeypatch):
+    """It said that the backup could not be written."""
+    (path,) = (folder / "tables").glob("*.h5")
+    opened = Path.open
+
+    def refused(self, *arguments, **options):
+        if self == path:
+            raise PermissionError(errno.EACCES, "Permission denied", str(self))
+        return opened(self, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(BackupError, match=rf"{path.name} cannot be read: .* No backup was made"):
+        back_up(folder, tmp_path / "b")
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_restore_that_fails_half_way_says_where_the_former_files_are(
+    backup, tmp_path, monkeypatch
+):
+    """It said that the directory could not be written, and nothing of what had been in it."""
+    folder = tmp_path / "again"
+    restore(backup, folder)
+    before = (folder / "ledger.sqlite").read_bytes()
+    renamed = Path.rename
+
+    def full(self, target):
+        if self.parent.name == ".restoring":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return renamed(self, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "rename", full)
+        with pytest.raises(BackupError, match="is not complete") as told:
+            restore(backup, folder, overwrite=True)
+    (aside,) = folder.glob(".before-restore-*")
+    assert str(aside) in str(told.value)
+    assert (aside / "ledger.sqlite").read_bytes() == before
+
+
+def test_a_file_in_a_folder_that_is_not_there_is_refused_before_the_work(tmp_path):
+    """A report was solved for minutes first, and then its page could not be written."""
+    page = str(tmp_path / "none" / "report.html")
+    for words in (["report", "bar", "--html", page], ["backup", page], ["export", "bar", page]):
+        found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
+        assert found.exit_code == 2
+        assert "there is no folder" in found.output
 
 
 def test_a_directory_whose_jobs_are_being_run_is_not_restored_into(backup, tmp_path):

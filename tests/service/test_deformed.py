@@ -253,7 +253,7 @@ def test_the_memory_of_large_surfaces_is_bounded_by_fewer_rows(plate, store, sha
     monkeypatch.setattr("wrenchbook.service.fields.deformed.BLEND_BYTES", 10 * size)
     found = shapes.answer(component, rows, asked[0])
     assert len(found.rows) == 10
-    assert sum(kept[1].values.nbytes for kept in shapes._kept.values()) <= 10 * size
+    assert sum(blend[1].values.nbytes for blend in shapes._blends.values()) <= 10 * size
     apart = np.linalg.norm((rows.wrench - asked[0]) / component.load_range.scale, axis=1)
     assert set(found.rows) == set((np.argsort(apart)[:10] + 1).tolist())
 
@@ -262,7 +262,7 @@ def test_the_same_question_needs_no_file_a_second_time(plate, store, shapes):
     component, rows, _, asked, _ = plate
     filled(store, plate)
     first = shapes.answer(component, rows, asked[0])
-    blend = shapes._kept[component.name][1]
+    blend = shapes._blends[component.name][1]
     second = shapes.answer(component, rows, asked[1])
-    assert shapes._kept[component.name][1] is blend
+    assert shapes._blends[component.name][1] is blend
     assert first.geometry is second.geometry

@@ -33,12 +33,11 @@ from wrenchbook.service.library.component import (
 from wrenchbook.service.messages import JobLink, Queued
 from wrenchbook.service.query import job_link
 from wrenchbook.service.tables.mapped import warning_of
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"], route_class=JsonRoute)
-CATCH_UP_S = 25.0
 _BUNDLE = {
     "type": "object",
     "required": ["bundle"],

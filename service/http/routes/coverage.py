@@ -14,11 +14,11 @@ from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.http.schemas import Compliance
 from wrenchbook.service.tables.mapped import ServedTable
+from wrenchbook.service.workspace import CATCH_UP_S
 from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.physics_checks import check_physics
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
-CATCH_UP_S = 30.0
 
 
 @router.get(

@@ -19,12 +19,11 @@ from wrenchbook.service.http.replies import json_reply
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.component import interface_of, require_one_wrench
 from wrenchbook.service.messages import DeformedShape, Stress
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 router = APIRouter(
     prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 409, 422)
 )
-CATCH_UP_S = 25.0
 
 _FORCE = Query(allow_inf_nan=False, description="N, in the undeformed interface frame")
 _MOMENT = Query(allow_inf_nan=False, description=f"N·m, about {MOMENT_POINT}")

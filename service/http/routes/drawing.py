@@ -20,11 +20,11 @@ from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.bundles import surface_of
 from wrenchbook.service.library.component import require_one_wrench
 from wrenchbook.service.tables.mapped import ServedTable
+from wrenchbook.service.workspace import CATCH_UP_S
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
-CATCH_UP_S = 25.0
 MAX_ROWS = 5_000  # what a browser turns in 3-D without delay; the reply is then some 1 MB
 SAMPLE = 128  # wrenches: the covered share of a range to some 4 %
 PRIMES = (2, 3, 5, 7, 11, 13)  # the first six: the bases of Halton's sequence for each load

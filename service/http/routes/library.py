@@ -30,7 +30,7 @@ from wrenchbook.service.ledger import About
 from wrenchbook.service.tables.disagreement import disagreement
 from wrenchbook.service.tables.importing import copy_rows
 from wrenchbook.service.tables.rows import iso_time
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 router = APIRouter(
     prefix="/v1/components/{name}",
@@ -38,7 +38,6 @@ router = APIRouter(
     responses=refused(404, 422),
     route_class=JsonRoute,
 )
-CATCH_UP_S = 25.0
 ImportId = Annotated[int, Path(ge=1, lt=2**63, description="the number of the import")]
 Finding = Annotated[
     str | None, Query(max_length=100, description="cause of a finding: its rows; else all rows")

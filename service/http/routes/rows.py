@@ -15,7 +15,7 @@ from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.ledger import ImportRecord, LedgerRow, RowStatusError, UnknownRowError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import iso_time
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 router = APIRouter(
     prefix="/v1/components/{name}/table/{row}",
@@ -23,7 +23,6 @@ router = APIRouter(
     responses=refused(404, 422),
 )
 
-CATCH_UP_S = 10.0
 # The ledger's numbers are SQLite's: 64 bits with a sign.
 RowId = Annotated[int, Path(ge=1, lt=2**63, description="the row's id, its `seq`")]
 _EDITS = refused(s409="the row is withdrawn already, or is in the table already")

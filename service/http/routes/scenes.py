@@ -31,7 +31,7 @@ from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.messages import Plans
 from wrenchbook.service.tables.mapped import ServedTable
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.scene.cut import cut
 from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
 from wrenchbook.surrogate.scene.plan import ScenePlan, plan_of
@@ -42,7 +42,6 @@ from wrenchbook.surrogate.table.space import Space
 router = APIRouter(
     prefix="/v1", tags=["scenes"], responses=refused(404, 422), route_class=JsonRoute
 )
-CATCH_UP_S = 25.0
 SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
 
 
