@@ -207,12 +207,14 @@ class ImportQuery(Body):
             raise ValueError("rig has the frame and the points: send either it or these three")
         if self.load_cell and Rig.read(self.rig).load_cell:
             raise ValueError("rig has the load_cell already: send it once")
-        Rig.read(self._rig_text())
+        if text := self._rig_text():
+            Rig.read(text)
         return self
 
     def _rig_text(self) -> str:
         parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
-        return "\n".join(filter(None, (self.rig, rig_text(*parts))))
+        axes = rig_text(*parts) if any(parts) else ""
+        return "\n".join(filter(None, (self.rig, axes)))
 
     @field_validator("note", "filename", "rig")
     @classmethod
