@@ -87,9 +87,10 @@ bench: $(VENV)/.installed-dev  ## one benchmark: make bench NAME=kernel; without
 fuzz: $(VENV)/.installed-dev
 	WRENCHBOOK_FUZZ=10000 $(BIN)/python -m pytest tests/fuzz -s -p no:cacheprovider
 
-# 200 times kill -9 of server, solver or both: no job lost, no row twice
+# 200 times kill -9 of server, solver or both, and of imports: no job lost, no row twice
 kills: $(VENV)/.installed-dev
-	WRENCHBOOK_KILLS=200 $(BIN)/python -m pytest tests/service/test_kill.py -s --timeout 1200
+	WRENCHBOOK_KILLS=200 $(BIN)/python -m pytest tests/service/test_kill.py \
+		tests/service/test_import_killed.py -s --timeout 1200
 
 # 5 seeds on each engine, 200 times kill -9 each: every accepted job has its row
 soak: $(VENV)/.installed-dev

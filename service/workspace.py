@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
+import time
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +21,7 @@ from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import Attempt, attempt_folder, notes_of
 from wrenchbook.service.jobs.waiting import Polls
-from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError
-from wrenchbook.service.ledger.watch import Watcher
+from wrenchbook.service.ledger import JobRecord, Ledger, LedgerError, LedgerUnavailableError
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
@@ -29,6 +32,7 @@ from wrenchbook.service.submission import Submission
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.mapped import MappedTables, ServedTable, TableBehindError
 from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.service.tables.store import TableStore
 from wrenchbook.surrogate.design import Design, next_wrenches
 from wrenchbook.surrogate.scene.need import Need
 from wrenchbook.surrogate.scene.plan import design_of, plan_of
@@ -39,6 +43,93 @@ log = logging.getLogger(__name__)
 
 MAX_UNBUILT = 500  # rows looked through for a wrench: a loop reads them at each uncovered query
 CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
+
+LOOK_S = 0.02  # between looks: PRAGMA data_version, or the date of a file, takes microseconds
+TROUBLE_S = 1.0  # before a listener that failed is called again
+
+Stamp = Callable[[], object]
+
+
+@dataclass(eq=False)
+class _Entry:
+    listener: Callable[[], object]
+    stamp: Stamp
+    last: object
+    not_before: float = 0.0
+
+
+class Watcher:
+    """The one thread of a process that notices changes by other processes.
+
+    It calls listeners after commits of any process, at once after those of its own ledger.
+
+    Files of the data directory that are no part of the ledger are watched along: see `on_change`.
+    """
+
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger = ledger
+        self._entries: tuple[_Entry, ...] = ()
+        self._lock = threading.Lock()
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._end_notices: Callable[[], None] = lambda: None
+        self._thread = threading.Thread(target=self._run, name="watcher", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._end_notices = self._ledger.on_change(self._wake.set)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; no listener is called from then on."""
+        self._end_notices()
+        self._stopping.set()
+        self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def on_change(
+        self, listener: Callable[[], object], stamp: Stamp | None = None
+    ) -> Callable[[], None]:
+        """Call `listener` after each commit, or whenever what `stamp` returns has changed.
+
+        It is called in the watcher's thread and must be quick; a listener that fails is called
+        again. Returns a function that ends the subscription.
+        """
+        stamp = stamp or self.version
+        entry = _Entry(listener, stamp, stamp())
+        with self._lock:
+            self._entries = (*self._entries, entry)
+
+        def remove() -> None:
+            with self._lock:
+                self._entries = tuple(kept for kept in self._entries if kept is not entry)
+
+        return remove
+
+    def version(self) -> int | None:
+        """Return a number that differs after each commit; None while the ledger is unreadable."""
+        try:
+            return self._ledger.version()
+        except LedgerError:
+            return None
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            self._wake.wait(LOOK_S)
+            self._wake.clear()
+            stamps: dict[Stamp, object] = {}
+            for entry in self._entries:
+                if time.monotonic() < entry.not_before or self._stopping.is_set():
+                    continue
+                try:
+                    if entry.stamp not in stamps:
+                        stamps[entry.stamp] = entry.stamp()
+                    if stamps[entry.stamp] != entry.last:
+                        entry.last = stamps[entry.stamp]
+                        entry.listener()
+                except Exception:
+                    log.exception("a listener for changes failed; it is called again")
+                    entry.last, entry.not_before = object(), time.monotonic() + TROUBLE_S
 
 
 class Workspace:
@@ -67,11 +158,9 @@ class Workspace:
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
         self.errors = SolverErrors(self.ledger)
         self.tables = MappedTables(
-            self.ledger,
+            TableStore(settings.data / "tables", self.ledger, self.errors),
             self.library,
-            settings.data / "tables",
             CoordinatorState(settings.data / FOLDER),
-            self.errors,
             settings.table_memory,
             settings.method,
         )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import os
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter_ns
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.library import kernel
 from wrenchbook.surrogate.packed.format import write_file
 
-from ..contract import COVERAGE, LOADS
+from ..contract import COVERAGE, LOADS, Coverage
 from .errors import InvalidArgument, TableError, required
 from .notebook import html_table, named_columns
 from .replies import EXACT, ROUNDED, Displacement, Displacements, bars_within
@@ -216,22 +216,25 @@ class Table:
             source = reply.source
             reason = f"{EXACT if reply.exact else ROUNDED} {reason}".rstrip()
         return Displacement(
-            self.name,
-            wrench,
-            _frozen(moved and moved[start : start + 3]),
-            _frozen(moved and moved[start + 3 : start + 6]),
-            _frozen(error and error[start : start + 3]),
-            _frozen(error and error[start + 3 : start + 6]),
-            coverage=reply.coverage,
+            component=self.name,
+            wrench=wrench,
+            translation=_frozen(moved[start : start + 3]) if moved else None,
+            rotation=_frozen(moved[start + 3 : start + 6]) if moved else None,
+            error={
+                "translation": _frozen(error[start : start + 3]),
+                "rotation": _frozen(error[start + 3 : start + 6]),
+            }
+            if error
+            else None,
+            coverage=cast(Coverage, reply.coverage),
             source=source,
             method=reply.method,
             table_version=self.version,
             elapsed_us=elapsed_us,
-            job=None,
             reason=reason,
+            missing=reply.missing,
             within_tolerance=reply.within_tolerance,
             derivative=slope,
-            raw={"missing": reply.missing} if reply.missing else {},
             interfaces=interfaces or {},
         )
 
@@ -312,7 +315,6 @@ class Table:
             errors=replies.errors,
             coverage=np.array(COVERAGE)[replies.coverage],
             jobs={},
-            no_job={},
             table_version=packed.words["provenance"]["version"],
             elapsed_us=elapsed_us,
             method=packed.answers_by(method),
@@ -507,10 +509,8 @@ class DownloadCalls(Connection):
         return Table(packed, name, self, etag, scene)
 
 
-def _frozen(values: tuple[float, ...] | None) -> Vector | None:
-    """Return floats, NaN for None, as an array that is not written to by mistake, or None."""
-    if values is None:
-        return None
+def _frozen(values: Sequence[float | None]) -> Vector:
+    """Return floats, NaN for None, as an array that is not written to by mistake."""
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array

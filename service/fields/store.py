@@ -28,7 +28,7 @@ from wrenchbook.service.fields.record import (
     read_meta,
     read_row,
 )
-from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.files.durable import sync
 
 # Of one component, some thousand rows of 1,000 vertices; later rows have no fields.
 MOST_BYTES = 1 << 30
@@ -74,7 +74,7 @@ class FieldStore:
                 return False
             geometry.replace(place / f"{digest_of(geometry.read_bytes())}.geometry")
             row.replace(place / f"{_LINEAR if linear else key_of(wrench)}.fields")
-            sync_folder(place)
+            sync(place)
         except (OSError, DamagedFieldsError) as error:
             _log.warning("%s: a row's fields were not kept: %s", component, error)
             return False
@@ -96,10 +96,10 @@ class FieldStore:
         Raises `DamagedFieldsError` if the file is damaged, or gone, or of another wrench.
         """
         key = key_of(wrench)
-        found = self._read(self._place(component, fingerprint) / f"{key}.fields")
-        if key_of(found.meta["wrench"]) != key:
+        row = self._read(self._place(component, fingerprint) / f"{key}.fields")
+        if key_of(row.meta["wrench"]) != key:
             raise DamagedFieldsError(f"{key}.fields holds another wrench")
-        return found
+        return row
 
     def linear(self, component: str, fingerprint: str) -> RowFields | None:
         """Return the six unit fields of a linear component; None before its first solve.
@@ -112,10 +112,10 @@ class FieldStore:
     def geometry(self, component: str, fingerprint: str, digest: str) -> SurfaceGeometry:
         """Return the geometry of a row's fields; raises `DamagedFieldsError` without."""
         path = self._place(component, fingerprint) / f"{digest}.geometry"
-        found = read_geometry(_content(path))
-        if found.digest != digest:
+        geometry = read_geometry(_content(path))
+        if geometry.digest != digest:
             raise DamagedFieldsError(f"{path.name} holds another geometry")
-        return found
+        return geometry
 
     def _read(self, path: Path) -> RowFields:
         try:

@@ -7,13 +7,8 @@ import threading
 from pathlib import Path
 
 
-def sync_folder(folder: Path) -> None:
-    """Return once the folder's entries, such as a file just renamed into it, are on disk."""
-    sync(folder)
-
-
 def sync(path: Path) -> None:
-    """Return once what a file holds, or the names in a folder, are on disk."""
+    """Return once a file's content, or a folder's names after a rename into it, are on disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -47,4 +42,4 @@ def write_whole_bytes(
     finally:
         partial.unlink(missing_ok=True)
     if durable:
-        sync_folder(path.parent)
+        sync(path.parent)

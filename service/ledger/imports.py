@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ import numpy as np
 from wrenchbook.service.files.lock import take
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.connection import Connection, sequences
-from wrenchbook.service.ledger.packing import row_records
+from wrenchbook.service.ledger.packing import KEY_BYTES, key_hashes, row_keys, unpacked
 from wrenchbook.service.ledger.records import (
     ImportRunningError,
     NotedRows,
@@ -29,26 +30,22 @@ from wrenchbook.service.ledger.records import (
 if TYPE_CHECKING:
     from wrenchbook.service.ledger.ledger import Ledger
 
-HOLD_SECONDS = 0.03
-"""Target of one transaction of an import, and so how long others wait for the ledger."""
-
-_MIN, _MAX = 100, 4000  # rows of one transaction
-_FIRST = 500
+# Of one transaction, some 20 ms: so long others wait for the ledger.
+ROWS_AT_ONCE = 50_000
+KEYS_AT_ONCE = 20_000
+RECORDS_DELETED = 5
 _PATIENCE_SECONDS = 120.0  # that an import waits for another one
 _COLUMNS = "component, created, who, filename, format, digest, note, rig, rows"
+_INSERT = f"INSERT INTO imports ({_COLUMNS}, findings) VALUES (?, ?, ?, ?, ?, ?, ?, ?, 0, ?)"
 _QUALIFIED = f"imports.id, {', '.join(f'imports.{name}' for name in _COLUMNS.split(', '))}"
 _ENDED = "NOT EXISTS (SELECT 1 FROM import_parts WHERE import = imports.id AND hidden = 1)"
 _ROWS = "FROM import_parts JOIN rows ON rows.seq BETWEEN first AND last WHERE import = ?"
-_IS_WITHDRAWN = (
-    "coalesce((SELECT withdrawn FROM edits WHERE row = rows.seq"
-    " ORDER BY edits.seq DESC LIMIT 1), 0)"
-)
 _PARTS = "FROM import_parts JOIN imports ON imports.id = import WHERE"
 
 
 @dataclass(frozen=True)
 class About:
-    """The origin of an import's rows, in the words of its sender."""
+    """The origin of an import's rows, as its sender states it."""
 
     who: str = ""  # the key, or the user
     filename: str = ""
@@ -80,10 +77,11 @@ def import_rows(
 ) -> tuple[int, int, int | None]:
     """Insert the rows of a file, all or none.
 
-    Each transaction takes some 30 ms. If the process is killed in between, no row is seen, and the
-    next import or start deletes them. Returns how many rows were new and how many known, and the
-    number of the import, None if nothing was new. Raises ImportRunningError if another import has
-    been running for too long; nothing is loaded then.
+    They are hidden first, in file order and without their keys; the keys follow, sorted,
+    so that each page of the index is written once. If the process is killed in between, no row is
+    seen, and the next import or start deletes them. Returns how many rows were new and how many
+    known, and the number of the import, None if nothing was new. Raises ImportRunningError if
+    another import has been running for too long; nothing is loaded then.
     """
     deadline = time.monotonic() + _PATIENCE_SECONDS
     while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
@@ -91,29 +89,66 @@ def import_rows(
             raise ImportRunningError(
                 "another large table is being imported; nothing was loaded, send it again"
             )
-    number: int | None = None
-    new = count = 0
     try:
         _drop_hidden(ledger)  # of a killed process
         try:
-            for block in _sized(ledger, component, blocks):
-                with ledger.writing(durable=False) as db:
-                    number = number or _begin(db, component, about)
-                    new += _add_hidden(db, number, component, block)
-                count += len(block)
-            if number is None:
-                return 0, 0, None
-            with ledger.writing() as db:
-                db.execute("UPDATE imports SET rows = ? WHERE id = ?", (new, number))
-                db.execute("UPDATE import_parts SET hidden = 0 WHERE import = ?", (number,))
-                if not new:
-                    db.execute("DELETE FROM imports WHERE id = ?", (number,))
-                db.rows += new
+            return _import(ledger, component, blocks, about)
         except BaseException:
             _drop_hidden(ledger)
             raise
     finally:
         os.close(lock)
+
+
+def _import(
+    ledger: Ledger, component: str, blocks: Iterable[NotedRows], about: About
+) -> tuple[int, int, int | None]:
+    number: int | None = None
+    count, now = 0, time.time()
+    seen: set[bytes] = set()
+    parts: list[tuple[int, bytes]] = []  # the first seq and the keys of rows inserted at once
+    with ledger.reading() as db:
+        start = sequences(db).get("rows", 0)
+    for block in blocks:
+        keys = row_keys(component, block)
+        count += len(keys)
+        with ledger.reading() as db:
+            known = rows.stored(db, keys) if rows.last_seq(db, component) else {}
+        places = rows.new_places(keys, known.keys())
+        if not seen.isdisjoint(keys):
+            places = [at for at in places if keys[at] not in seen]
+        seen.update(keys)
+        for begin in range(0, len(places), ROWS_AT_ONCE):
+            some = places[begin : begin + ROWS_AT_ONCE]
+            lot, named = rows.taken(block, some), [keys[at] for at in some]
+            with ledger.writing(durable=False) as db:
+                if number is None:
+                    number = db.execute(_INSERT, (component, now, *astuple(about))).lastrowid
+                first = rows.number(db, component, lot, named, now)
+                span = first, first + len(named) - 1, number, component
+                db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
+            parts.append((first, b"".join(named)))
+            ledger.sync()  # else the next durable commit waits until all is synced
+    if number is None:
+        return 0, count, None
+    hashes = key_hashes(b"".join(named for _, named in parts))
+    seqs = np.concatenate([first + np.arange(len(named) // KEY_BYTES) for first, named in parts])
+    order = np.argsort(hashes)
+    for begin in range(0, len(order), KEYS_AT_ONCE):
+        some = order[begin : begin + KEYS_AT_ONCE]
+        with ledger.writing(durable=False) as db:
+            rows.enter(db, zip(hashes[some].tolist(), seqs[some].tolist(), strict=True))
+        ledger.sync()
+    with ledger.writing() as db:
+        rows.yield_to_others(db, component, start)
+        select = f"SELECT coalesce(sum(count), 0) {_ROWS}"
+        new = db.execute(select, (number,)).fetchone()[0]
+        db.execute("UPDATE imports SET rows = ? WHERE id = ?", (new, number))
+        db.execute("UPDATE import_parts SET hidden = 0 WHERE import = ?", (number,))
+        if not new:
+            db.execute("DELETE FROM import_parts WHERE import = ?", (number,))
+            db.execute("DELETE FROM imports WHERE id = ?", (number,))
+        db.rows += new
     return new, count - new, number if new else None
 
 
@@ -132,18 +167,18 @@ def drop_abandoned(ledger: Ledger) -> None:
 
 def stored_numbers(db: Connection, component: str, inputs: int, outputs: int) -> np.ndarray:
     """Return wrench, displacement and uncertainty of all rows, (n, inputs + 2 outputs), SI."""
-    unknown = np.full(outputs, np.nan).tobytes()
     select = (
-        "SELECT wrench, displacement, uncertainty FROM rows WHERE component = ?"
-        " AND length(wrench) = ? AND length(displacement) = ?"
+        "SELECT wrench, displacement, uncertainty, count FROM rows WHERE component = ?"
+        " AND length(wrench) = 8 * ? * count AND length(displacement) = 8 * ? * count"
     )
-    content = b"".join(
-        wrench + displacement + (uncertainty or unknown)
-        for wrench, displacement, uncertainty in db.execute(
-            select, (component, 8 * inputs, 8 * outputs)
-        )
+    records = db.execute(select, (component, inputs, outputs)).fetchall()
+    unknown = np.full(outputs, np.nan).tobytes()
+    columns = (
+        unpacked((wrench for wrench, *_ in records), inputs),
+        unpacked((displacement for _, displacement, *_ in records), outputs),
+        unpacked((uncertainty or unknown * count for *_, uncertainty, count in records), outputs),
     )
-    return np.frombuffer(content, dtype="<f8").reshape(-1, inputs + 2 * outputs)
+    return np.hstack(columns)
 
 
 def imports(db: Connection, component: str, most: int = 1000) -> list[ImportRecord]:
@@ -223,31 +258,6 @@ def _take_lock(ledger: Ledger) -> int | None:
         return take(Path(f"{ledger.path}-importing"))
 
 
-def _sized(
-    ledger: Ledger, component: str, blocks: Iterable[NotedRows]
-) -> Iterator[list[tuple[Any, ...]]]:
-    """Pack blocks, and cut them such that a transaction takes `HOLD_SECONDS`."""
-    size, now = _FIRST, time.time()
-    for block in blocks:
-        records, start = row_records(component, block, now), 0
-        while start < len(records):
-            some = records[start : start + size]
-            start += size
-            began = time.monotonic()
-            yield some
-            took = max(time.monotonic() - began, 1e-6)
-            ledger.sync()  # else the next durable commit waits until all is synced
-            size = round(min(max(size * min(HOLD_SECONDS / took, 2.0), _MIN), _MAX))
-
-
-def _begin(db: Connection, component: str, about: About) -> int:
-    *texts, findings_text = astuple(about)
-    insert = f"INSERT INTO imports ({_COLUMNS}, findings) VALUES (?, ?, ?, ?, ?, ?, ?, ?, 0, ?)"
-    number = db.execute(insert, (component, time.time(), *texts, findings_text)).lastrowid
-    assert number is not None
-    return number
-
-
 def _stored(text: str) -> list[dict[str, Any]]:
     """Return the findings of an import; none if their text is damaged."""
     try:
@@ -263,35 +273,18 @@ def _chosen(
     keys: Sequence[str],
     *,
     withdrawn: bool,
-    most: int = -1,
+    most: int | None = None,
 ) -> list[int]:
     """Return the rows with some keys, in their order, or all of an import, that are withdrawn."""
-    state = f"AND {_IS_WITHDRAWN} = {int(withdrawn)}"
-    if not keys:
-        select = f"SELECT rows.seq {_ROWS} {state} LIMIT ?"
-        return [seq for (seq,) in db.execute(select, (number, most))]
-    seqs: dict[bytes, int] = {}
-    wanted = dict.fromkeys(map(bytes.fromhex, keys))
-    for marks, part in rows.in_parts(wanted):
-        select = f"SELECT key, seq FROM rows WHERE key IN ({marks}) AND component = ? {state}"
-        seqs |= dict(db.execute(select, (*part, component)).fetchall())
-    return [seqs[key] for key in wanted if key in seqs]
-
-
-def _add_hidden(db: Connection, number: int, component: str, records: Sequence[Any]) -> int:
-    """Insert hidden rows of an import; return how many were new."""
-    before = sequences(db).get("rows", 0)
-    inserted = db.executemany(rows.INSERT, records).rowcount if records else 0
-    last = sequences(db).get("rows", 0)
-    if inserted:
-        grown = db.execute(
-            "UPDATE import_parts SET last = ? WHERE import = ? AND last = ? AND hidden = 1",
-            (last, number, before),
-        )
-        if not grown.rowcount:
-            part = (before + 1, last, number, component)
-            db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", part)
-    return inserted
+    gone = rows.withdrawn(db, component)
+    if keys:
+        wanted = list(dict.fromkeys(map(bytes.fromhex, keys)))
+        stored = rows.stored(db, wanted)
+        seqs = iter([stored[key] for key in wanted if key in stored])
+    else:
+        records = db.execute(f"SELECT rows.seq, count {_ROWS}", (number,)).fetchall()
+        seqs = (seq for first, count in records for seq in range(first, first + count))
+    return list(islice((seq for seq in seqs if (seq in gone) == withdrawn), most))
 
 
 def _drop_hidden(ledger: Ledger) -> None:
@@ -308,8 +301,7 @@ def _drop_hidden(ledger: Ledger) -> None:
                 )
                 return
             first, last = part
-            start = max(first, last - _MAX + 1)
-            db.execute("DELETE FROM rows WHERE seq BETWEEN ? AND ?", (start, last))
+            start = rows.delete(db, first, last, RECORDS_DELETED)
             if start == first:
                 db.execute("DELETE FROM import_parts WHERE first = ?", (first,))
             else:

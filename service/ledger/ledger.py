@@ -31,7 +31,7 @@ from wrenchbook.service.ledger.connection import (
     sequences,
     unavailable,
 )
-from wrenchbook.service.ledger.packing import row_records
+from wrenchbook.service.ledger.packing import row_keys
 from wrenchbook.service.ledger.records import (
     JobRecord,
     LedgerError,
@@ -193,10 +193,11 @@ class Ledger:
         if np.isnan(rows.displacement[rows.source == "fea"]).any():
             raise ValueError("displacement of a solve must be finite")
         notes = [note] * len(rows) if isinstance(note, str) else note
-        # Packed before the lock is taken: other writers wait for the insertion alone.
-        records = row_records(component, NotedRows(rows, notes), time.time())
+        block = NotedRows(rows, notes)
+        # Before the lock is taken: other writers wait for the insertion alone.
+        keys = row_keys(component, block)
         with self.writing() as db:
-            return row_sql.insert(db, component, records, above=above)
+            return row_sql.insert(db, component, block, keys, time.time(), above=above)
 
     @contextmanager
     def table_at(
@@ -386,7 +387,8 @@ class Ledger:
         self._writer.damaged = self.damaged
         self._inode = inode(self.path)
         self._refused, self._frozen = None, False
-        lost = self._acknowledged.compare(_numbers(self._writer))
+        noted = self._acknowledged.read()  # before the ledger, which others may be writing
+        lost = self._acknowledged.compare(noted, _numbers(self._writer))
         if lost is not None:  # noted; these numbers are never used again
             raise_sequences(self._writer, lost._asdict())
             _log.error("the ledger has lost what it had: %s", self._acknowledged.losses()[-1:])

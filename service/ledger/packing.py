@@ -1,18 +1,22 @@
 """Bytes of wrenches and rows: canonical packing, content keys and seals."""
 
+from __future__ import annotations
+
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from hashlib import blake2b
-from itertools import repeat
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from wrenchbook.service.ledger.records import NotedRows, Vector
+from wrenchbook.service.ledger.records import LedgerRow, NotedRows, Vector
 
 _NAN = np.float64(np.nan)
-_KEY_BYTES = 16
+KEY_BYTES = 16
+# Rows of one record: 100 KB or so, read and written in well under a millisecond. A single row is
+# read with all its record.
+MAX_COUNT = 1000
 MIN_NUMBERS = 6
 """Numbers of a wrench or displacement: six an interface, and further inputs."""
 
@@ -37,7 +41,7 @@ def unpack_vector(packed: bytes) -> Vector:
 
 def packed(wrenches: np.ndarray) -> list[bytes]:
     """Return each wrench (n, inputs), N and N·m, as the ledger packs it; NaN is one NaN."""
-    return _bytes(_plain(wrenches)).tolist()
+    return np.frombuffer(_plain(wrenches).tobytes(), f"V{8 * wrenches.shape[1]}").tolist()
 
 
 def unpacked(wrenches: Iterable[bytes], inputs: int = MIN_NUMBERS) -> np.ndarray:
@@ -47,94 +51,223 @@ def unpacked(wrenches: Iterable[bytes], inputs: int = MIN_NUMBERS) -> np.ndarray
 
 def content_key(*parts: bytes) -> bytes:
     """Return 16 bytes that are the same only for the same parts."""
-    return blake2b(b"".join(map(_part, parts)), digest_size=_KEY_BYTES).digest()
+    return blake2b(b"".join(map(_part, parts)), digest_size=KEY_BYTES).digest()
 
 
-def row_key(
-    component: str,
-    fingerprint: str,
-    source: str,
-    wrench: bytes,
-    displacement: bytes,
-    uncertainty: bytes | None,
-) -> bytes:
-    """Return the content key of a row.
+def key_hashes(keys: bytes) -> np.ndarray:
+    """Return the first 8 bytes of each of the keys as a number, which `row_keys` has."""
+    return np.frombuffer(keys, ">i8")[::2].astype(np.int64)
+
+
+class Record(NamedTuple):
+    """A record of the ledger's table `rows`: consecutive rows of one setup, source and note.
+
+    Bytes of `wrench` to `uncertainty` and of `key` are those of the rows, one after the other;
+    None where no row has the column. The key of a row leaves out what a table file may lack, the
+    seal covers that too.
+    """
+
+    seq: int  # of the first row
+    count: int
+    component: str
+    fingerprint: str
+    source: str
+    wrench: bytes
+    displacement: bytes
+    compliance: bytes | None
+    curvature: bytes | None
+    uncertainty: bytes | None
+    job: int | None
+    created: float
+    origin: str
+    key: bytes
+    seal: bytes
+
+    def part(self, first: int, end: int) -> Record:
+        """Return the rows of some places; a seal that does not fit stays so."""
+        part = self._slice(first, end)
+        return part._replace(seal=part.own_seal()) if self.is_sealed() else part
+
+    def _slice(self, first: int, end: int) -> Record:
+        """Return the rows of some places under the seal of all."""
+
+        def cut(content: Any) -> Any:
+            if not isinstance(content, bytes):
+                return content
+            return content[len(content) * first // self.count : len(content) * end // self.count]
+
+        columns = {name: cut(getattr(self, name)) for name in (*_COLUMNS, "key")}
+        return self._replace(seq=self.seq + first, count=end - first, **columns)
+
+    def own_seal(self) -> bytes:
+        """Return 16 bytes over the keys and what they leave out."""
+        parts = self.key, self.compliance or b"", self.origin.encode()
+        third = () if self.curvature is None else (self.curvature,)  # rows of 0.2 have none
+        return content_key(*parts, *third)
+
+    def is_sealed(self) -> bool:
+        """Return whether keys, compliance, curvature and note are as they were written."""
+        try:
+            return self.own_seal() == self.seal
+        except (ValueError, TypeError, AttributeError):  # of another type
+            return False
+
+    def keys(self) -> list[bytes]:
+        """Return the stored key of each row."""
+        return [self.key[at : at + KEY_BYTES] for at in range(0, len(self.key), KEY_BYTES)]
+
+    def sound(self) -> list[bool]:
+        """Return for each row whether it is as it was written."""
+        try:
+            if self.is_sealed():
+                texts = [(self.fingerprint, self.source)] * self.count
+                numbers = self.wrench, self.displacement, self.uncertainty
+                pairs = zip(_keys(self.component, texts, *numbers), self.keys(), strict=True)
+                return [present == written for present, written in pairs]
+        except (ValueError, TypeError, AttributeError):
+            pass  # of another type or length
+        return [False] * self.count
+
+    def row(self, seq: int) -> LedgerRow:
+        """Return one of the rows, undamaged."""
+        row = self._slice(seq - self.seq, seq - self.seq + 1)
+        # In a record of several rows a column that this one does not have is NaN.
+        compliance, curvature, uncertainty = (
+            None if not column or np.isnan(np.frombuffer(column)).all() else unpack_vector(column)
+            for column in (row.compliance, row.curvature, row.uncertainty)
+        )
+        loads, flat = unpack_vector(row.wrench), compliance or ()
+        return LedgerRow(
+            seq,
+            row.component,
+            row.fingerprint,
+            row.source,
+            loads,
+            unpack_vector(row.displacement),
+            tuple(flat[k : k + len(loads)] for k in range(0, len(flat), len(loads))) or None,
+            uncertainty,
+            row.job,
+            row.created,
+            row.origin,
+            curvature,
+        )
+
+
+_COLUMNS = "wrench", "displacement", "compliance", "curvature", "uncertainty"
+
+
+def row_keys(component: str, block: NotedRows) -> list[bytes]:
+    """Return the content key of each row; raises ValueError for an infinite tangent.
 
     Compliance and curvature are left out: a table that comes back from a file without them is
     still the same table.
     """
-    texts = component.encode(), fingerprint.encode(), source.encode()
-    return content_key(*texts, wrench, displacement, uncertainty or b"")
-
-
-def seal(key: bytes, compliance: bytes | None, origin: str, curvature: bytes | None) -> bytes:
-    """Return 16 bytes over the key and what it leaves out; rows of 0.2 have no curvature."""
-    parts = key, compliance or b"", origin.encode()
-    return content_key(*parts, *(() if curvature is None else (curvature,)))
-
-
-def row_records(
-    component: str, block: NotedRows, now: float, job: int | None = None
-) -> list[tuple[Any, ...]]:
-    """Return rows as the columns `rows.CONTENT`; raises ValueError for an infinite tangent.
-
-    By columns a million rows take 1.2 s of processor time, 0.7 s of it in blake2b.
-    """
     rows = block.rows
-    if np.isinf(rows.compliance).any():
+    if any(rows.compliance.strides) and np.isinf(rows.compliance).any():
         raise ValueError("compliance must be finite, or NaN where it is not known")
-    # An output whose uncertainty is not known is NaN, which is not 0: exact.
-    uncertainties = _known(rows.uncertainty, np.any(np.isfinite(rows.uncertainty), axis=1))
-    tangents, thirds = _complete(rows.compliance), _complete(rows.curvature)
-    setups, sources, notes = rows.fingerprint.tolist(), rows.source.tolist(), block.note
-    # The bytes of `row_key`: texts, then the numbers behind their lengths, joined by columns.
-    texts = {text: _part(text.encode()) for text in {*setups, *sources, *notes}}
-    name = _part(component.encode())
-    heads = {(a, b): name + texts[a] + texts[b] for a, b in set(zip(setups, sources, strict=True))}
-    loads, moves = _plain(rows.wrench), _plain(rows.displacement)
-    sizes = [8 * column.shape[1] for column in (loads, moves)]
-    numbers = np.empty(
-        len(rows),
-        [("a", "<u4"), ("load", f"V{sizes[0]}"), ("b", "<u4"), ("move", f"V{sizes[1]}")],
-    )
-    numbers["a"], numbers["b"] = sizes
-    numbers["load"], numbers["move"] = _bytes(loads), _bytes(moves)
-    of_move, unknown = _length(sizes[1]), _part(b"")
-    keys = [
-        blake2b(
-            heads[setup, source] + content + (of_move + bounds if bounds else unknown),
-            digest_size=_KEY_BYTES,
-        ).digest()
-        for setup, source, content, bounds in zip(
-            setups, sources, _bytes(numbers).tolist(), uncertainties, strict=True
+    texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), strict=True))
+    numbers = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
+    return _keys(component, texts, *numbers, _known(rows.uncertainty, np.any))
+
+
+def records_of(
+    component: str,
+    block: NotedRows,
+    keys: Sequence[bytes],
+    first: int,
+    now: float,
+    job: int | None = None,
+) -> Iterator[Record]:
+    """Yield rows as records, numbered from `first`."""
+    rows, at = block.rows, 0
+    texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), block.note, strict=True))
+    columns = [_plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()]
+    columns += [_known(rows.compliance, np.all), _known(rows.curvature, np.all)]
+    columns.append(_known(rows.uncertainty, np.any))
+
+    def part(column: bytes | None) -> bytes | None:
+        if column is None:
+            return None
+        width = len(column) // len(rows)
+        some = column[width * at : width * end]
+        return None if some == _NAN.tobytes() * (len(some) // 8) else some
+
+    while at < len(rows):
+        last = min(len(rows), at + MAX_COUNT)
+        end = next((k for k in range(at, last) if texts[k] != texts[at]), last)
+        fingerprint, source, note = texts[at]
+        record = Record(
+            first + at,
+            end - at,
+            component,
+            fingerprint,
+            source,
+            *map(part, columns),
+            job,
+            now,
+            note,
+            b"".join(keys[at:end]),
+            b"",
         )
-    ]
-    of_key, rest = _length(_KEY_BYTES), {note: unknown + texts[note] for note in set(notes)}
-    seals = [
-        blake2b(of_key + key + rest[note], digest_size=_KEY_BYTES).digest()
-        if tangent is None and third is None
-        else seal(key, tangent, note, third)
-        for key, tangent, note, third in zip(keys, tangents, notes, thirds, strict=True)
-    ]
-    columns = setups, sources, _bytes(loads).tolist(), _bytes(moves).tolist(), tangents, thirds
-    facts = repeat(job), repeat(now), notes, keys, seals
-    return list(zip(repeat(component), *columns, uncertainties, *facts))
+        yield record._replace(seal=record.own_seal())
+        at = end
 
 
-def row_keys(component: str, block: NotedRows) -> list[bytes]:
-    """Return the content key of each row."""
-    return [record[-2] for record in row_records(component, block, 0.0)]
+def _keys(
+    component: str,
+    texts: Sequence[tuple[str, str]],
+    wrenches: bytes,
+    displacements: bytes,
+    uncertainties: bytes | None,
+) -> list[bytes]:
+    """Return the key of each row: of component, fingerprint and source, and its numbers."""
+    if not texts:
+        return []
+    name, width, size = (
+        _part(component.encode()),
+        *(len(numbers) // len(texts) for numbers in (wrenches, displacements)),
+    )
+    middle, unknown = _length(size), _part(b"")
+    hashers = {
+        pair: blake2b(
+            name + _part(pair[0].encode()) + _part(pair[1].encode()) + _length(width),
+            digest_size=KEY_BYTES,
+        )
+        for pair in dict.fromkeys(texts)
+    }
+    loads, moves = (
+        np.frombuffer(numbers, f"V{length}").tolist()
+        for numbers, length in ((wrenches, width), (displacements, size))
+    )
+    tails = [unknown] * len(texts)
+    if uncertainties is not None:
+        # An output whose uncertainty is not known is NaN, which is not 0: exact.
+        blank = _NAN.tobytes() * (size // 8)
+        each = np.frombuffer(uncertainties, f"V{size}").tolist()
+        tails = [unknown if tail == blank else _part(tail) for tail in each]
+    keys = []
+    for pair, load, move, tail in zip(texts, loads, moves, tails, strict=True):
+        hasher = hashers[pair].copy()  # half the time of a new one
+        hasher.update(load + middle + move + tail)
+        keys.append(hasher.digest())
+    return keys
 
 
 def _plain(numbers: np.ndarray) -> np.ndarray:
-    """Return numbers (n, k) as float64 in C order, with one NaN and no minus zero."""
-    return np.where(np.isnan(numbers), _NAN, np.asarray(numbers) + 0.0).astype("<f8", "C")
+    """Return numbers as they are stored: little-endian, no minus zero, one NaN."""
+    return np.where(np.isnan(numbers), _NAN, np.asarray(numbers) + 0.0).astype("<f8")
 
 
-def _bytes(lines: np.ndarray) -> np.ndarray:
-    """Return the lines of an array in C order as opaque bytes, shape (n,)."""
-    size = lines.dtype.itemsize * math.prod(lines.shape[1:])
-    return lines.view(f"V{size}").reshape(len(lines)) if size else np.zeros(len(lines), "V1")
+def _known(column: np.ndarray, needed: Callable[..., np.ndarray]) -> bytes | None:
+    """Return the bytes of a column, NaN in rows without the numbers `needed`: any, or all.
+
+    None if no row has them.
+    """
+    if not column.size or (not any(column.strides) and np.isnan(column.flat[0])):
+        return None  # one NaN stands for all
+    flat = column.reshape(len(column), -1)
+    known = needed(np.isfinite(flat), axis=1)
+    return _plain(np.where(known[:, None], flat, _NAN)).tobytes() if known.any() else None
 
 
 def _part(content: bytes) -> bytes:
@@ -143,17 +276,3 @@ def _part(content: bytes) -> bytes:
 
 def _length(size: int) -> bytes:
     return size.to_bytes(4, "little")
-
-
-def _known(column: np.ndarray, known: np.ndarray) -> list[bytes | None]:
-    if not known.any():
-        return [None] * len(column)
-    return [value if there else None for value, there in zip(packed(column), known, strict=True)]
-
-
-def _complete(column: np.ndarray) -> list[bytes | None]:
-    """Return the bytes of those rows that have all numbers of a column; None for others."""
-    if not column.size:
-        return [None] * len(column)
-    flat = column.reshape(len(column), -1)
-    return _known(flat, np.all(np.isfinite(flat), axis=1))

@@ -25,6 +25,7 @@ from wrenchbook.service.ledger.connection import (
     raise_sequences,
     sequences,
 )
+from wrenchbook.service.ledger.packing import Record
 from wrenchbook.surrogate.table.rows import Rows
 
 _DIGEST = 8  # bytes
@@ -32,7 +33,12 @@ _TABLES = (
     *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
     *("imports", "import_parts", "catalogue", "demand", "solver_errors"),
 )
+_STORED = (
+    "EXISTS (SELECT 1 FROM rows WHERE rows.seq = (SELECT max(seq) FROM rows WHERE seq <= row)"
+    " AND row < rows.seq + count)"
+)
 _MAX_ROWID = 10_000_000  # where the highest number is unknown
+_OLDER = {"count": 1, "curvature": None}  # of records of earlier schemas
 _MAX_NUMBER = 1 << 48  # larger numbers are damaged
 _HEAD_BYTES = 100  # of a file: https://www.sqlite.org/fileformat.html
 _MAGIC = b"SQLite format 3\0"
@@ -85,9 +91,8 @@ class Acknowledged:
             return Numbers()
         return Numbers(*map(int, text.split()))
 
-    def compare(self, present: Numbers) -> Numbers | None:
+    def compare(self, noted: Numbers, present: Numbers) -> Numbers | None:
         """Record a loss and return the acknowledged numbers if they are above the present ones."""
-        noted = self.read()
         if noted.jobs <= present.jobs and noted.rows <= present.rows:
             return None
         loss = {
@@ -114,7 +119,7 @@ class Acknowledged:
             sum(loss[name][1] - loss[name][0] + 1 for loss in losses) for name in ("jobs", "rows")
         )
         last = max((loss["rows"][1] for loss in losses), default=0)
-        select = "SELECT count(*) FROM rows WHERE origin = 'table file' AND seq > ?"
+        select = "SELECT coalesce(sum(count), 0) FROM rows WHERE origin = 'table file' AND seq > ?"
         return Numbers(jobs, max(0, lost_rows - db.execute(select, (last,)).fetchone()[0]))
 
     def close(self, move: Callable[[Path], Path]) -> None:
@@ -190,12 +195,12 @@ def salvage(
         read = {name: _copy(source, new, name, highest) for name in _TABLES}
         # References to missing jobs and rows.
         new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
-        new.execute("DELETE FROM edits WHERE row NOT IN (SELECT seq FROM rows)")
+        new.execute(f"DELETE FROM edits WHERE NOT {_STORED}")
         reopened = new.execute(
             "UPDATE jobs SET status = 'waiting', row = NULL, started = NULL, finished = NULL"
-            " WHERE row IS NOT NULL AND row NOT IN (SELECT seq FROM rows)"
+            f" WHERE row IS NOT NULL AND NOT {_STORED}"
         ).rowcount
-        there = "SELECT (SELECT count(*) FROM rows) + (SELECT count(*) FROM edits)"
+        there = "SELECT (SELECT coalesce(sum(count), 0) FROM rows) + (SELECT count(*) FROM edits)"
         lost_rows = max(0, noted.rows - new.execute(there).fetchone()[0])
         new.execute("COMMIT")
         raise_sequences(new, {name: highest.get(name, 0) for name in ("jobs", "rows")})
@@ -242,6 +247,10 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
                 ranges += [(middle + 1, last), (first, middle)]
             continue
         for record in records:
-            with suppress(*USE_ERRORS):  # its values are damaged
-                count += new.execute(insert, record).rowcount
+            with suppress(*USE_ERRORS, TypeError, ValueError):  # its values are damaged
+                if table == "rows":
+                    values = dict(zip(common, record, strict=True))
+                    count += rows.restore_record(new, Record(**{**_OLDER, **values}))
+                else:
+                    count += new.execute(insert, record).rowcount
     return count

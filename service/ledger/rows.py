@@ -1,25 +1,31 @@
 """SQL of rows. Each function takes a connection inside the caller's transaction.
 
-Rows and edits (a withdrawal, its undoing) are numbered by one sequence: one number says how far a
-reader has read.
+A record of the table `rows` holds up to `packing.MAX_COUNT` consecutive rows; `row_keys` has the
+key of each row, unique. Rows and edits (a withdrawal, its undoing) are numbered by one sequence:
+one number says how far a reader has read.
 """
+
+from __future__ import annotations
 
 import logging
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Set
 from hashlib import blake2b
+from itertools import chain, groupby
 from typing import Any
 
 import numpy as np
 
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import (
+    KEY_BYTES,
+    MAX_COUNT,
     MIN_NUMBERS,
-    row_key,
-    row_records,
-    seal,
-    unpack_vector,
+    Record,
+    key_hashes,
+    records_of,
+    row_keys,
     unpacked,
 )
 from wrenchbook.service.ledger.records import (
@@ -34,19 +40,14 @@ from wrenchbook.service.ledger.records import (
     UnknownRowError,
     UnknownVersionError,
 )
-from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.rows import Rows, joined
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Output, Space
 
 _log = logging.getLogger(__name__)
 
 MAX_CHANGES = 20_000  # rows returned at once
-CONTENT = (
-    "component, fingerprint, source, wrench, displacement, compliance, curvature, uncertainty, "
-    "job, created, origin, key, seal"
-)
-_COLUMNS = f"seq, {CONTENT}"
-_PLACES = ", ".join("?" for _ in CONTENT.split(","))
-INSERT = f"INSERT INTO rows ({CONTENT}) VALUES ({_PLACES}) ON CONFLICT (key) DO NOTHING"
+_COLUMNS = ", ".join(Record._fields)
+INSERT = f"INSERT INTO rows ({_COLUMNS}) VALUES ({', '.join('?' * len(Record._fields))})"
 # Rows of an import that has not ended are hidden. Parts do not overlap, so the one that begins
 # last before a row is the only one that can contain it.
 SHOWN = (
@@ -54,13 +55,16 @@ SHOWN = (
     " AND part.first <= rows.seq ORDER BY part.first DESC LIMIT 1), 0) < rows.seq"
 )
 # With max(), SQLite gives that record's columns: the newest edit of a row is the valid one.
-_LIVE = (
-    "seq NOT IN (SELECT row FROM (SELECT row, withdrawn, max(seq) FROM edits"
-    " WHERE component = :component AND seq <= :until GROUP BY row) WHERE withdrawn)"
-    f" AND {SHOWN}"
+_WITHDRAWN = (
+    "SELECT row FROM (SELECT row, withdrawn, max(seq) FROM edits"
+    " WHERE component = :component AND seq <= :until GROUP BY row) WHERE withdrawn"
+)
+# The records with rows of the numbers :after + 1 to :until.
+_BETWEEN = (
+    f"component = :component AND seq > :after - {MAX_COUNT - 1} AND seq <= :until"
+    " AND seq + count - 1 > :after"
 )
 _EVER = 2**63 - 1
-_DIGESTED = 10_000  # rows read at once for a digest: half the time of one by one
 _MAX_VALUES = 500  # of one statement; SQLite before 3.32 takes 999
 
 
@@ -76,21 +80,156 @@ def in_parts(values: Iterable[Any]) -> Iterator[tuple[str, list[Any]]]:
 
 
 def insert(
-    db: Connection, component: str, records: Sequence[Any], *, above: int = 0
+    db: Connection,
+    component: str,
+    block: NotedRows,
+    keys: Sequence[bytes],
+    now: float,
+    *,
+    above: int = 0,
+    job: int | None = None,
 ) -> tuple[int, int]:
-    """Insert packed rows; return how many were new and how many known, by their keys.
+    """Insert rows; return how many were new and how many known, by their keys.
 
-    New rows get a seq above `above`. A hidden row of a running import counts as new, and is shown.
+    New rows get a seq above `above`. A hidden row of a running import counts as new: the import
+    loses it, see `yield_to_others`.
     """
     if above:
         _skip(db, least=above)
-    new = db.executemany(INSERT, records).rowcount if records else 0
-    if first_hidden(db, None) is not None:
-        for marks, keys in in_parts(record[-2] for record in records):
-            select = f"SELECT seq FROM rows WHERE key IN ({marks}) AND NOT ({SHOWN})"
-            new += sum(_show(db, seq) for (seq,) in db.execute(select, keys).fetchall())
-    db.rows += new
-    return new, len(records) - new
+    places = new_places(keys, stored(db, keys).keys())
+    known = len(keys) - len(places)
+    if places:
+        block, keys = taken(block, places), [keys[at] for at in places]
+        first = number(db, component, block, keys, now, job)
+        hashes = key_hashes(b"".join(keys)).tolist()
+        enter(db, zip(hashes, range(first, first + len(keys)), strict=True))
+        db.rows += len(places)
+    return len(places), known
+
+
+def number(
+    db: Connection,
+    component: str,
+    block: NotedRows,
+    keys: Sequence[bytes],
+    now: float,
+    job: int | None = None,
+) -> int:
+    """Insert rows without entries in `row_keys` under the next numbers; return the first one."""
+    first = _skip(db, len(keys)) - len(keys) + 1
+    db.executemany(INSERT, records_of(component, block, keys, first, now, job))
+    return first
+
+
+def stored(db: Connection, keys: Sequence[bytes], *, hidden: bool = False) -> dict[bytes, int]:
+    """Return the numbers of those rows that are in the ledger, by key; or of the hidden ones."""
+    hashes = key_hashes(b"".join(keys)).tolist()
+    seqs: list[int] = []
+    for marks, some in in_parts(hashes):
+        select = f"SELECT seq FROM row_keys WHERE hash IN ({marks})"
+        seqs += (seq for (seq,) in db.execute(select, some))
+    wanted, numbers = set(keys), {}
+    for seq, record in _containing(db, seqs, "NOT " * hidden + SHOWN):
+        at = KEY_BYTES * (seq - record.seq)
+        if (key := record.key[at : at + KEY_BYTES]) in wanted:
+            numbers[key] = seq
+    return numbers
+
+
+def new_places(keys: Sequence[bytes], known: Set[bytes]) -> Sequence[int]:
+    """Return the places of the first of each of the keys that are not known."""
+    if len(set(keys)) == len(keys) and known.isdisjoint(keys):
+        return range(len(keys))
+    places: dict[bytes, int] = {}
+    for at, key in enumerate(keys):
+        if key not in known:
+            places.setdefault(key, at)
+    return list(places.values())
+
+
+def taken(block: NotedRows, places: Sequence[int]) -> NotedRows:
+    """Return the rows at some places."""
+    if len(places) == len(block.rows):
+        return block
+    return NotedRows(block.rows.take(np.array(places)), [block.note[at] for at in places])
+
+
+def cut(db: Connection, seq: int) -> None:
+    """Delete a row, which may be damaged, from its record; the record's other rows stay."""
+    for record in list(_records(db, "seq > ? AND seq <= ?", (seq - MAX_COUNT, seq))):
+        at = seq - record.seq
+        if at < record.count:
+            row = record.part(at, at + 1)
+            db.executemany("DELETE FROM row_keys WHERE hash = ? AND seq = ?", _entries(row))
+            db.execute("DELETE FROM rows WHERE seq = ?", (record.seq,))
+            for first, end in ((0, at), (at + 1, record.count)):
+                if first < end:
+                    db.execute(INSERT, record.part(first, end))
+
+
+def enter(db: Connection, entries: Iterable[tuple[int, int]]) -> None:
+    """Enter the hashes of rows' keys, with their numbers: fast in the order of the hashes."""
+    db.executemany("INSERT OR IGNORE INTO row_keys VALUES (?, ?)", entries)
+
+
+def _entries(record: Record) -> Iterator[tuple[int, int]]:
+    sound = isinstance(record.key, bytes) and len(record.key) == KEY_BYTES * record.count
+    hashes = key_hashes(record.key if sound else b"").tolist()
+    return zip(hashes, range(record.seq, record.seq + record.count), strict=False)
+
+
+def yield_to_others(db: Connection, component: str, after: int) -> None:
+    """Delete the hidden rows that others have brought too since a seq."""
+    where = f"component = ? AND seq > ? AND {SHOWN}"
+    for record in list(_records(db, where, (component, after))):
+        for seq in stored(db, record.keys(), hidden=True).values():
+            cut(db, seq)
+
+
+def delete(db: Connection, first: int, last: int, most: int) -> int:
+    """Delete the last `most` records of hidden rows, and return the first number deleted."""
+    some = "seq BETWEEN ? AND ? ORDER BY seq DESC LIMIT ?"
+    records = list(_records(db, some, (first, last, most)))
+    for record in records:
+        db.executemany("DELETE FROM row_keys WHERE hash = ? AND seq = ?", _entries(record))
+        db.execute("DELETE FROM rows WHERE seq = ?", (record.seq,))
+    return records[-1].seq if len(records) == most else first
+
+
+def place(db: Connection, component: str, rows: Rows, now: float) -> None:
+    """Insert rows of a table file under the numbers that they had in a ledger that is gone."""
+    gaps = np.flatnonzero(np.diff(rows.seq) != 1) + 1
+    for run in np.split(np.arange(len(rows)), gaps) if len(rows) else ():
+        block = NotedRows(rows.take(run), ["table file"] * len(run))
+        first, keys = int(rows.seq[run[0]]), row_keys(component, block)
+        for record in records_of(component, block, keys, first, now):
+            restore_record(db, record)
+
+
+def restore_record(db: Connection, record: Record) -> int:
+    """Insert those rows of a record whose keys and numbers a new ledger lacks; return how many."""
+    last = record.seq + record.count - 1
+    used = {seq for seq, _ in _containing(db, range(record.seq, last + 1))}
+    known, keys, count = stored(db, record.keys()), record.keys(), 0
+    free = [
+        record.seq + at not in used and key not in known
+        for at, key in enumerate(keys[: record.count])
+    ]
+    for same, places in groupby(range(len(free)), free.__getitem__):
+        some = list(places)
+        if same:
+            part = record if len(some) == record.count else record.part(some[0], some[-1] + 1)
+            db.execute(INSERT, part)
+            enter(db, _entries(part))
+            count += part.count
+    return count
+
+
+def _write_anew(db: Connection, record: Record) -> None:
+    """Put the record of one row in the place of a damaged one."""
+    cut(db, record.seq)
+    db.execute(INSERT, record)
+    enter(db, _entries(record))
 
 
 def add_solved(
@@ -120,14 +259,12 @@ def add_solved(
     columns |= {"source": source, "fingerprint": job.fingerprint}
     more = {name: [value] for name, value in columns.items()}
     block = NotedRows(Rows.of([job.wrench], [displacement], space, **more), [origin])
-    (values,) = row_records(job.component, block, now, job.id)
-    db.execute(INSERT, values)
-    select = f"SELECT {_COLUMNS} FROM rows WHERE key = ?"
-    record = db.execute(select, (values[-2],)).fetchone()
-    seq = record[0]
-    _show(db, seq)
-    if not _is_sound(record):
-        db.execute(f"UPDATE rows SET ({CONTENT}) = ({_PLACES}) WHERE seq = ?", (*values, seq))
+    keys = row_keys(job.component, block)
+    insert(db, job.component, block, keys, now, job=job.id)
+    (seq,) = stored(db, keys).values()
+    if seq not in numbered(db, [seq]):
+        (record,) = records_of(job.component, block, keys, seq, now, job.id)
+        _write_anew(db, record)
         if not is_withdrawn(db, seq):
             edit(db, job.component, [seq], withdrawn=True, now=now)  # so that readers read it again
     if is_withdrawn(db, seq):
@@ -145,22 +282,17 @@ def rewrite(db: Connection, component: str, seq: int, rows: Rows) -> bool:
     if numbered(db, [seq]):
         return False
     now = time.time()
-    job, created, origin, mark = db.execute(
-        "SELECT job, created, origin, seal FROM rows WHERE seq = ?", (seq,)
-    ).fetchone() or (None, now, None, None)
+    damaged = next((record for _, record in _containing(db, [seq])), None)
+    job, created = (damaged.job, damaged.created) if damaged else (None, now)
     known = db.execute("SELECT id FROM jobs WHERE id = ?", (job,)).fetchone()
     created = created if isinstance(created, float) else now
-
-    def values_of(note: str) -> Any:
-        return row_records(component, NotedRows(rows, [note]), created, known and known[0])[0]
-
-    values = values_of(str(origin))
-    if values[-1] != mark:
-        values = values_of("table file")
-    other = "SELECT 1 FROM rows WHERE key = ? AND seq <> ?"
-    if db.execute(other, (values[-2], seq)).fetchone():
+    note = damaged.origin if damaged and damaged.is_sealed() else "table file"
+    block = NotedRows(rows, [note])
+    keys = row_keys(component, block)
+    if stored(db, keys).get(keys[0], seq) != seq:
         return False
-    db.execute(f"UPDATE rows SET ({CONTENT}) = ({_PLACES}) WHERE seq = ?", (*values, seq))
+    (record,) = records_of(component, block, keys, seq, created, known and known[0])
+    _write_anew(db, record)
     # Readers have passed this number; a withdrawal and its undoing make them read it again.
     withdrawn = is_withdrawn(db, seq)
     edit(db, component, [seq], withdrawn=not withdrawn, now=now)
@@ -168,23 +300,12 @@ def rewrite(db: Connection, component: str, seq: int, rows: Rows) -> bool:
     return True
 
 
-def place(db: Connection, component: str, rows: Rows, now: float) -> None:
-    """Insert rows of a table file under the numbers that they had in a ledger that is gone."""
-    records = row_records(component, NotedRows(rows, ["table file"] * len(rows)), now)
-    numbered_records = (
-        (seq, *values) for seq, values in zip(rows.seq.tolist(), records, strict=True)
-    )
-    insert = f"INSERT OR IGNORE INTO rows ({_COLUMNS}) VALUES (?, {_PLACES})"
-    db.executemany(insert, numbered_records)
-
-
 def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True) -> None:
     """Take a row out of the component's table, or back into it; it stays in the ledger.
 
     Raises UnknownRowError if the component has no such row, RowStatusError if it is so already.
     """
-    same = f"SELECT 1 FROM rows WHERE seq = ? AND component = ? AND {SHOWN}"
-    if db.execute(same, (seq, component)).fetchone() is None:
+    if not any(record.component == component for _, record in _containing(db, [seq])):
         raise UnknownRowError(f"the table of {component!r} has no row {seq}")
     if is_withdrawn(db, seq) == withdrawn:
         raise RowStatusError(f"row {seq} is {'withdrawn already' if withdrawn else 'in the table'}")
@@ -212,16 +333,13 @@ def replay(db: Connection, component: str, edits: Iterable[RowEdit]) -> int:
     An edit of a row that is not there changes nothing.
     """
     newest = "SELECT created FROM edits WHERE row = ? ORDER BY seq DESC LIMIT 1"
-    same = "SELECT seq FROM rows WHERE key = ? AND component = ?"
     changed = 0
     for key, withdrawn, created in edits:
-        row = db.execute(same, (key, component)).fetchone()
-        if row is None or is_withdrawn(db, row[0]) == withdrawn:
-            continue
-        last = db.execute(newest, row).fetchone()
-        if last is None or last[0] < created:
-            edit(db, component, row, withdrawn=withdrawn, now=created)
-            changed += 1
+        for seq in stored(db, [key]).values():
+            last = db.execute(newest, (seq,)).fetchone()
+            if is_withdrawn(db, seq) != withdrawn and (last is None or last[0] < created):
+                edit(db, component, [seq], withdrawn=withdrawn, now=created)
+                changed += 1
     return changed
 
 
@@ -231,28 +349,13 @@ def _skip(db: Connection, count: int = 0, least: int = 0) -> int:
         "INSERT INTO sqlite_sequence SELECT 'rows', 0 WHERE NOT EXISTS"
         " (SELECT 1 FROM sqlite_sequence WHERE name = 'rows')"
     )
+    # SQLite's AUTOINCREMENT counts records; the last one may have more rows than one.
+    last = "coalesce((SELECT seq + count - 1 FROM rows ORDER BY seq DESC LIMIT 1), 0)"
     db.execute(
-        "UPDATE sqlite_sequence SET seq = max(seq + ?, ?) WHERE name = 'rows'", (count, least)
+        f"UPDATE sqlite_sequence SET seq = max(max(seq, {last}) + ?, ?) WHERE name = 'rows'",
+        (count, least),
     )
     return db.execute("SELECT seq FROM sqlite_sequence WHERE name = 'rows'").fetchone()[0]
-
-
-def _show(db: Connection, seq: int) -> bool:
-    """Take one row out of the hidden ones; return whether it was one."""
-    part = db.execute(
-        "SELECT first, last, import, component FROM import_parts"
-        " WHERE hidden = 1 AND first <= ? AND last >= ?",
-        (seq, seq),
-    ).fetchone()
-    if part is None:
-        return False
-    first, last, number, component = part
-    db.execute("DELETE FROM import_parts WHERE first = ?", (first,))
-    for span in ((first, seq - 1), (seq + 1, last)):
-        if span[0] <= span[1]:
-            values = (*span, number, component, True)
-            db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, ?)", values)
-    return True
 
 
 # -- reading ----------------------------------------------------------------------------------
@@ -273,17 +376,16 @@ def row_changes(
     `most`; the changes then end with the last of them.
     """
     newest = last_seq(db, component)
-    values: dict[str, Any] = {"component": component, "after": after, "most": most}
-    values |= {"until": newest}
-    touched = (
-        "SELECT row FROM edits WHERE component = :component AND seq > :after AND seq <= :until"
-    )
-    gone = frozenset(seq for (seq,) in db.execute(touched, values))
-    old = _live(db, f"seq <= :after AND seq IN ({touched})", values)
-    new = _live(db, "seq > :after AND seq <= :until", values, " LIMIT :most")
-    cut = len(new) == most
-    rows = _as_rows(_sound(db, old + new, fingerprint), space).rows
-    return RowChanges(rows, gone, new[-1][0] if cut else newest, whole=not cut)
+    touched = "SELECT row FROM edits WHERE component = ? AND seq > ? AND seq <= ?"
+    gone = frozenset(seq for (seq,) in db.execute(touched, (component, after, newest)))
+    hidden = withdrawn(db, component, newest)
+    back = [seq for seq in gone if seq <= after and seq not in hidden]
+    records = list(dict.fromkeys(record for _, record in _containing(db, back)))
+    records = [record for record in records if record.component == component]
+    old = _noted(db, records, np.isin(_numbers(records), back), space, fingerprint)
+    new, last = _read(db, component, after, newest, hidden, most, space, fingerprint)
+    cut = last is not None
+    return RowChanges(joined((old.rows, new.rows)), gone, last if cut else newest, whole=not cut)
 
 
 def table_at(
@@ -312,41 +414,48 @@ def table_at(
     ).fetchone()
 
     def lots() -> Iterator[NotedRows]:
-        values: dict[str, Any] = {"component": component, "until": until, "after": 0}
-        values |= {"most": MAX_CHANGES}
-        while records := _live(db, "seq > :after AND seq <= :until", values, " LIMIT :most"):
-            yield _as_rows(_sound(db, records, fingerprint), space)
-            values["after"] = records[-1][0]
+        gone, after = withdrawn(db, component, until), 0
+        while after is not None:
+            values = after, until, gone, MAX_CHANGES
+            block, after = _read(db, component, *values, space, fingerprint)
+            yield block
 
     return TableAt(until, tuple(map(bool, known)), lots())
 
 
 def get(db: Connection, seq: int) -> LedgerRow:
     """Return a row by its seq, withdrawn or not; raises UnknownRowError, DamagedRowError."""
-    record = db.execute(f"SELECT {_COLUMNS} FROM rows WHERE seq = ? AND {SHOWN}", (seq,)).fetchone()
-    if record is None:
+    rows = numbered(db, [seq])
+    if rows:
+        return rows[seq]
+    if not list(_containing(db, [seq])):
         raise UnknownRowError(f"there is no row {seq}")
-    if not _is_sound(record):
-        raise DamagedRowError(
-            f"row {seq} is damaged on the disk and used nowhere; restore the ledger from a "
-            "backup, or ask for its wrench again: it is then solved anew"
-        )
-    return _as_row(record)
+    raise DamagedRowError(
+        f"row {seq} is damaged on the disk and used nowhere; restore the ledger from a "
+        "backup, or ask for its wrench again: it is then solved anew"
+    )
 
 
 def numbered(db: Connection, seqs: Iterable[int]) -> dict[int, LedgerRow]:
     """Return those of some rows that are there and undamaged, by number."""
-    rows = {}
-    for marks, part in in_parts(seqs):
-        records = db.execute(f"SELECT {_COLUMNS} FROM rows WHERE seq IN ({marks})", part)
-        rows |= {record[0]: _as_row(record) for record in records if _is_sound(record)}
+    rows: dict[int, LedgerRow] = {}
+    last, sound = None, [False]
+    for seq, record in _containing(db, seqs):
+        if record is not last:
+            last, sound = record, record.sound()
+        if sound[seq - record.seq]:
+            rows[seq] = record.row(seq)
     return rows
 
 
 def damaged(db: Connection) -> dict[int, str]:
     """Return the damaged rows of the ledger, with the component they name. All rows are read."""
-    records = db.execute(f"SELECT {_COLUMNS} FROM rows ORDER BY seq")
-    return {record[0]: str(record[1]) for record in records if not _is_sound(record)}
+    return {
+        record.seq + at: str(record.component)
+        for record in _records(db, "1 ORDER BY seq", ())
+        for at, sound in enumerate(record.sound())
+        if not sound
+    }
 
 
 def is_withdrawn(db: Connection, seq: int) -> bool:
@@ -358,11 +467,7 @@ def is_withdrawn(db: Connection, seq: int) -> bool:
 
 def is_usable(db: Connection, seq: int) -> bool:
     """Return whether a row is undamaged, shown and not withdrawn."""
-    try:
-        get(db, seq)
-    except (UnknownRowError, DamagedRowError):
-        return False
-    return not is_withdrawn(db, seq)
+    return bool(numbered(db, [seq])) and not is_withdrawn(db, seq)
 
 
 def first_hidden(db: Connection, component: str | None) -> int | None:
@@ -380,7 +485,8 @@ def last_seq(db: Connection, component: str | None = None) -> int:
     """
     where = "" if component is None else "WHERE component = :component"
     newest = ", ".join(
-        f"coalesce((SELECT max(seq) FROM {table} {where}), 0)" for table in ("rows", "edits")
+        f"coalesce((SELECT {last} FROM {table} {where} ORDER BY seq DESC LIMIT 1), 0)"
+        for table, last in (("rows", "seq + count - 1"), ("edits", "seq"))
     )
     last = db.execute(f"SELECT max({newest})", {"component": component}).fetchone()[0]
     hidden = first_hidden(db, component)
@@ -388,28 +494,30 @@ def last_seq(db: Connection, component: str | None = None) -> int:
 
 
 def count_new(db: Connection, component: str, fingerprint: str, after: int) -> int:
-    """Return the number of a setup's and measured rows after a seq; 0.3 us a row."""
+    """Return the number of a setup's and measured rows after a seq."""
     values = {"component": component, "after": after, "fingerprint": fingerprint}
-    return db.execute(
-        f"SELECT count(*) FROM rows WHERE component = :component AND {_LIVE}"
-        " AND seq > :after AND seq <= :until AND fingerprint IN ('', :fingerprint)",
-        {**values, "until": last_seq(db, component)},
-    ).fetchone()[0]
+    of_setup = "fingerprint IN ('', :fingerprint)"
+    there = (
+        "SELECT coalesce(sum(min(seq + count - 1, :until) - max(seq - 1, :after)), 0) FROM rows"
+        f" WHERE {_BETWEEN} AND {SHOWN} AND {of_setup}"
+    )
+    gone = (
+        f"SELECT count(*) FROM ({_WITHDRAWN} AND row > :after) JOIN rows"
+        f" ON rows.seq = (SELECT max(seq) FROM rows WHERE seq <= row) WHERE {of_setup}"
+    )
+    values |= {"until": last_seq(db, component)}
+    return db.execute(f"SELECT ({there}) - ({gone})", values).fetchone()[0]
 
 
 def count_rows(db: Connection, component: str) -> int:
     """Return how many rows a component has, withdrawn ones and those of other setups too."""
-    select = f"SELECT count(*) FROM rows WHERE component = ? AND {SHOWN}"
+    select = f"SELECT coalesce(sum(count), 0) FROM rows WHERE component = ? AND {SHOWN}"
     return db.execute(select, (component,)).fetchone()[0]
 
 
 def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
     """Return those of these rows' keys that are in the ledger."""
-    known: set[bytes] = set()
-    for marks, part in in_parts(keys):
-        select = f"SELECT key FROM rows WHERE key IN ({marks}) AND {SHOWN}"
-        known.update(key for (key,) in db.execute(select, part))
-    return known
+    return set(stored(db, list(keys)))
 
 
 def of_other_setups(db: Connection, component: str, fingerprint: str) -> dict[bytes, int]:
@@ -417,21 +525,30 @@ def of_other_setups(db: Connection, component: str, fingerprint: str) -> dict[by
 
     They are in no table. Measured rows, of no setup, and withdrawn ones do not count.
     """
-    select = (
-        "SELECT wrench, count(*) FROM rows WHERE component = :component AND fingerprint <> ''"
-        f" AND fingerprint <> :fingerprint AND {_LIVE} GROUP BY wrench ORDER BY min(seq)"
-    )
-    values = {"component": component, "fingerprint": fingerprint, "until": _EVER}
-    return dict(db.execute(select, values).fetchall())
+    where = f"component = ? AND fingerprint <> '' AND fingerprint <> ? AND {SHOWN} ORDER BY seq"
+    gone = withdrawn(db, component)
+    counts: dict[bytes, int] = {}
+    for record in _records(db, where, (component, fingerprint)):
+        width = len(record.wrench) // record.count
+        for at in range(record.count):
+            if record.seq + at not in gone:
+                wrench = record.wrench[width * at : width * (at + 1)]
+                counts[wrench] = counts.get(wrench, 0) + 1
+    return counts
 
 
 def digest(db: Connection, component: str, until: int) -> str:
     """Return a digest of which rows a component has, and their edits, up to a seq."""
     total, values = blake2b(digest_size=16), (component, until)
     where = "WHERE component = ? AND seq <= ? ORDER BY seq"
-    keys = db.execute(f"SELECT seq, key FROM rows {where}", values)
-    while some := keys.fetchmany(_DIGESTED):
-        total.update(b"".join([b"row %d %b" % record for record in some]))
+    for first, keys in db.execute(f"SELECT seq, key FROM rows {where}", values):
+        last = min(len(keys) // KEY_BYTES, until - first + 1)
+        total.update(
+            b"".join(
+                b"row %d %b" % (first + at, keys[KEY_BYTES * at : KEY_BYTES * (at + 1)])
+                for at in range(last)
+            )
+        )
     for record in db.execute(f"SELECT seq, row, withdrawn FROM edits {where}", values):
         total.update(b"edit %d %d %d" % record)
     return total.hexdigest()
@@ -441,94 +558,146 @@ def edits(db: Connection, component: str, until: int) -> list[RowEdit]:
     """Return the newest edit, up to a seq, of each of a component's rows that had one."""
     # With max(), SQLite gives that record's columns.
     select = (
-        "SELECT rows.key, withdrawn, edits.created, max(edits.seq) FROM edits"
-        " JOIN rows ON rows.seq = row WHERE edits.component = ? AND edits.seq <= ?"
-        " GROUP BY row ORDER BY row"
+        "SELECT row, withdrawn, created, max(seq) FROM edits"
+        " WHERE component = ? AND seq <= ? GROUP BY row"
     )
-    records = db.execute(select, (component, until))
-    return [RowEdit(key, bool(withdrawn), created) for key, withdrawn, created, _ in records]
+    newest = {row: edit for row, *edit, _ in db.execute(select, (component, until))}
+    return [
+        RowEdit(record.keys()[row - record.seq], bool(newest[row][0]), newest[row][1])
+        for row, record in _containing(db, newest)
+    ]
 
 
-def _live(db: Connection, where: str, values: dict[str, Any], limit: str = "") -> list[Any]:
-    """Return the records of a component's rows that are not withdrawn, by number."""
-    select = f"SELECT {_COLUMNS} FROM rows WHERE component = :component AND {_LIVE}"
-    return db.execute(f"{select} AND {where} ORDER BY seq{limit}", values).fetchall()
+def _records(db: Connection, where: str, values: Any) -> Iterator[Record]:
+    for columns in db.execute(f"SELECT {_COLUMNS} FROM rows WHERE {where}", values):
+        record = Record(*columns)
+        if not isinstance(record.count, int) or not 1 <= record.count <= MAX_COUNT:
+            record = record._replace(count=1)  # a damaged record: its numbers do not fit either
+        yield record
 
 
-def _sound(db: Connection, records: Iterable[Any], fingerprint: str | None) -> list[Any]:
-    """Return the undamaged records of a setup, of all if None, and measured ones.
+def _containing(
+    db: Connection, seqs: Iterable[int], condition: str = SHOWN
+) -> Iterator[tuple[int, Record]]:
+    """Yield those of some rows that are there and shown, by number, each with its record."""
+    record = None
+    where = f"seq > ? AND seq <= ? AND {condition} ORDER BY seq DESC LIMIT 1"
+    for seq in sorted(seqs):
+        if record is None or seq >= record.seq + record.count:
+            record = next(_records(db, where, (seq - MAX_COUNT, seq)), None)
+        if record is not None and seq < record.seq + record.count:
+            yield seq, record
 
-    Damaged ones are noted, and logged once.
+
+def withdrawn(db: Connection, component: str, until: int = _EVER) -> set[int]:
+    """Return the rows of a component that are withdrawn at a seq, now by default."""
+    return {row for (row,) in db.execute(_WITHDRAWN, {"component": component, "until": until})}
+
+
+def _numbers(records: Sequence[Record]) -> np.ndarray:
+    """Return the seq of each row of some records."""
+    firsts, counts = (
+        np.array([getattr(record, name) for record in records], dtype=np.int64)
+        for name in ("seq", "count")
+    )
+    before = np.cumsum(counts) - counts
+    return np.repeat(firsts - before, counts) + np.arange(counts.sum())
+
+
+def _read(
+    db: Connection,
+    component: str,
+    after: int,
+    until: int,
+    gone: set[int],
+    most: int,
+    space: Space,
+    fingerprint: str | None,
+) -> tuple[NotedRows, int | None]:
+    """Return the first `most` rows of the numbers `after` + 1 to `until`; see `_noted`.
+
+    And the number of the last, None if there are no more.
     """
-    sound = []
-    for record in records:
-        if _is_sound(record):
-            if fingerprint is None or record[2] in ("", fingerprint):
-                sound.append(record)
-        else:
-            seq, component = record[:2]
-            if seq not in db.damaged:
-                _log.error("row %d of %s is damaged on the disk and left out", seq, component)
-            db.damaged[seq] = component
-    return sound
+    values = {"component": component, "after": after, "until": until}
+    records, count = [], 0
+    for record in _records(db, f"{_BETWEEN} AND {SHOWN} ORDER BY seq", values):
+        records.append(record)
+        span = range(max(record.seq, after + 1), min(record.seq + record.count - 1, until) + 1)
+        count += len(span) - (sum(seq in gone for seq in span) if gone else 0)
+        if count >= most:
+            break
+    seqs = _numbers(records)
+    live = (seqs > after) & (seqs <= until)
+    live &= ~np.isin(seqs, list(gone))
+    places = np.flatnonzero(live)
+    live[places[most:]] = False
+    last = int(seqs[places[most - 1]]) if len(places) >= most else None
+    return _noted(db, records, live, space, fingerprint), last
 
 
-def _is_sound(record: Any) -> bool:
-    """Return whether a row is as it was written."""
-    (_, component, fingerprint, source, wrench, displacement, compliance, curvature, uncertainty,
-     _, _, origin, key, mark) = record  # fmt: skip
-    try:
-        written = row_key(component, fingerprint, source, wrench, displacement, uncertainty)
-        return written == key and seal(key, compliance, origin, curvature) == mark
-    except (ValueError, TypeError, AttributeError):
-        return False  # of another type
+def _noted(
+    db: Connection,
+    records: Sequence[Record],
+    wanted: np.ndarray,
+    space: Space,
+    fingerprint: str | None,
+) -> NotedRows:
+    """Return the `wanted` of the rows of some records, without damaged ones.
 
-
-def _as_row(record: Any) -> LedgerRow:
-    (seq, component, fingerprint, source, wrench, displacement, compliance, curvature, uncertainty,
-     job, created, origin, _, _) = record  # fmt: skip
-    loads, flat = unpack_vector(wrench), unpack_vector(compliance or b"")
-    return LedgerRow(
-        seq,
-        component,
-        fingerprint,
-        source,
-        loads,
-        unpack_vector(displacement),
-        tuple(flat[k : k + len(loads)] for k in range(0, len(flat), len(loads))) or None,
-        uncertainty and unpack_vector(uncertainty),
-        job,
-        created,
-        origin,
-        curvature and unpack_vector(curvature),
-    )
-
-
-def _as_rows(records: Sequence[Any], space: Space) -> NotedRows:
-    """Return undamaged records as columns; raises ValueError if one is of another space."""
+    Those of a setup, of all if None, and measured ones. Damaged ones are noted, and logged once.
+    Raises ValueError if a row is of another space.
+    """
+    counts = [record.count for record in records]
+    sound = np.array([*chain.from_iterable(record.sound() for record in records)], dtype=bool)
+    for seq in _numbers(records)[wanted & ~sound].tolist():
+        record = next(record for record in records if 0 <= seq - record.seq < record.count)
+        if seq not in db.damaged:
+            _log.error("row %d of %s is damaged on the disk and left out", seq, record.component)
+        db.damaged[seq] = record.component
+    setup = [fingerprint is None or record.fingerprint in ("", fingerprint) for record in records]
+    wanted = wanted & sound & np.repeat(np.array(setup, dtype=bool), counts)
+    ends = np.cumsum(counts)
+    left = np.diff(np.concatenate(([0], np.cumsum(wanted)))[[0, *ends]]).tolist()
+    wanted = wanted[np.repeat(left, counts) > 0]
+    records = [record for record, number in zip(records, left, strict=True) if number]
+    left = [number for number in left if number]
     inputs, outputs = len(space.inputs), len(space.outputs)
     for record in records:
-        if (len(record[4]), len(record[5])) != (8 * inputs, 8 * outputs):
+        loads, moves = (
+            len(column) // 8 // record.count for column in (record.wrench, record.displacement)
+        )
+        if (loads, moves) != (inputs, outputs):
             raise ValueError(
-                f"row {record[0]} has {len(record[4]) // 8} loads and {len(record[5]) // 8} "
+                f"row {record.seq} has {loads} loads and {moves} "
                 f"displacements; the component has {inputs} and {outputs}"
             )
-    columns = list(zip(*records, strict=True)) or [()] * 14
-    more = {}
-    shapes = (outputs, inputs), (space.curvatures,), (outputs,)
-    names = "compliance", "curvature", "uncertainty"
-    for name, column, shape in zip(names, columns[6:9], shapes, strict=True):
-        if any(value is not None for value in column):
-            blank = np.full(shape, np.nan).tobytes()
-            flat = unpacked((value or blank for value in column), math.prod(shape))
-            more[name] = flat.reshape(-1, *shape)
+
+    def numbers(name: str, width: int) -> np.ndarray:
+        blank = np.full(width, np.nan).tobytes()
+        columns = ((getattr(record, name) or blank * record.count) for record in records)
+        return unpacked(columns, width)[wanted]
+
+    def texts(name: str) -> list[Any]:
+        pairs = zip(records, left, strict=True)
+        return [*chain.from_iterable([getattr(record, name)] * count for record, count in pairs)]
+
+    shapes = {
+        "compliance": (outputs, inputs),
+        "curvature": (space.curvatures,),
+        "uncertainty": (outputs,),
+    }
+    more = {
+        name: numbers(name, math.prod(shape)).reshape(-1, *shape)
+        for name, shape in shapes.items()
+        if any(getattr(record, name) is not None for record in records)
+    }
     rows = Rows.of(
-        unpacked(columns[4], inputs),
-        unpacked(columns[5], outputs),
+        numbers("wrench", inputs),
+        numbers("displacement", outputs),
         space,
-        seq=np.array(columns[0], dtype=np.int64),
-        fingerprint=list(columns[2]),
-        source=list(columns[3]),
+        seq=_numbers(records)[wanted],
+        fingerprint=texts("fingerprint"),
+        source=texts("source"),
         **more,
     )
-    return NotedRows(rows, columns[11], columns[10])
+    return NotedRows(rows, texts("origin"), texts("created"))

@@ -1,13 +1,13 @@
 """The SQL of the ledger's tables, and the steps from the schemas of released versions."""
 
 APPLICATION_ID = 0x77726E63  # "wrnc": tells a ledger from other programs' SQLite files
-VERSION = 13  # of TABLES; raise it, and add a step from the previous one, with each change
+VERSION = 14  # of TABLES; raise it, and add a step from the previous one, with each change
 
 # `wrench`, `displacement` and their kin are float64, little-endian, of any number of loads and
 # outputs; see packing.py.
 _WRENCH = "wrench BLOB NOT NULL CHECK (length(wrench) >= 48 AND length(wrench) % 8 = 0)"
 _CURVATURE = """curvature BLOB CHECK (length(curvature) * 6
-        = length(wrench) * (length(wrench) / 8 + 1) * (length(wrench) / 8 + 2))"""
+        = length(wrench) * (length(wrench) / 8 + 1) * (length(wrench) / 8 + 2))"""  # until 13
 _RIG = "rig TEXT NOT NULL DEFAULT ''"
 _FINDINGS = "findings TEXT NOT NULL DEFAULT '[]'"
 
@@ -33,6 +33,45 @@ _STATE = """
     );
 """
 
+# A record has consecutive rows, from `seq`, of one setup, source and note: the bytes of their
+# numbers and keys, one after the other. The key leaves out what a table file may lack, the seal
+# covers the complete record.
+_ROWS = """
+    CREATE TABLE {name} (
+        seq INTEGER PRIMARY KEY AUTOINCREMENT,
+        count INTEGER NOT NULL CHECK (count >= 1),
+        component TEXT NOT NULL,
+        fingerprint TEXT NOT NULL,
+        source TEXT NOT NULL,
+        wrench BLOB NOT NULL
+            CHECK (length(wrench) >= 48 * count AND length(wrench) % (8 * count) = 0),
+        displacement BLOB NOT NULL CHECK (length(displacement) >= 48 * count),
+        compliance BLOB
+            CHECK (length(compliance) * 8 * count = length(displacement) * length(wrench)),
+        curvature BLOB CHECK (length(curvature) * 6 = length(wrench)
+            * (length(wrench) / count / 8 + 1) * (length(wrench) / count / 8 + 2)),
+        uncertainty BLOB CHECK (length(uncertainty) = length(displacement)),
+        job INTEGER REFERENCES jobs (id),
+        created REAL NOT NULL,
+        origin TEXT NOT NULL,
+        key BLOB NOT NULL CHECK (length(key) = 16 * count),
+        seal BLOB NOT NULL
+    );
+"""
+# The first 8 bytes of the key of each row. Different keys may have the same: `rows` decides.
+_KEYS = """
+    CREATE TABLE row_keys (hash INTEGER, seq INTEGER, PRIMARY KEY (hash, seq)) WITHOUT ROWID;
+"""
+_INDICES = """
+    CREATE INDEX rows_of_component ON rows (component, seq, count);
+    -- Rows of another setup than a component's are counted with each version of its table.
+    CREATE INDEX rows_of_setup ON rows (component, fingerprint) WHERE fingerprint <> '';
+"""
+_COPIED = (
+    "seq, component, fingerprint, source, wrench, displacement, compliance, curvature,"
+    " uncertainty, job, created, origin, key, seal"
+)
+
 TABLES = f"""
     CREATE TABLE jobs (
         id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -49,7 +88,7 @@ TABLES = f"""
         started REAL,
         finished REAL,
         error TEXT CHECK ((error IS NOT NULL) = (status = 'failed')),
-        row INTEGER UNIQUE REFERENCES rows (seq)
+        row INTEGER UNIQUE
             CHECK ((row IS NOT NULL) = (status = 'done')),
         not_before REAL,
         asked_by TEXT NOT NULL DEFAULT '',
@@ -73,31 +112,13 @@ TABLES = f"""
         at REAL NOT NULL
     );
 
-    -- The key leaves out what a table file may lack, the seal covers the complete row.
-    CREATE TABLE rows (
-        seq INTEGER PRIMARY KEY AUTOINCREMENT,
-        component TEXT NOT NULL,
-        fingerprint TEXT NOT NULL,
-        source TEXT NOT NULL,
-        {_WRENCH},
-        displacement BLOB NOT NULL CHECK (length(displacement) >= 48),
-        compliance BLOB
-            CHECK (length(compliance) * 8 = length(displacement) * length(wrench)),
-        uncertainty BLOB CHECK (length(uncertainty) = length(displacement)),
-        job INTEGER REFERENCES jobs (id),
-        created REAL NOT NULL,
-        origin TEXT NOT NULL,
-        key BLOB NOT NULL UNIQUE,
-        seal BLOB NOT NULL,
-        {_CURVATURE}
-    );
-    CREATE INDEX rows_of_component ON rows (component, seq);
-    -- Rows of another setup than a component's are counted with each version of its table.
-    CREATE INDEX rows_of_setup ON rows (component, fingerprint) WHERE fingerprint <> '';
+    {_ROWS.format(name="rows")}
+    {_INDICES}
+    {_KEYS}
     CREATE TABLE edits (
         seq INTEGER PRIMARY KEY,
         component TEXT NOT NULL,
-        row INTEGER NOT NULL REFERENCES rows (seq),
+        row INTEGER NOT NULL,
         withdrawn INTEGER NOT NULL CHECK (withdrawn IN (0, 1)),
         created REAL NOT NULL
     );
@@ -196,4 +217,24 @@ STEPS = {
         """,
     ),
     12: (13, _STATE),
+    # A record of `rows` was one row, its key unique there; jobs and edits referred to it.
+    13: (
+        14,
+        f"""
+        PRAGMA writable_schema = ON;
+        UPDATE sqlite_schema SET sql = replace(sql, ' REFERENCES rows (seq)', '')
+            WHERE type = 'table' AND name IN ('jobs', 'edits');
+        PRAGMA writable_schema = RESET;
+        {_KEYS}
+        INSERT INTO row_keys SELECT key_hash(key), seq FROM rows ORDER BY 1;
+        {_ROWS.format(name="new_rows")}
+        INSERT INTO new_rows (count, {_COPIED}) SELECT 1, {_COPIED} FROM rows;
+        DELETE FROM sqlite_sequence WHERE name = 'new_rows';
+        INSERT INTO sqlite_sequence SELECT 'new_rows', seq FROM sqlite_sequence
+            WHERE name = 'rows';
+        DROP TABLE rows;
+        ALTER TABLE new_rows RENAME TO rows;
+        {_INDICES}
+        """,
+    ),
 }

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.bundle.tables import is_slug
-from wrenchbook.service.files.durable import sync_folder, sync_tree
+from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.library.bundles import (
     check_mesh,
     copy_bundle,
@@ -233,7 +233,7 @@ class Library:
                 if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                     raise ComponentExistsError(_TAKEN.format(name=name)) from error
                 raise
-            sync_folder(self._own)
+            sync(self._own)
             return self._register(final, shipped=False)
 
     def _try(self, folder: Path, *, shipped: bool) -> None:

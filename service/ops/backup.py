@@ -20,7 +20,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any
 
-from wrenchbook.service.files.durable import sync, sync_folder
+from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import Ledger, LedgerError, earlier
 from wrenchbook.service.ledger.schema import VERSION
 
@@ -98,7 +98,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
         manifest = verify(draft)
         sync(draft)
         draft.replace(target)
-        sync_folder(target.parent)
+        sync(target.parent)
     except OSError as error:
         path, what = Path(str(error.filename)), f"{target} cannot be written: {error}"
         if path.is_relative_to(folder) and _HELD.fullmatch(path.relative_to(folder).as_posix()):

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.service.files.durable import sync_folder
+from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError
 from wrenchbook.service.ledger.repair import Acknowledged, salvage
 from wrenchbook.service.library.component import Component
@@ -137,7 +137,7 @@ def _rebuilt(folder: Path, what: str) -> list[DataFinding]:
             if (old := path.with_name(f"{LEDGER}{end}")).exists():
                 move_aside(old)
         new.rename(path)
-        sync_folder(folder)
+        sync(folder)
     jobs, rows, highest = salvaged.read["jobs"], salvaged.read["rows"], salvaged.highest_job
     text = f"a new one was made: {jobs} jobs of {highest} and {rows} rows could be read, others "
     text += "come from the tables' files"

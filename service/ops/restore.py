@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from wrenchbook.service.files import lock
-from wrenchbook.service.files.durable import sync_folder, sync_tree
+from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.keys import FILE as KEYS
 from wrenchbook.service.ledger import Ledger, LedgerError
 from wrenchbook.service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
@@ -61,7 +61,7 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
             state = "The restore is not complete"
         for entry in sorted(draft.iterdir(), key=lambda entry: entry.name == LEDGER):
             entry.rename(folder / entry.name)
-        sync_folder(folder)
+        sync(folder)
     except LedgerError as error:
         raise BackupError(f"the ledger in {source} cannot be used: {error}") from error
     except OSError as error:

@@ -11,18 +11,16 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.program import give_back, usable_cores
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.ledger import LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables import store
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
 from wrenchbook.service.tables.rows import followed
-from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.service.tables.store import TableStore, drop_least_used
 from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.packed.writer import pack
@@ -105,17 +103,14 @@ class TableBuilder:
 
     def __init__(
         self,
-        ledger: Ledger,
+        files: TableStore,
         library: Library,
-        folder: Path,
         state: CoordinatorState,
-        errors: SolverErrors | None = None,
         memory: float = Settings.table_memory,
         trouble: Callable[[], str | None] = lambda: None,
     ) -> None:
-        self._ledger, self._library, self._state = ledger, library, state
-        self._store, self._memory = TableStore(folder, ledger, errors), memory
-        self._trouble = trouble
+        self._store, self._ledger, self._library = files, files.ledger, library
+        self._state, self._memory, self._trouble = state, memory, trouble
         self._versions: dict[str, _Version] = {}
         self._faults: dict[str, str] = {}
         self._failed_at: dict[str, int] = {}

@@ -13,21 +13,19 @@ from wrenchbook.service.formats import (
     csv_text,
     json_text,
     layout,
-    write_hdf5,
     write_parquet,
     write_xlsx,
 )
-from wrenchbook.service.ledger import Ledger, NotedRows, TableAt
+from wrenchbook.service.ledger import Ledger, TableAt
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import (
     CONTRACT_WORDS,
     ExportRows,
-    export_rows,
-    joined_rows,
     table_meta,
 )
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.hdf5 import write_table
+from wrenchbook.surrogate.table.rows import Rows, joined
 
 ExportFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
 IN_SI = ("parquet", "hdf5", "json")
@@ -61,12 +59,12 @@ def export_table(
     setup = {"space": space, "fingerprint": component.fingerprint}
     with ledger.table_at(component.name, request.version, **setup) as table:
         spans = ledger.import_spans(component.name)
-        pieces = (export_rows(lot, spans) for lot in table.lots)
+        pieces = (ExportRows(lot, spans) for lot in table.lots)
         if request.format == "hdf5":
-            none = export_rows(NotedRows(Rows.empty(space), ()))
-            rows = joined_rows([none, *pieces])
-            meta = table_meta(component, table.version, error)
-            path.write_bytes(write_hdf5(rows, rows.seq, meta))
+            lots = list(table.lots)
+            rows = joined([Rows.empty(space), *(lot.rows for lot in lots)])
+            notes = [note for lot in lots for note in lot.note]
+            write_table(path, rows, table_meta(component, table.version, error), notes=notes)
         elif request.format == "json":
             members = {"component": component.name, "table_version": table.version}
             if not space.is_default:

@@ -13,14 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.ledger import LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import build_table, packed_bytes
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Mapped, Status
 from wrenchbook.service.tables.rows import unsolved
-from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.service.tables.store import (
     PackedFile,
     TableStore,
@@ -201,18 +200,15 @@ class MappedTables:
 
     def __init__(
         self,
-        ledger: Ledger,
+        files: TableStore,
         library: Library,
-        folder: Path,
         state: CoordinatorState,
-        errors: SolverErrors | None = None,
         memory: float = Settings.table_memory,
         method: str | None = None,
     ) -> None:
-        self._ledger, self._library, self._state = ledger, library, state
-        self._memory, self._method = memory, method
-        self._store = TableStore(folder, ledger, errors)
-        self.written = self._store.written
+        self._store, self._ledger, self._library = files, files.ledger, library
+        self._state, self._memory, self._method = state, memory, method
+        self.written = files.written
         self._tables: dict[str, ServedTable] = {}
         self._mapped: dict[str, tuple[PackedFile, Component]] = {}
         self._refused: dict[Path, tuple[PackedFile, Component]] = {}

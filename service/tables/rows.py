@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
@@ -18,67 +18,31 @@ from wrenchbook.service.ledger import ImportRecord, Ledger, NotedRows, packed, u
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
-from wrenchbook.surrogate.table.rows import Floats, Rows, joined, joined_columns
+from wrenchbook.surrogate.table.rows import Floats, Rows, joined
 
 CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
 
-@dataclass(frozen=True)
 class ExportRows:
-    """The rows of a component's present setup as table files hold them.
+    """Rows of the ledger as table files hold them: their columns, and texts of each row.
 
-    Arrays as of `Rows`, NaN where not measured or not known; ``when`` each came, UTC, and ``who``
-    sent it, empty for a solve.
+    ``when`` each came, UTC, and ``who`` sent it by the numbers of the imports, `spans`, in order;
+    empty for a solve.
     """
 
-    seq: list[int]
-    wrench: np.ndarray
-    displacement: np.ndarray
-    uncertainty: np.ndarray
-    compliance: np.ndarray
-    curvature: np.ndarray
-    source: list[str]
-    note: list[str]
-    fingerprint: list[str]
-    when: list[str]
-    who: list[str]
+    def __init__(
+        self, stored: NotedRows, spans: Sequence[tuple[int, int, ImportRecord]] = ()
+    ) -> None:
+        self._rows, self.note, firsts = stored.rows, stored.note, [first for first, *_ in spans]
+        self.seq = stored.rows.seq.tolist()
+        self.when = [iso_time(created) for created in stored.created]
+        self.who: list[str] = []
+        for seq in self.seq:
+            at = bisect_right(firsts, seq) - 1
+            self.who.append(spans[at][2].who if at >= 0 and seq <= spans[at][1] else "")
 
-
-def export_rows(
-    stored: NotedRows, spans: Sequence[tuple[int, int, ImportRecord]] = ()
-) -> ExportRows:
-    """Return rows of the ledger as columns; `spans` are the imports' numbers, in order."""
-    rows, firsts = stored.rows, [first for first, _, _ in spans]
-
-    def sender(seq: int) -> str:
-        at = bisect_right(firsts, seq) - 1
-        return spans[at][2].who if at >= 0 and seq <= spans[at][1] else ""
-
-    return ExportRows(
-        seq=rows.seq.tolist(),
-        wrench=rows.wrench,
-        displacement=rows.displacement,
-        uncertainty=rows.uncertainty,
-        compliance=rows.compliance,
-        curvature=rows.curvature,
-        source=rows.source.tolist(),
-        note=list(stored.note),
-        fingerprint=rows.fingerprint.tolist(),
-        when=[iso_time(created) for created in stored.created],
-        who=[sender(seq) for seq in rows.seq.tolist()],
-    )
-
-
-def joined_rows(pieces: Sequence[ExportRows]) -> ExportRows:
-    """Return the rows of pieces as one."""
-    columns = {}
-    for column in (field.name for field in fields(ExportRows)):
-        parts = [getattr(piece, column) for piece in pieces]
-        if isinstance(parts[0], np.ndarray):
-            columns[column] = joined_columns(parts)
-        else:
-            columns[column] = [value for part in parts for value in part]
-    return ExportRows(**columns)
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rows, name)
 
 
 def iso_time(seconds: float) -> str:

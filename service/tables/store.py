@@ -61,7 +61,7 @@ class TableStore:
     """
 
     def __init__(self, folder: Path, ledger: Ledger, errors: SolverErrors | None = None) -> None:
-        self._folder, self._ledger, self._errors = folder, ledger, errors
+        self._folder, self.ledger, self._errors = folder, ledger, errors
         self.caveats: dict[str, str] = {}
 
     def solver_error(self, component: Component) -> SolverError | None:
@@ -83,7 +83,7 @@ class TableStore:
             "program": _short("".join(program)),
         }
         with suppress(LedgerUnavailableError):
-            origin["ledger"] = self._ledger.digest(component.name, version)
+            origin["ledger"] = self.ledger.digest(component.name, version)
         return origin
 
     def is_current(self, component: Component, version: int, origin: dict[str, str]) -> bool:
@@ -140,7 +140,7 @@ class TableStore:
     def size(self, name: str) -> int:
         """About how many rows a component has: the ledger's number, or that of its HDF5 file."""
         with suppress(LedgerUnavailableError):
-            if count := self._ledger.count_rows(name):
+            if count := self.ledger.count_rows(name):
                 return count
         try:
             return 1 + self._path(name).stat().st_size // ROW_BYTES
@@ -187,7 +187,7 @@ class TableStore:
             if (meta.last_seq, meta.fingerprint) == (version, component.fingerprint):
                 return rows
         setup = {"space": component.space, "fingerprint": component.fingerprint}
-        with self._ledger.table_at(component.name, version, **setup) as table:
+        with self.ledger.table_at(component.name, version, **setup) as table:
             return joined([Rows.empty(component.space), *(lot.rows for lot in table.lots)])
 
     def load(self, component: Component) -> tuple[Rows, int]:
@@ -217,9 +217,9 @@ class TableStore:
         """
         name, of_ledger = component.name, dict[str, Any]()
         with suppress(LedgerUnavailableError):
-            edits = self._ledger.edits(name, last_seq)
+            edits = self.ledger.edits(name, last_seq)
             of_ledger = {
-                "ledger": self._ledger.digest(name, last_seq),
+                "ledger": self.ledger.digest(name, last_seq),
                 "edits": tuple((key.hex(), gone, when) for key, gone, when in edits),
             }
         meta = TableMeta(
@@ -254,14 +254,14 @@ class TableStore:
 
     def _is_of_ledger(self, meta: TableMeta) -> bool:
         """Whether a file's rows are those of the ledger up to the file's newest."""
-        return bool(meta.ledger) and meta.ledger == self._ledger.digest(
+        return bool(meta.ledger) and meta.ledger == self.ledger.digest(
             meta.component, meta.last_seq
         )
 
     def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
         """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
-        newest = self._ledger.last_seq(name)
-        inserted, _ = self._ledger.insert_rows(name, rows, "table file", above=meta.last_seq)
+        newest = self.ledger.last_seq(name)
+        inserted, _ = self.ledger.insert_rows(name, rows, "table file", above=meta.last_seq)
         if inserted:
             log.warning(
                 "%s: %d rows of the table file were missing in the ledger and are there again",
@@ -270,7 +270,7 @@ class TableStore:
             )
         if meta.edits is None:
             # Files of 0.1 have neither edits nor a digest of their ledger: numbers tell.
-            stored = self._ledger.rows_of(rows.seq.tolist())
+            stored = self.ledger.rows_of(rows.seq.tolist())
             wrenches = zip(rows.seq.tolist(), map(tuple, rows.wrench.tolist()), strict=True)
             same = all(seq in stored and stored[seq].wrench == wrench for seq, wrench in wrenches)
             if inserted or newest < meta.last_seq or not same:
@@ -278,7 +278,7 @@ class TableStore:
                 log.warning("%s: %s", name, _UNKNOWN_WITHDRAWALS)
             return
         edits = [RowEdit(bytes.fromhex(key), gone, when) for key, gone, when in meta.edits]
-        if changed := self._ledger.replay(name, edits):
+        if changed := self.ledger.replay(name, edits):
             log.warning("%s: %d rows were withdrawn or restored as in its file", name, changed)
 
     def _path(self, name: str) -> Path:

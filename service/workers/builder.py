@@ -18,13 +18,14 @@ from uvicorn.config import STARTUP_FAILURE
 
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.engines import open_engine
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 from wrenchbook.service.ledger import FINAL, Ledger, LedgerError
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
 from wrenchbook.service.tables.solver_errors import SolverErrors
+from wrenchbook.service.tables.store import TableStore
 from wrenchbook.service.workers.supervisor import IN_USE
 
 log = logging.getLogger(__name__)
@@ -65,7 +66,12 @@ def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
         yield None
         return
     (ledger, library, errors), jobs = parts, settings.data / "jobs"
-    engine = open_engine(settings.engine, settings.solvers, scheduler=settings.scheduler)
+    if settings.engine == "local":
+        engine = LocalEngine(settings.solvers)
+    else:
+        from wrenchbook.service.jobs.dask import DaskEngine  # only a server with a cluster has Dask
+
+        engine = DaskEngine(settings.scheduler or "")
     fields = FieldStore(settings.data / "fields")
     dispatcher = Dispatcher(ledger, engine, lambda name: library[name].folder, jobs, fields, errors)
     stop = threading.Event()
@@ -162,11 +168,9 @@ def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Itera
     ledger, library, errors = parts
     dispatcher: Dispatcher | None = None
     tables = TableBuilder(
-        ledger,
+        TableStore(settings.data / "tables", ledger, errors),
         library,
-        settings.data / "tables",
         state,
-        errors,
         settings.table_memory,
         trouble=lambda: dispatcher and dispatcher.trouble,
     )

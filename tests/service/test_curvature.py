@@ -23,7 +23,7 @@ from wrenchbook.service.ledger import About, Ledger
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
 from wrenchbook.service.tables.importing import copy_rows, import_files
-from wrenchbook.service.tables.rows import export_rows
+from wrenchbook.service.tables.rows import ExportRows
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Space, space_of
@@ -159,7 +159,7 @@ def test_rows_copied_to_another_component_keep_it(ledger, tmp_path):
 
 
 def test_an_export_of_rows_without_it_has_no_place_for_it():
-    rows = export_rows(noted([replace(ROW, curvature=None)]))
+    rows = ExportRows(noted([replace(ROW, curvature=None)]))
     assert rows.curvature.shape == (1, 0)
     assert "curvature" not in write_json(rows)
 

@@ -57,6 +57,16 @@ def edit(folder, statement):
     db.close()
 
 
+def damaged(seq, column="displacement"):
+    """A statement that clears the numbers of a row in its record."""
+    before, end = (
+        f"CAST(substr({column}, {part}) AS BLOB)"
+        for part in (f"1, 48 * ({seq} - seq)", f"48 * ({seq} - seq + 1) + 1")
+    )
+    cleared = f"CAST({before} || zeroblob(48) || {end} AS BLOB)"
+    return f"UPDATE rows SET {column} = {cleared} WHERE {seq} BETWEEN seq AND seq + count - 1"
+
+
 def overwrite(path, first, count):
     content = bytearray(path.read_bytes())
     content[first : first + count] = random.Random(1).randbytes(count)
@@ -70,7 +80,7 @@ def test_a_directory_in_order_has_no_findings(folder):
 
 def test_a_damaged_row_is_healed_from_its_tables_file_under_its_own_number(folder):
     before = rows_of(folder)
-    edit(folder, "UPDATE rows SET displacement = zeroblob(48) WHERE seq = 7")
+    edit(folder, damaged(7))
     assert len(rows_of(folder)) == len(before) - 1
     found = examine(folder)
     assert "fault: row 7 of rig is damaged" in words(found)
@@ -81,7 +91,7 @@ def test_a_damaged_row_is_healed_from_its_tables_file_under_its_own_number(folde
 
 
 def test_a_healed_row_reaches_a_server_that_had_left_it_out(folder):
-    edit(folder, "UPDATE rows SET displacement = zeroblob(48) WHERE seq = 7")
+    edit(folder, damaged(7))
     keep = folder / "rig.h5"
     (folder / "tables" / "rig.h5").rename(keep)  # the server has to read the ledger
     site = Site(folder)
@@ -96,7 +106,7 @@ def test_a_healed_row_reaches_a_server_that_had_left_it_out(folder):
 
 
 def test_a_row_damaged_in_both_places_is_told_and_not_made_up(folder):
-    edit(folder, "UPDATE rows SET wrench = zeroblob(48) WHERE seq = 7")
+    edit(folder, damaged(7, "wrench"))
     overwrite(folder / "tables" / "rig.h5", 3000, 50)
     found = examine(folder, repair=True)
     assert "row 7 of rig is damaged in the ledger no whole table file has it" in words(found)
@@ -314,7 +324,7 @@ def test_a_foreign_ledger_is_told_and_not_mended(folder):
 def test_the_doctor_mends_rows_while_the_directory_is_in_use(folder):
     site = Site(folder)
     site.open()
-    edit(folder, "UPDATE rows SET displacement = zeroblob(48) WHERE seq = 7")
+    edit(folder, damaged(7))
     site.insert(10, first=60)
     assert "repaired: row 7" in words(examine(folder, repair=True))
     site.insert(10, first=70)

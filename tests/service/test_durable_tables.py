@@ -13,14 +13,14 @@ from tests.service.ledger_rows import NewRow, insert, stored
 from tests.surrogate.law import Law
 from tests.until import until
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
-from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.component import BrokenComponentError
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build as builds
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import CoordinatorState
 from wrenchbook.service.tables.mapped import MappedTables, TableBehindError
-from wrenchbook.service.tables.store import drop_least_used
+from wrenchbook.service.tables.store import TableStore, drop_least_used
+from wrenchbook.service.workspace import Watcher
 from wrenchbook.surrogate.table.hdf5 import read_table, write_table
 
 RANGE = [[-10.0, 10.0]] * 3
@@ -48,7 +48,8 @@ class Site:
             )
         self.state = CoordinatorState(self.folder / "shared")
         assert self.state.take()
-        where = self.ledger, self.library, self.folder / "tables", self.state
+        files = TableStore(self.folder / "tables", self.ledger)
+        where = files, self.library, self.state
         self.builder, self.tables = TableBuilder(*where), MappedTables(*where)
         self.watcher = Watcher(self.ledger)
         self.watcher.on_change(self.tables.wake, self.tables.stamp)
@@ -323,8 +324,9 @@ def test_a_row_damaged_in_the_ledger_is_left_out_of_the_table(site, caplog):
     site.close()
     site.file().unlink()
     file = sqlite3.connect(site.folder / "ledger.sqlite")
-    (blob,) = file.execute("SELECT displacement FROM rows WHERE seq = 4").fetchone()
-    file.execute("UPDATE rows SET displacement = ? WHERE seq = 4", (b"\x01" + blob[1:],))
+    (blob,) = file.execute("SELECT displacement FROM rows WHERE seq = 1").fetchone()
+    blob = blob[: 3 * 48] + b"\x01" + blob[3 * 48 + 1 :]
+    file.execute("UPDATE rows SET displacement = ? WHERE seq = 1", (blob,))
     file.commit()
     file.close()
     site.open()

@@ -29,7 +29,7 @@ CHECK = re.compile(r"CHECK(\((?:[^()]|\((?:[^()]|\([^()]*\))*\))*\))")  # with i
 DUMPS = Path(__file__).parent / "earlier"  # of the schemas of these versions
 
 
-@pytest.fixture(params=["0.2", "0.3"])
+@pytest.fixture(params=["0.2", "0.3", "13"])
 def site(request, tmp_path):
     """A directory of this version; its table file is made from its ledger."""
     site = Site(tmp_path)

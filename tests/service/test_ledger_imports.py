@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from tests.service.ledger_rows import NewRow, insert, stored
+from tests.service.ledger_rows import NewRow, insert, noted, stored
 from wrenchbook.service.ledger import (
     About,
     Ledger,
@@ -13,8 +13,9 @@ from wrenchbook.service.ledger import (
     UnknownRowError,
     imports,
     row_keys,
+    rows,
 )
-from wrenchbook.service.ledger.packing import pack_vector, row_key, row_records, seal
+from wrenchbook.service.ledger.packing import content_key, pack_vector, records_of
 from wrenchbook.surrogate.table.rows import Rows
 
 SOLVE = ("plate", "f1", (1.0, 0, 0, 0, 0, 0))
@@ -55,7 +56,7 @@ def test_rows_of_a_block_have_the_bytes_of_rows_that_come_alone():
     moved[:, 0] = 1e-5
     doubt[:20, 1] = 1e-6
     tangent[10:30] = rng.normal(size=(20, 6, 6))
-    rows = Rows.of(
+    table = Rows.of(
         wrench,
         moved,
         uncertainty=doubt,
@@ -64,16 +65,26 @@ def test_rows_of_a_block_have_the_bytes_of_rows_that_come_alone():
         fingerprint=["f"] * 40,
     )
     notes = [f"line {at}" for at in range(40)]
+    keys = row_keys("rig", NotedRows(table, notes))
     alone = [
-        row_records("rig", NotedRows(rows.take(np.array([at])), [notes[at]]), 5.0)[0]
+        next(records_of("rig", block, row_keys("rig", block), 100 + at, 5.0))
         for at in range(40)
+        for block in [NotedRows(table.take(np.array([at])), [notes[at]])]
     ]
-    assert row_records("rig", NotedRows(rows, notes), 5.0) == alone
-    wrench, moved, tangent, _, doubt = alone[12][3:8]
-    assert alone[12][-2] == row_key("rig", "f", "measured", wrench, moved, doubt)
-    assert alone[12][-1] == seal(alone[12][-2], tangent, "line 12", None)
-    assert alone[3][3] == pack_vector(rows.wrench[3].tolist())
-    assert (alone[35][5], alone[35][7]) == (None, None)
+    assert list(records_of("rig", NotedRows(table, notes), keys, 100, 5.0)) == alone
+    row = alone[12]
+    parts = *(text.encode() for text in ("rig", "f", "measured")), row.wrench, row.displacement
+    assert row.key == content_key(*parts, row.uncertainty)
+    assert row.seal == content_key(row.key, row.compliance, b"line 12")
+    assert alone[3].wrench == pack_vector(table.wrench[3].tolist())
+    assert (alone[35].compliance, alone[35].uncertainty) == (None, None)
+    together = NotedRows(table.take(np.arange(0, 40, 2)), ["note"] * 20)
+    (record,) = records_of("rig", together, keys[::2], 100, 5.0)
+    assert record.key == b"".join(one.key for one in alone[::2])
+    assert record.sound() == [True] * 20
+    for at in range(20):
+        single = alone[2 * at]._replace(seq=100 + at, origin="note")
+        assert repr(record.row(100 + at)) == repr(single.row(100 + at))
 
 
 def test_nothing_of_an_import_is_seen_before_its_end_and_all_of_it_after(ledger):
@@ -191,6 +202,51 @@ def test_a_row_that_somebody_else_brings_meanwhile_stays_though_the_import_ends(
         ledger.import_rows("rig", broken(), About())
     (left,) = stored(ledger, "rig")
     assert left.wrench == tuple(wrench[4])
+
+
+@pytest.mark.parametrize("when", ["before its keys", "after its keys"])
+def test_a_row_that_another_writer_brings_during_an_import_is_there_once(ledger, monkeypatch, when):
+    wrench, moved, *_ = columns(10, 100)
+    same = NewRow(wrench[4].tolist(), moved[4].tolist(), "measured", origin="note")
+    enter = rows.enter
+
+    def entered(db, entries):
+        enter(db, entries)
+        monkeypatch.undo()
+        if when == "after its keys":
+            block = noted([same])
+            counts = rows.insert(db, "rig", block, row_keys("rig", block), 5.0)
+            assert counts == (1, 0)
+
+    def watched():
+        yield from blocks(10, lots=1)
+        if when == "before its keys":
+            assert insert(ledger, "rig", "", [same]) == (1, 0)
+
+    monkeypatch.setattr(rows, "enter", entered)
+    new, known, number = ledger.import_rows("rig", watched(), About())
+    assert (new, known, ledger.imports("rig")[0].rows) == (9, 1, 9)
+    present = stored(ledger, "rig")
+    assert sorted(row.wrench for row in present) == sorted(map(tuple, wrench))
+    assert ledger.import_rows("rig", blocks(10, lots=1), About()) == (0, 10, None)
+    assert ledger.count_rows("rig") == 10
+    assert ledger.edit_import("rig", number, withdrawn=True) == 9
+    assert [row.origin for row in stored(ledger, "rig")] == ["note"]
+
+
+def test_numbers_of_rows_follow_the_file_and_no_number_is_used_by_known_rows(ledger):
+    wrench, moved, *_ = columns(2500)
+    block = NotedRows(Rows.of(wrench, moved, source=["measured"] * 2500), ["note"] * 2500)
+    ledger.import_rows("rig", [block], About())
+    present = stored(ledger, "rig")
+    assert [row.seq for row in present] == list(range(1, 2501))
+    assert [row.wrench for row in present] == list(map(tuple, wrench.tolist()))
+    for _ in range(3):
+        assert ledger.import_rows("rig", [block], About()) == (0, 2500, None)
+        assert insert(ledger, "rig", "", [NewRow(wrench[7], moved[7], origin="x")]) == (0, 1)
+    assert ledger.last_seq("rig") == 2500
+    assert insert(ledger, "rig", "", [NewRow((9.0,) * 6, (0.0,) * 6)]) == (1, 0)
+    assert ledger.last_seq("rig") == 2501
 
 
 def test_a_second_time_changes_nothing_and_is_no_import(ledger):

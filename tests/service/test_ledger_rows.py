@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.service.ledger_rows import NewRow, insert, stored
+from tests.service.ledger_rows import NewRow, insert, noted, stored
 from wrenchbook.service.ledger import (
     DamagedRowError,
     Ledger,
@@ -262,7 +262,8 @@ def damage(ledger, column, seq=2):
 )
 def test_a_row_with_a_flipped_bit_is_served_by_no_reader_and_named(ledger, column, caplog):
     full = [replace(row, compliance=np.eye(6), uncertainty=(1e-9,) * 6) for row in ROWS[:3]]
-    insert(ledger, "plate", "f1", full)
+    for row in full:
+        insert(ledger, "plate", "f1", [row])
     damage(ledger, column)
     assert [row.seq for row in stored(ledger, "plate")] == [1, 3]
     assert ledger.row_changes("plate", 0).rows.seq.tolist() == [1, 3]
@@ -270,6 +271,19 @@ def test_a_row_with_a_flipped_bit_is_served_by_no_reader_and_named(ledger, colum
     assert "row 2 of plate is damaged" in caplog.text
     with pytest.raises(DamagedRowError, match="row 2"):
         ledger.row(2)
+
+
+@pytest.mark.parametrize("column", ["wrench", "displacement", "uncertainty"])
+def test_a_flipped_bit_in_a_record_of_several_rows_takes_its_own_row_alone(ledger, column):
+    full = [replace(row, uncertainty=(1e-9,) * 6, origin="t.csv") for row in ROWS]
+    insert(ledger, "plate", "f1", full)
+    damage(ledger, column, 1)
+    assert [row.seq for row in stored(ledger, "plate")] == list(range(1, 10))
+    assert ledger.damaged == {10: "plate"} == ledger.damaged_rows()
+    row = noted(full[9:], "f1").rows
+    assert ledger.rewrite("plate", 10, row)
+    assert [row.wrench for row in stored(ledger, "plate")] == [row.wrench for row in full]
+    assert insert(ledger, "plate", "f1", full) == (0, 10)
 
 
 def test_a_damaged_row_of_a_job_is_solved_again_when_it_is_asked_for(ledger):

@@ -8,13 +8,14 @@ import pytest
 from tests.service.ledger_rows import NewRow, insert, stored
 from tests.until import until
 from wrenchbook.service.ledger import Ledger
-from wrenchbook.service.ledger.watch import Watcher
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build as builds
 from wrenchbook.service.tables import mapped, store
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
 from wrenchbook.service.tables.mapped import MappedTables, TableBehindError
+from wrenchbook.service.tables.store import TableStore
+from wrenchbook.service.workspace import Watcher
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -35,7 +36,7 @@ class Part:
         self.state = CoordinatorState(folder / "shared")
         if kind is TableBuilder:
             assert self.state.take()
-        self.tables = kind(self.ledger, self.library, folder / "tables", self.state)
+        self.tables = kind(TableStore(folder / "tables", self.ledger), self.library, self.state)
         self.watcher = Watcher(self.ledger)
         if isinstance(self.tables, MappedTables):
             self.watcher.on_change(self.tables.wake, self.tables.stamp)

@@ -25,7 +25,7 @@ from wrenchbook.service.ledger import About, Ledger, NotedRows
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
 from wrenchbook.service.tables.importing import import_files
-from wrenchbook.service.tables.rows import export_rows
+from wrenchbook.service.tables.rows import ExportRows
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Space, space_of
@@ -261,7 +261,7 @@ def test_an_exported_table_of_a_link_is_imported_to_the_same_rows(tmp_path, form
     assert (reply["errors"], reply["inserted"]) == ([], 3)
     with ledger.table_at("copy", space=LINK) as table:
         (lot,) = table.lots
-        again = export_rows(lot)
+        again = ExportRows(lot)
     for name in COLUMNS:
         assert np.array_equal(getattr(again, name), getattr(rows, name), equal_nan=True), name
     ledger.close()

@@ -5,9 +5,9 @@ import threading
 import pytest
 
 from tests.until import until
+from wrenchbook.service import workspace
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
-from wrenchbook.service.ledger import watch as watching
-from wrenchbook.service.ledger.watch import Watcher
+from wrenchbook.service.workspace import Watcher
 
 WRENCH = (1.0, 0, 0, 0, 0, 0)
 
@@ -69,7 +69,7 @@ def test_a_file_is_watched_along_until_its_subscription_ends(watcher, tmp_path):
 def test_a_listener_that_fails_is_called_again_and_keeps_no_other_from_it(
     ledger, watcher, monkeypatch
 ):
-    monkeypatch.setattr(watching, "TROUBLE_S", 0.05)
+    monkeypatch.setattr(workspace, "TROUBLE_S", 0.05)
     calls, noticed = [], threading.Event()
 
     def fails():
