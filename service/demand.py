@@ -171,7 +171,16 @@ class QueryStatistics:
                 for name, counts in counted.items():
                     if name in known or len(known) < MAX_COMPONENTS:
                         known.add(name)
-                        _save(db, name, counts)
+                        total = _saved(db, name)
+                        total.add(counts)
+                        saved = {
+                            "since": total.since,
+                            "elsewhere": total.elsewhere,
+                            "cells": [[*cell, *both] for cell, both in total.cells.items()],
+                            "latest": list(total.latest),
+                        }
+                        values = name, json.dumps(saved)
+                        db.execute("INSERT OR REPLACE INTO demand VALUES (?, ?)", values)
             self._refused = False
         except LedgerError as error:
             self._warn(error)
@@ -203,15 +212,3 @@ def _saved(db: Connection, name: str) -> QueryCounts:
     except (ValueError, KeyError, TypeError) as error:
         log.warning("the demand map of %s begins anew: %s", name, error)
         return QueryCounts()
-
-
-def _save(db: Connection, name: str, counts: QueryCounts) -> None:
-    total = _saved(db, name)
-    total.add(counts)
-    saved = {
-        "since": total.since,
-        "elsewhere": total.elsewhere,
-        "cells": [[*cell, *both] for cell, both in total.cells.items()],
-        "latest": list(total.latest),
-    }
-    db.execute("INSERT OR REPLACE INTO demand VALUES (?, ?)", (name, json.dumps(saved)))

@@ -12,6 +12,7 @@ import os
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -23,9 +24,10 @@ PREFIX = "WRENCHBOOK_"
 FILE = "wrenchbook.toml"  # in the data directory, unless --config names another
 # Variables of other commands and of tests; all others that begin so are taken for settings.
 OTHERS = frozenset(
-    {"SERVER", "KEY", "OWN_KEY", "MEMORY_MARGIN", "WORKER_FOLDER", "PARDISO", "SOLVE", "FUZZ"}
+    {"SERVER", "KEY", "OWN_KEY", "MEMORY_MARGIN", "PARDISO", "SOLVE", "FUZZ"}
     | {"KILLS", "SOAK", "SOAK_KILLS", "SOAK_SEEDS", "BENCH_ROUNDS", "BENCH_UNKNOWNS"}
 )
+_SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # that Dask connects to other machines by
 _DONE, _FAILED = "folders of done attempts are kept", "folders of failed and cancelled ones"
 Count = Annotated[int, Ge(0)]
 Days = Annotated[float, Ge(0)]
@@ -116,6 +118,26 @@ def read_settings(
         elif place == "command line":
             place = f"--{name.replace('_', '-')}"
         raise SettingsError(f"{place}: {first['msg']}, not {first['input']!r}") from error
+
+
+def check_engine(name: str, scheduler: str | None) -> None:
+    """Raise SettingsError, before anything is opened, for an engine that cannot be."""
+    why = None
+    if name not in ("local", "dask"):
+        why = f"there is no engine {name!r}; there are: local, dask"
+    elif name == "local":
+        why = scheduler and "the engine local has no scheduler; add --engine dask"
+    elif not scheduler:
+        why = "the engine dask needs --scheduler tcp://HOST:8786 (or tls://)"
+    elif "://" not in scheduler:
+        why = f"{scheduler!r} is no address; write tcp://{scheduler}"
+    elif scheduler.split("://")[0] not in _SCHEMES:
+        begins = " or ".join(f"{scheme}://" for scheme in _SCHEMES)
+        why = f"{scheduler!r} is no address of a Dask scheduler: it begins with {begins}"
+    elif find_spec("distributed") is None:
+        why = "the engine dask is not installed: pip install wrenchbook[cluster]"
+    if why:
+        raise SettingsError(why)
 
 
 def as_file(settings: Settings, origins: Mapping[str, str]) -> str:

@@ -1,4 +1,4 @@
-"""Which solves become jobs: one wrench's own, a fill's many, and those of a simulator's loop.
+"""Which solves become jobs: one wrench's, a fill's many, and those of a simulator's loop.
 
 A simulator in a loop of 1 kHz asks for wrenches that hardly differ. Its solves are keyed after
 rounding, join open jobs near by, and are limited in number, so that the loop can ask on without
@@ -33,14 +33,14 @@ class NoSetupError(ValueError):
 
 
 @dataclass(frozen=True)
-class Placed:
+class Placement:
     """The job of a wrench, or the reason why it has none: ``queue-limit`` or ``beyond-range``.
 
-    `own`: the job solves this very wrench (as rounded), not one near by.
+    `exact`: the job solves this very wrench (as rounded), not one near by.
     """
 
     job: JobRecord | None
-    own: bool
+    exact: bool
     reason: str = ""
 
 
@@ -75,10 +75,10 @@ class Submission:
         self._ledger = ledger
         self._library = library
         self.queue_limit = queue_limit
-        self._seen: dict[tuple[str, str], _Open] = {}
+        self._known: dict[tuple[str, str], _Open] = {}
         self._lock = threading.Lock()
 
-    def own(
+    def accept(
         self, name: str, wrench: tuple[float, ...], *, urgent: bool, asked_by: str
     ) -> JobRecord:
         """Accept the job of exactly this wrench, whatever is queued; raises NoSetupError.
@@ -108,7 +108,7 @@ class Submission:
             asked_by=asked_by,
         )
 
-    def queue(self, name: str, wrenches: Floats) -> list[Placed]:
+    def queue(self, name: str, wrenches: Floats) -> list[Placement]:
         """Find or accept the jobs of queries' wrenches (n, inputs); raises NoSetupError.
 
         Each is rounded to whole grains, takes the job there is for it, else joins the open job
@@ -121,8 +121,8 @@ class Submission:
         rounded = np.round(component.acting(wrenches) * per_unit) / per_unit
         return self._place(component, rounded, np.inf if component.linear else REACH)
 
-    def each(self, name: str, wrenches: Floats) -> list[Placed]:
-        """Find or accept each wrench's own exact job, (n, inputs), up to the limit.
+    def each(self, name: str, wrenches: Floats) -> list[Placement]:
+        """Find or accept the job of exactly each wrench, (n, inputs), up to the limit.
 
         Raises NoSetupError.
         """
@@ -152,8 +152,8 @@ class Submission:
             )
         return component
 
-    def _place(self, component: Component, wrenches: Floats, reach: float) -> list[Placed]:
-        """Place wrenches as they are: their own jobs, open ones within reach, new ones.
+    def _place(self, component: Component, wrenches: Floats, reach: float) -> list[Placement]:
+        """Place wrenches as they are: their jobs, open ones within reach, new ones.
 
         What is new is chosen in the transaction that accepts it, so that the limit holds however
         many processes queue at once.
@@ -168,7 +168,7 @@ class Submission:
         }
         rest = [place for place, key in enumerate(keys) if key not in jobs]
         if not rest:
-            return [Placed(jobs[key], own=True) for key in keys]
+            return [Placement(jobs[key], exact=True) for key in keys]
         scaled, near_by = wrenches[rest] / scale, self._open(*setup, scale)
         if (near_by.near(scaled, reach) < 0).any() and near_by.queries < self.queue_limit:
 
@@ -194,22 +194,22 @@ class Submission:
         placed = []
         for place, key in enumerate(keys):
             if key in jobs:
-                placed.append(Placed(jobs[key], own=True))
+                placed.append(Placement(jobs[key], exact=True))
             elif place in joined:
                 job = joined[place]
-                placed.append(Placed(records[job.id], own=job.wrench == key))
+                placed.append(Placement(records[job.id], exact=job.wrench == key))
             else:
-                placed.append(Placed(None, own=False, reason="queue-limit"))
+                placed.append(Placement(None, exact=False, reason="queue-limit"))
         return placed
 
     def _open(self, name: str, fingerprint: str, scale: Floats) -> _Open:
         """Return the open jobs, read again only when something was committed."""
         key, version = (name, fingerprint), self._ledger.version()
         with self._lock:
-            seen = self._seen.get(key)
-            if seen is None or seen.version != version:
-                seen = self._seen[key] = _Open(version, self._ledger.open_jobs(*key), scale)
-            return seen
+            known = self._known.get(key)
+            if known is None or known.version != version:
+                known = self._known[key] = _Open(version, self._ledger.open_jobs(*key), scale)
+            return known
 
 
 def spread(scaled: Floats, reach: float, count: int) -> list[int]:

@@ -19,7 +19,13 @@ from wrenchbook.service.cli.connect import AsJson, in_folder
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.files.program import run_child, usable_cores
 from wrenchbook.service.keys import MEGABYTES, RATE, Keyring
-from wrenchbook.service.settings import Settings, SettingsError, as_file, read_settings
+from wrenchbook.service.settings import (
+    Settings,
+    SettingsError,
+    as_file,
+    check_engine,
+    read_settings,
+)
 
 CORES = usable_cores()
 DEFAULT_DATA = Settings.data
@@ -37,7 +43,6 @@ def serve(
     **options: Any,
 ) -> None:
     """Serve the API and solve what is queued."""
-    from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
     from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 
@@ -52,7 +57,7 @@ def serve(
             typer.echo(as_file(settings, origins), nl=False)
             return
         check_engine(settings.engine, settings.scheduler)
-    except (SettingsError, EngineSettingsError) as error:
+    except SettingsError as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(settings.data)
     if settings.first_key:

@@ -352,15 +352,15 @@ class Blend:
 
     def at(self, wrench: Floats) -> BlendedFields:
         """Return the fields at a wrench (6,), N and N·m."""
-        found = self.weights.at(wrench)
-        lambdas = np.concatenate((found.values[:, None], found.slopes), axis=1)
+        at = self.weights.at(wrench)
+        lambdas = np.concatenate((at.values[:, None], at.slopes), axis=1)
         fields = np.tensordot(lambdas, self.values, axes=2)
         moved = 3 * len(self.geometry.vertices)
         displacement = fields[:moved].reshape(-1, 3)
-        error = None if self.spread is None else self.factor * found.sigma * self.spread
+        error = None if self.spread is None else self.factor * at.sigma * self.spread
         stress = fields[moved:].reshape(-1, 6) if len(fields) > moved else None
         factor = self.stress_factor
-        stress_error = None if factor is None else factor * found.sigma
+        stress_error = None if factor is None else factor * at.sigma
         return BlendedFields(displacement, error, stress, stress_error)
 
     def nearest(self, wrench: Floats) -> tuple[int, Floats]:
@@ -377,14 +377,9 @@ class Blend:
 
 def _columns(row: RowFields) -> Floats:
     """Return a row's fields and slopes, shape (7, d)."""
-    parts: list[Any] = []
-    for field, slopes in (
-        (row.displacement, row.displacement_slopes),
-        (row.stress, row.stress_slopes),
-    ):
-        whole = np.concatenate((field[..., None], slopes), axis=-1)
-        parts.append(np.moveaxis(whole, -1, 0).reshape(7, -1))
-    return np.concatenate(parts, axis=1)
+    fields = (row.displacement, row.displacement_slopes), (row.stress, row.stress_slopes)
+    columns = (np.concatenate((field[..., None], slopes), axis=-1) for field, slopes in fields)
+    return np.concatenate([np.moveaxis(of, -1, 0).reshape(7, -1) for of in columns], axis=1)
 
 
 def _conformal(ratios: Floats) -> float:

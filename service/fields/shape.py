@@ -24,14 +24,16 @@ from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 
+# Of the largest discretisation error on the surface, a free vertex's error besides: cells deform
+# wrongly on their own too, by clamps and edges. On six parts 9 of 10 vertices are 3 to 18 % of the
+# largest off what follows the interface; without this 77 to 99 % of vertices are covered, with it
+# 97 % and more (`make bench NAME=surface_error`).
 LOCAL = 0.1
-"""Of the largest discretisation error on the surface, a free vertex's error besides: cells deform
-wrongly on their own too, by clamps and edges. On six parts 9 of 10 vertices are 3 to 18 % of the
-largest off what follows the interface; without this 77 to 99 % of vertices are covered, with it
-97 % and more (`make bench NAME=surface_error`)."""
-
+# Of the scaled compliance's largest singular value: below it are locked freedoms and roundoff.
 _SINGULAR = 1e-9
-"""Of the scaled compliance's largest singular value: below it are locked freedoms and roundoff."""
+ROUNDING = 1e-12  # of the largest displacement: what storing a field and adding up loses at most
+
+Floats = NDArray[np.float64]
 
 NOT_FOLLOWED = (
     "no row has how the surface follows its interface; the next solve of this component will"
@@ -42,12 +44,12 @@ class ErrorParts(NamedTuple):
     """The parts of the error bars of a surface.
 
     `shares` are by cause, ``table``, ``mesh`` and of a linear component ``linearity``: shape (v,),
-    m; None where it is not known. `words` are ``mesh_basis`` and the like: where an estimate is
+    m; None where it is not known. `bases` are ``mesh_basis`` and the like: where an estimate is
     from, or why there is none.
     """
 
     shares: dict[str, Floats | None]
-    words: dict[str, str]
+    bases: dict[str, str]
 
     @property
     def total(self) -> Floats:
@@ -60,12 +62,12 @@ class ErrorParts(NamedTuple):
         return self.shares.get("mesh") is not None
 
     def largest(self) -> dict[str, float | str | None]:
-        """Return the largest of each share, m, and the words."""
+        """Return the largest of each share, m, and the bases."""
         largest = {
             cause: None if share is None else float(share.max(initial=0.0))
             for cause, share in self.shares.items()
         }
-        return largest | self.words
+        return largest | self.bases
 
 
 def vertex_modes(slopes: Floats, compliance: Floats) -> Floats | None:
@@ -95,26 +97,20 @@ def error_parts(
     is the solver's error, None where it was never estimated, `shares` are the interface's, six an
     entry, m and rad; those at small loads without.
     """
-    found: dict[str, Floats | None] = {"table": table, "mesh": None}
+    parts: dict[str, Floats | None] = {"table": table, "mesh": None}
     if solver is None:
-        return ErrorParts(found, {"mesh_basis": UNKNOWN})
-    words = {name: str(text) for name, text in solver.values.items() if name.endswith("_basis")}
+        return ErrorParts(parts, {"mesh_basis": UNKNOWN})
+    bases = {name: str(text) for name, text in solver.values.items() if name.endswith("_basis")}
     if follows is None:
-        return ErrorParts(found, words | {"mesh_basis": NOT_FOLLOWED})
+        return ErrorParts(parts, bases | {"mesh_basis": NOT_FOLLOWED})
     for cause, bars in (shares or solver.parts(wrench.tolist())).items():
         carried = None if bars is None else np.abs(follows) @ np.array(bars)
-        found[cause] = None if carried is None else np.linalg.norm(carried, axis=1)
-    mesh = found["mesh"]
+        parts[cause] = None if carried is None else np.linalg.norm(carried, axis=1)
+    mesh = parts["mesh"]
     if mesh is not None:
         free = follows.any(axis=(1, 2))
-        found["mesh"] = mesh + LOCAL * mesh.max(initial=0.0) * free
-    return ErrorParts(found, words)
-
-
-Floats = NDArray[np.float64]
-
-ROUNDING = 1e-12
-"""Of the largest displacement: what storing a field and adding up loses at most."""
+        parts["mesh"] = mesh + LOCAL * mesh.max(initial=0.0) * free
+    return ErrorParts(parts, bases)
 
 
 class LargestStress(NamedTuple):
@@ -173,7 +169,7 @@ def largest_stress(
     if not len(stress):
         return None
     equivalent = von_mises(stress)
-    strengths = np.array([component.yield_strengths.get(one, np.inf) for one in geometry.regions])
+    strengths = np.array([component.yield_strengths.get(name, np.inf) for name in geometry.regions])
     use = equivalent / strengths[geometry.materials]
     worst = int(use.argmax()) if use.max() >= 1.0 else int(equivalent.argmax())
     region = geometry.regions[int(geometry.materials[worst])]

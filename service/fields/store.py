@@ -96,10 +96,10 @@ class FieldStore:
         Raises `DamagedFieldsError` if the file is damaged, or gone, or of another wrench.
         """
         key = key_of(wrench)
-        found = self._read(self._place(component, fingerprint) / f"{key}.fields")
-        if key_of(found.meta["wrench"]) != key:
+        row = self._read(self._place(component, fingerprint) / f"{key}.fields")
+        if key_of(row.meta["wrench"]) != key:
             raise DamagedFieldsError(f"{key}.fields holds another wrench")
-        return found
+        return row
 
     def linear(self, component: str, fingerprint: str) -> RowFields | None:
         """Return the six unit fields of a linear component; None before its first solve.
@@ -112,10 +112,10 @@ class FieldStore:
     def geometry(self, component: str, fingerprint: str, digest: str) -> SurfaceGeometry:
         """Return the geometry of a row's fields; raises `DamagedFieldsError` without."""
         path = self._place(component, fingerprint) / f"{digest}.geometry"
-        found = read_geometry(_content(path))
-        if found.digest != digest:
+        geometry = read_geometry(_content(path))
+        if geometry.digest != digest:
             raise DamagedFieldsError(f"{path.name} holds another geometry")
-        return found
+        return geometry
 
     def _read(self, path: Path) -> RowFields:
         try:

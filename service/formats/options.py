@@ -378,7 +378,7 @@ def with_own_setup(
     """Yield the rows that a table of the setup `options.fingerprint` may hold."""
     setup = options.fingerprint
     for piece in pieces:
-        if setup is None or not (piece.fingerprint.any() or (piece.source == FEA).any()):
+        if setup is None or not ((piece.fingerprint != "") | (piece.source == FEA)).any():
             yield piece
             continue
         good = np.ones(len(piece), dtype=bool)

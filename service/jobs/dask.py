@@ -1,29 +1,23 @@
 """The engine for an existing Dask cluster; no file system needs to be shared with it.
 
 A worker needs this program: a bundle comes as an argument of the task, an attempt is a subprocess
-in a folder of the worker's, and its files are the task's result. All workers of a user on a machine
-share one folder, so an attempt that is submitted again after a restart of the scheduler or of a
-server is found there, alive or ended. A worker holds a lock of each attempt that it supervises; the
-kernel drops it when the worker dies. The next worker on the machine then supervises the solver, or
-a solver is ended after a minute.
+in the worker's local directory, and its files are the task's result. The scheduler holds the result
+until a server has it, under the attempt's key. A solver ends with its worker; Dask then gives the
+task to another one.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import fcntl
-import io
 import logging
 import os
 import pickle
 import re
 import shutil
-import tempfile
 import threading
 import time
-import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError as FutureCancelled
 from dataclasses import asdict, dataclass
 from hashlib import blake2b
@@ -35,7 +29,6 @@ import distributed
 from distributed import Client, Future, KilledWorker, Worker
 from distributed.client import ClosedClientError
 
-from wrenchbook.service.files import lock as flock
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs import attempt as attempts
@@ -76,15 +69,10 @@ BUNDLE_BYTES = 512 * 1024 * 1024  # the limit of an uploaded bundle
 OUTCOME_BYTES = 8 * 1024 * 1024  # a displacement, a compliance and a history are some kB
 LOG_BYTES = 1024 * 1024  # of the end of a log
 FILES_BYTES = 32 * 1024 * 1024  # a failed solve's mesh, a deck's files
-NAMES = 20  # of the files that stayed behind, in the log
+MAX_NAMES = 20  # in the log, of files that are too large to be sent
 
-FOLDER_VARIABLE = "WRENCHBOOK_WORKER_FOLDER"
 FREE_BYTES = 64 * 1024 * 1024  # a disk with less has no room for a solver's files
-SWEEP_SECONDS = 10.0  # between sweeps
-ORPHAN_SECONDS = 60.0  # a restarted scheduler and its workers are back within a minute
-ATTEMPTS = 200  # ended attempts kept for a server that comes back
-ATTEMPT_SECONDS = 2 * 86400.0  # and for how long: a weekend
-BUNDLES = 50  # components kept on a machine
+BUNDLES = 50  # components that a worker keeps on its disk
 BUNDLE_SECONDS = 3600.0  # a solver has read its bundle long before
 POLL_SECONDS = 0.1  # between a worker's looks at a running solver
 REPORT_SECONDS = 1.0  # between two progress events of an attempt
@@ -95,12 +83,12 @@ OUTLIVE_SECONDS = 1.0
 GRACE_SECONDS = 5.0  # between SIGTERM and SIGKILL of a solver
 
 
+Files = dict[str, bytes]
+"""The content of files by their names, relative to a folder."""
+
+
 class BadPayloadError(Exception):
     """A payload is damaged or too large."""
-
-
-class WorkerFolderError(Exception):
-    """The folder of the workers cannot be used."""
 
 
 # -- on the server --------------------------------------------------------------------------
@@ -117,7 +105,13 @@ class _Worker:
     cores: float
     unfit: str | None = "it has not been looked at yet"  # why it gets no tasks
     looked: float = -float("inf")
-    tasks: frozenset[str] = frozenset()  # attempts on its machine
+
+    @classmethod
+    def of(cls, address: str, entry: dict[str, Any]) -> _Worker:
+        """Return a worker by its entry in the scheduler's list."""
+        resources, threads = entry["resources"], entry["nthreads"]
+        memory = resources.get(MEMORY) or entry["memory_limit"] or float("inf")
+        return cls(address, threads, resources, memory, resources.get(CORES) or threads)
 
 
 @dataclass
@@ -183,7 +177,7 @@ class DaskEngine(attempts.Listeners):
                 self._soon(self._start, task)
 
     def poll(self, attempt: Attempt) -> attempts.State:
-        """Return the attempt's state by the latest event; see `service.jobs.engines`."""
+        """Return the attempt's state by the latest event; see `service.jobs.dispatcher`."""
         if task := self._tasks.get(attempt.task):
             return task.state
         return "finished" if (attempt.folder / OUTCOME).exists() else "lost"
@@ -298,26 +292,18 @@ class DaskEngine(attempts.Listeners):
             except OSError:
                 self._set_away("does not answer")
                 continue
-            self._away = None
-            self._enrol(client, roster["workers"])
+            self._away, known = None, self._workers
+            self._workers = {
+                address: known.get(address) or _Worker.of(address, entry)
+                for address, entry in roster["workers"].items()
+            }
+            now, unfit = time.monotonic(), [each for each in self._workers.values() if each.unfit]
+            due = [worker for worker in unfit if now > worker.looked + LOOK_AGAIN_SECONDS]
+            for worker in due:
+                worker.looked = now
+            if due:
+                self._go(self._look_at(client, due))
             await asyncio.sleep(max(ROSTER_SECONDS, ROSTER_SECONDS_A_WORKER * len(self._workers)))
-
-    def _enrol(self, client: Client, roster: dict[str, dict[str, Any]]) -> None:
-        for address in self._workers.keys() - roster.keys():
-            del self._workers[address]
-        for address, seen in roster.items():
-            if address not in self._workers:
-                resources, threads = seen["resources"], seen["nthreads"]
-                memory = resources.get(MEMORY) or seen["memory_limit"] or float("inf")
-                size = memory, resources.get(CORES) or threads
-                self._workers[address] = _Worker(address, threads, resources, *size)
-        now = time.monotonic()
-        workers = self._workers.values()
-        due = [each for each in workers if each.unfit and now > each.looked + LOOK_AGAIN_SECONDS]
-        for worker in due:
-            worker.looked = now
-        if due:
-            self._go(self._look_at(client, due))
 
     async def _look_at(self, client: Client, workers: list[_Worker]) -> None:
         addresses = [worker.address for worker in workers]
@@ -329,7 +315,7 @@ class DaskEngine(attempts.Listeners):
         for worker in workers:
             answer = answers.get(worker.address)
             if isinstance(answer, dict):
-                worker.tasks, why = frozenset(answer["tasks"]), answer["trouble"]
+                why = answer["trouble"]
                 if answer["version"] != solver_version():
                     why = f"it has wrenchbook {answer['version']}, this server has "
                     why += solver_version()
@@ -359,11 +345,12 @@ class DaskEngine(attempts.Listeners):
             task.run.cancel()
         if task and task.state not in ALIVE:
             return
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, ClosedClientError):
             async with asyncio.timeout(CANCEL_SECONDS if task else None):
                 client = await self._connected(lambda: True)
                 future: Future = Future(f"wrenchbook-{name}", client)  # whoever submitted it
                 await client.cancel([future], force=True)
+                await client.unpublish_dataset(future.key)
         if task:
             self._set(task, await self._end_with(task, attempts.Outcome("cancelled")))
 
@@ -388,24 +375,32 @@ class DaskEngine(attempts.Listeners):
         """Submit the attempt until it has ended and its folder holds the artifacts."""
         ended: attempts.State | None = None
         while ended is None:
+            goes_on = False
             try:
                 ended = await self._try(task)
             except (BadPayloadError, FileNotFoundError) as error:
                 remedy = "add the component again"
                 ended = await self._fail(task, "component_missing", error, remedy)
             except FutureCancelled:
-                await asyncio.sleep(0)  # it was lost with the scheduler, or with its bundle
+                # With the connection, and it goes on, or it was lost with scheduler or bundle.
+                goes_on = True
+                await asyncio.sleep(0)
             except KilledWorker as error:
                 task.killed += 1
                 if task.killed >= KILLED_TIMES:
                     ended = await self._fail(task, "workers_died", error, _KILLED_REMEDY)
             except (OSError, ClosedClientError) as error:  # the connection, or this disk
+                goes_on = True
                 task.waits = f"a Dask worker is not reached: {error}"
                 await asyncio.sleep(AGAIN_SECONDS)
                 task.waits = None
             except Exception as error:
                 _log.warning("task %s failed on the cluster: %r", task.attempt.task, error)
                 ended = await self._fail(task, "cluster_error", error, _FAULT_REMEDY)
+            if self._client and not goes_on:  # the next try must not get the same result
+                with contextlib.suppress(Exception):  # the scheduler may be gone
+                    async with asyncio.timeout(CANCEL_SECONDS):
+                        await self._client.unpublish_dataset(f"wrenchbook-{task.attempt.task}")
             self._set(task, ended or "submitted")
 
     async def _fail(self, task: _Task, kind: str, error: Exception, remedy: str) -> attempts.State:
@@ -427,8 +422,15 @@ class DaskEngine(attempts.Listeners):
         client = await self._connected(lambda: not self._unreachable)
         workers, resources = await self._place(task)
         name, bundle = await self._send(client, attempt.bundle)
+
+        def run(*arguments: Any) -> dict[str, Any]:
+            """Pickled by value: a scheduler unpickles tasks and lacks this program."""
+            from wrenchbook.service.jobs.dask import run_task
+
+            return run_task(*arguments)
+
         future: Future = client.submit(
-            _by_name(),
+            run,
             pickle.dumps(attempt),
             name,
             bundle,
@@ -438,9 +440,12 @@ class DaskEngine(attempts.Listeners):
             resources=resources or None,
             retries=FAULTS,
         )
-        distributed.fire_and_forget(future)  # it goes on without this server, for the next one
         result = asyncio.ensure_future(future.result())
         try:
+            if client.status == "running":  # without the connection the future is cancelled
+                # The task goes on without this server, and its result stays for the next one.
+                with contextlib.suppress(OSError):
+                    await client.publish_dataset(future, name=future.key, override=True)
             while not (await asyncio.wait({result}, timeout=ROSTER_SECONDS))[0]:
                 if workers and not self._away and not self._workers.keys() & workers:
                     # Dask would keep the task for these workers, whichever others come.
@@ -467,8 +472,7 @@ class DaskEngine(attempts.Listeners):
     async def _place(self, task: _Task) -> tuple[list[str] | None, dict[str, float]]:
         """Return the workers that may have an attempt, None for all, and the resources it takes.
 
-        Declared resources are reserved by Dask; other workers are chosen by threads and memory. An
-        attempt that is on a worker's machine already goes there.
+        Declared resources are reserved by Dask; other workers are chosen by threads and memory.
         """
         memory, cores = task.attempt.memory or 0, task.attempt.cores
         while True:
@@ -496,9 +500,8 @@ class DaskEngine(attempts.Listeners):
             for name, need in needs
             if need and all(name in each for each in declared)
         }
-        known = [each.address for each in fit if task.attempt.task in each.tasks][:1]
         everywhere = len(large) == len(self._workers)
-        return known or (None if everywhere else [each.address for each in large]), resources
+        return None if everywhere else [each.address for each in large], resources
 
     async def _send(self, client: Client, folder: str) -> tuple[str, Future]:
         """Return digest and content of a component's files on the cluster, sent once a change."""
@@ -508,35 +511,24 @@ class DaskEngine(attempts.Listeners):
             return [(str(path), stat.st_size, stat.st_mtime_ns) for path, stat in stats]
 
         async with self._sending:
-            seen = await asyncio.to_thread(files)
+            stats = await asyncio.to_thread(files)
             sent = self._bundles.pop(folder, None)
-            if sent is None or sent[0] != seen or sent[2].status not in ("pending", "finished"):
-                content = await asyncio.to_thread(pack, Path(folder))
+            if sent is None or sent[0] != stats or sent[2].status not in ("pending", "finished"):
+                content = await asyncio.to_thread(pack, Path(folder), BUNDLE_BYTES)
                 name, limit = digest(content), "distributed.admin.large-graph-warning-threshold"
                 with dask.config.set({limit: BUNDLE_BYTES}):
                     key = f"wrenchbook-bundle-{name}"
-                    sent = seen, name, client.submit(bytes, content, key=key, retries=FAULTS)
+                    sent = stats, name, client.submit(bytes, content, key=key, retries=FAULTS)
             self._bundles[folder] = sent  # the last used stands last
             for old in list(self._bundles)[:-SENT_BUNDLES]:
                 del self._bundles[old]
             return sent[1], sent[2]
 
 
-def _by_name() -> Callable[..., dict[str, Any]]:
-    """Return `run_task`, pickled by value: a scheduler unpickles tasks and lacks this program."""
-
-    def run(*arguments: Any) -> dict[str, Any]:
-        from wrenchbook.service.jobs.dask import run_task
-
-        return run_task(*arguments)
-
-    return run
-
-
 def _store(task: _Task, payload: dict[str, Any]) -> None:
     """Write the artifacts into the attempt's folder, the outcome last."""
     folder = task.attempt.folder
-    unpack(payload["files"], folder)
+    write_files(payload["files"], folder)
     _mark_begun(task, payload["seconds"])
     if payload["outcome"] is not None:
         write_whole_bytes(folder / OUTCOME, payload["outcome"])
@@ -560,34 +552,44 @@ _FAULT_REMEDY = "see the logs of scheduler and workers; retry the job once the c
 # -- files that travel ------------------------------------------------------------------------
 
 
-def pack(folder: Path, limit: int = BUNDLE_BYTES) -> bytes:
-    """Return the zip of a folder and its subfolders, the same bytes for the same files.
+def read_files(folder: Path, limit: int, skip: Iterable[str] = ()) -> tuple[Files, list[str]]:
+    """Return the files of a folder that are within a limit of bytes, and the names of others."""
+    files, too_large = {}, []
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        name = path.relative_to(folder).as_posix()
+        size = path.stat().st_size
+        if name in skip:
+            continue
+        if size > limit:
+            too_large.append(f"{name} ({size} bytes)")
+            continue
+        limit -= size
+        files[name] = path.read_bytes()
+    return files, too_large
+
+
+def write_files(files: Files, folder: Path) -> None:
+    """Write files into a folder; raises `BadPayloadError`, before, if a name leads out of it."""
+    for name in files:
+        if not name or name.startswith("/") or "\\" in name or ".." in name.split("/"):
+            raise BadPayloadError(f"the file name {name!r} leads out of its folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def pack(folder: Path, limit: int) -> bytes:
+    """Return the content of a folder, the same bytes for the same files.
 
     Raises FileNotFoundError without the folder, `BadPayloadError` for more than `limit` bytes.
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no folder {folder}")
-    content, stayed = _zip(folder, limit)
-    if stayed:
+    files, too_large = read_files(folder, limit)
+    if too_large:
         raise BadPayloadError(f"{folder} holds more than {limit} bytes")
-    return content
-
-
-def _zip(folder: Path, limit: int, skip: tuple[str, ...] = ()) -> tuple[bytes, list[str]]:
-    """Return the zip of the files that are within a limit of bytes, and those beyond it."""
-    content, stayed = io.BytesIO(), []
-    with zipfile.ZipFile(content, "w") as archive:
-        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-            name = path.relative_to(folder).as_posix()
-            if name in skip or (skip and (path.name.startswith(".") or path.is_symlink())):
-                continue
-            size = path.stat().st_size
-            if size > limit:
-                stayed.append(f"{name} ({size} bytes)")
-                continue
-            limit -= size
-            archive.writestr(zipfile.ZipInfo(name), path.read_bytes())  # without its time
-    return content.getvalue(), stayed
+    return pickle.dumps(files)
 
 
 def digest(content: bytes) -> str:
@@ -595,41 +597,26 @@ def digest(content: bytes) -> str:
     return blake2b(content, digest_size=16).hexdigest()
 
 
-def unpack(content: bytes, folder: Path) -> None:
-    """Write the files of a zip into a folder; other files stay.
-
-    Raises `BadPayloadError` if a name leads out of the folder; nothing is written then.
-    """
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        for name in archive.namelist():
-            if not name or name.startswith("/") or "\\" in name or ".." in name.split("/"):
-                raise BadPayloadError(f"the file name {name!r} leads out of its folder")
-        folder.mkdir(parents=True, exist_ok=True)
-        archive.extractall(folder)
-
-
-def place(content: bytes, name: str, folder: Path) -> Path:
-    """Write the files of a zip with the digest `name` into ``folder/name``, all or none.
+def place(content: bytes, name: str, folder: Path) -> None:
+    """Write the files of a packed folder with the digest `name` into ``folder/name``, all or none.
 
     Raises `BadPayloadError` if they were damaged in transit, OSError if they cannot be written.
     """
     if digest(content) != name:
         raise BadPayloadError(f"the files came as {digest(content)}, not as {name}, which was sent")
-    target = folder / name
     partial = folder / f".{name}.{os.getpid()}.{threading.get_ident()}"
     try:
-        unpack(content, partial)
-        partial.rename(target)
+        write_files(pickle.loads(content), partial)
+        partial.rename(folder / name)
     except OSError:
-        if not target.is_dir():  # else another worker wrote the same files
+        if not (folder / name).is_dir():  # else another worker wrote the same files
             raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return target
 
 
-def artifacts(attempt: Attempt) -> tuple[bytes | None, bytes]:
-    """Return the outcome of an ended attempt, and the zip of log and other files, bounded in size.
+def artifacts(attempt: Attempt) -> tuple[bytes | None, Files]:
+    """Return the outcome of an ended attempt, and its log and other files, bounded in size.
 
     The log names the files that are too large; an outcome that is too large becomes a failure. The
     notes on a log come first because its last line is a cause of death.
@@ -642,81 +629,86 @@ def artifacts(attempt: Attempt) -> tuple[bytes | None, bytes]:
             "have the solver give the displacement and write other results to files",
         )
         attempts.write_outcome(attempt, failed)
-    files, stayed = _zip(attempt.folder, FILES_BYTES, (SPEC, LOCK, PROGRESS, LOG, OUTCOME))
+    names = [path.relative_to(attempt.folder).as_posix() for path in attempt.folder.rglob(".*")]
+    files, too_large = read_files(
+        attempt.folder, FILES_BYTES, (SPEC, LOCK, PROGRESS, LOG, OUTCOME, *names)
+    )
     text, notes = b"", ""
     with contextlib.suppress(FileNotFoundError), log.open("rb") as file:
         if (beyond := log.stat().st_size - LOG_BYTES) > 0:
             file.seek(beyond)
             notes = f"[{beyond} bytes of this log are left out here]\n"
         text = file.read(LOG_BYTES)
-    if stayed:
-        names = ", ".join(stayed[:NAMES]) + (", ..." if len(stayed) > NAMES else "")
+    if too_large:
+        names = ", ".join(too_large[:MAX_NAMES]) + (", ..." if len(too_large) > MAX_NAMES else "")
         notes += f"[too large to be sent, left on the worker: {names}]\n"
-    content = io.BytesIO(files)
-    with zipfile.ZipFile(content, "a") as archive:
-        archive.writestr(LOG, notes.encode() + text)
-    return outcome.read_bytes() if outcome.exists() else None, content.getvalue()
+    files[LOG] = notes.encode() + text
+    return outcome.read_bytes() if outcome.exists() else None, files
 
 
 # -- on a worker ------------------------------------------------------------------------------
 
-_solvers: dict[Path, LocalEngine] = {}  # of this worker, one at most, by the workers' folder
+_solvers: list[LocalEngine] = []  # of this process, one at most
 _solvers_lock = threading.Lock()
 
 
+def solvers(worker: Worker) -> LocalEngine:
+    """Return the engine of this worker's solvers, which live from one task to the next."""
+    with _solvers_lock:
+        if not _solvers:
+            threads = worker.state.nthreads
+            _solvers.append(LocalEngine(threads, grace=GRACE_SECONDS, outlived_by_solvers=False))
+        return _solvers[0]
+
+
 def look(dask_worker: Worker) -> dict[str, Any]:
-    """Return version, trouble and attempts (running or ended) of this worker's machine."""
-    folder = worker_folder()
-    solvers_in(folder, dask_worker.state.nthreads)
-    tasks = sorted(path.name for path in (folder / "attempts").iterdir())
-    return {"version": solver_version(), "tasks": tasks, "trouble": _no_room(folder)}
+    """Return version and trouble of this worker."""
+    solvers(dask_worker)
+    trouble = _no_room(dask_worker.local_directory)
+    return {"version": solver_version(), "trouble": trouble}
+
+
+def _no_room(folder: str) -> str | None:
+    """Return why the folder has no room for an attempt; None if it has."""
+    free = shutil.disk_usage(folder).free
+    if free < FREE_BYTES:
+        return f"{folder} is on a disk with {free >> 20} MB left; {FREE_BYTES >> 20} are needed"
+    return None
 
 
 def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
     """Run an attempt, a pickled `Attempt`, of a component with these files to its end.
 
     In the result ``unfit`` is why the worker could not run it. Otherwise ``outcome`` is the content
-    of result.json, None if the solver died, ``files`` the zip of the others, ``seconds`` is how
+    of result.json, None if the solver died, ``files`` has the others by name, ``seconds`` is how
     long the solver ran.
     """
     worker = distributed.get_worker()
     attempt: Attempt = pickle.loads(sent)
-    result: dict[str, Any] = {"worker": worker.address, "unfit": None}
+    result: dict[str, Any] = {"worker": worker.address, "unfit": _no_room(worker.local_directory)}
+    if result["unfit"]:
+        return result
+    folder = Path(worker.local_directory, "wrenchbook")
+    bundle = folder / "bundles" / name  # a worker keeps it under its digest
+    attempt.folder, attempt.bundle = folder / "attempts" / attempt.task, str(bundle)
     try:
-        folder = worker_folder()
-        if not re.fullmatch(r"[\w-][\w.-]{0,119}", attempt.task):
-            raise WorkerFolderError(f"{attempt.task!r} is no task key: it names no folder")
-        attempt.folder = folder / "attempts" / attempt.task
-        with supervised(attempt.folder):
-            if why := _no_room(folder):
-                raise WorkerFolderError(why)
-            bundle = folder / "bundles" / name  # a machine keeps it under its digest
-            if not bundle.is_dir():
-                place(files, name, bundle.parent)
-                drop_old_bundles(bundle.parent)
-            os.utime(bundle)  # bundles in use are kept
-            attempt.bundle = str(bundle)
-            return result | _run_here(worker, attempt, solvers_in(folder))
-    except (OSError, WorkerFolderError, BadPayloadError) as error:
-        return result | {"unfit": str(error)}
-
-
-def _run_here(worker: Worker, attempt: Attempt, engine: LocalEngine) -> dict[str, Any]:
-    folder = attempt.folder
-    if not (folder / OUTCOME).exists() and not flock.is_locked(folder / LOCK):
-        shutil.rmtree(folder, ignore_errors=True)  # of a solver that died with its worker
+        if not bundle.is_dir():
+            place(files, name, bundle.parent)
+            drop_old_bundles(bundle.parent)
+        os.utime(bundle)  # bundles in use are kept
         attempts.prepare(attempt)
+        engine = solvers(worker)
         engine.submit(attempt)
-    finished = _supervise(worker, attempt, engine)
-    if not finished:
-        time.sleep(OUTLIVE_SECONDS)
-        if why := _no_room(worker_folder()):  # solvers die of a full disk
-            raise WorkerFolderError(why)
-    seconds = attempts.solver_seconds(folder) or 0.0
-    outcome, files = artifacts(attempt)
-    if not finished:
-        shutil.rmtree(folder, ignore_errors=True)
-    return {"outcome": outcome, "files": files, "seconds": seconds}
+        if not _supervise(worker, attempt, engine):
+            time.sleep(OUTLIVE_SECONDS)
+            result["unfit"] = _no_room(worker.local_directory)  # solvers die of a full disk
+        result["seconds"] = attempts.solver_seconds(attempt.folder) or 0.0
+        result["outcome"], result["files"] = artifacts(attempt)
+    except (OSError, BadPayloadError) as error:
+        result["unfit"] = str(error)
+    finally:
+        shutil.rmtree(attempt.folder, ignore_errors=True)
+    return result
 
 
 def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
@@ -725,8 +717,7 @@ def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
     Sends progress events: one a second at most, and only changes. Raises Reschedule if the worker
     closes before.
     """
-    changed = threading.Event()
-    key = worker.get_current_task()
+    changed, key = threading.Event(), worker.get_current_task()
     stop_listening = engine.listen(lambda task: changed.set() if task == attempt.task else None)
     last, due, repeat = None, 0.0, 0.0
     try:
@@ -755,110 +746,9 @@ def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
     return state == "finished"
 
 
-def worker_folder() -> Path:
-    """Return the folder of the workers; it is created if it is missing.
-
-    Raises `WorkerFolderError` if it belongs to another user: that user could replace its files.
-    """
-    default = Path(tempfile.gettempdir()) / f"wrenchbook-{os.getuid()}"
-    folder = Path(os.environ.get(FOLDER_VARIABLE) or default)
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():
-        raise WorkerFolderError(f"{folder} belongs to another user; set {FOLDER_VARIABLE}")
-    for name in ("bundles", "attempts", "supervised"):
-        (folder / name).mkdir(exist_ok=True)
-    return folder
-
-
-def solvers_in(folder: Path, threads: int = 1) -> LocalEngine:
-    """Return the engine of this worker's solvers, which live from one task to the next.
-
-    The first call, which is that of `look`, sets the number of idle solvers it keeps, and starts a
-    thread that sweeps the folder.
-    """
-
-    def sweep_on() -> None:
-        orphans: dict[str, float] = {}
-        while True:
-            time.sleep(SWEEP_SECONDS)
-            try:
-                orphans = sweep(folder, engine, orphans)
-            except OSError as error:
-                _log.warning("%s was not swept: %s", folder, error)
-
-    with _solvers_lock:
-        if folder not in _solvers:
-            engine = _solvers[folder] = LocalEngine(threads, grace=GRACE_SECONDS)
-            threading.Thread(target=sweep_on, daemon=True).start()
-        return _solvers[folder]
-
-
-def _no_room(folder: Path) -> str | None:
-    """Return why the folder has no room for an attempt; None if it has."""
-    free = shutil.disk_usage(folder).free
-    if free < FREE_BYTES:
-        return f"{folder} is on a disk with {free >> 20} MB left; {FREE_BYTES >> 20} are needed"
-    return None
-
-
-@contextlib.contextmanager
-def supervised(attempt: Path) -> Iterator[None]:
-    """Hold the attempt's supervision lock; waits while another worker or thread holds it."""
-    descriptor = os.open(_supervision(attempt), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
-
-
 def drop_old_bundles(bundles: Path) -> None:
     """Remove bundles that are neither among the last used nor used within an hour."""
-    visible = [path for path in bundles.iterdir() if not path.name.startswith(".")]
-    for path, age in _aged(visible)[:-BUNDLES]:
-        if age > BUNDLE_SECONDS:
+    ages = {path: time.time() - path.stat().st_mtime for path in bundles.glob("[!.]*")}
+    for path in sorted(ages, key=lambda path: ages[path])[BUNDLES:]:
+        if ages[path] > BUNDLE_SECONDS:
             shutil.rmtree(path, ignore_errors=True)
-
-
-def sweep(folder: Path, engine: LocalEngine, orphans: dict[str, float]) -> dict[str, float]:
-    """End solvers that no worker has supervised for a minute; remove old attempts.
-
-    `orphans` is the result of the sweep before: by task key, when a solver was first seen without
-    a worker, in seconds of `time.monotonic`.
-    """
-    now = time.monotonic()
-    unsupervised: dict[str, float] = {}
-    ended: list[Path] = []
-    for path in (folder / "attempts").iterdir():
-        if flock.is_locked(_supervision(path)):
-            continue
-        attempt = Attempt(0, 0, "", "", "", (), folder=path, task=path.name)
-        if engine.poll(attempt) not in ALIVE:
-            ended.append(path)
-            engine.forget(attempt)
-            continue
-        since = unsupervised[path.name] = orphans.get(path.name, now)
-        if now - since >= ORPHAN_SECONDS:
-            engine.cancel(attempt)
-    for index, (path, age) in enumerate(_aged(ended)):
-        if index >= len(ended) - ATTEMPTS and age <= ATTEMPT_SECONDS:
-            continue
-        if (lock := flock.take(_supervision(path))) is not None:
-            if not flock.is_locked(path / LOCK):
-                shutil.rmtree(path, ignore_errors=True)
-                _supervision(path).unlink(missing_ok=True)
-            os.close(lock)
-    return unsupervised
-
-
-def _supervision(attempt: Path) -> Path:
-    return attempt.parent.with_name("supervised") / attempt.name
-
-
-def _aged(paths: list[Path]) -> list[tuple[Path, float]]:
-    """Return the paths that are still there, the oldest first, with their ages in seconds."""
-    aged: list[tuple[float, Path]] = []
-    for path in paths:
-        with contextlib.suppress(OSError):
-            aged.append((path.stat().st_mtime, path))
-    return [(path, time.time() - at) for at, path in sorted(aged)]

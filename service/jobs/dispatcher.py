@@ -1,4 +1,24 @@
-"""The dispatcher: brings waiting jobs to an engine and their answers to the ledger."""
+"""The dispatcher: brings waiting jobs to an engine and their answers to the ledger.
+
+Engines, `local` and `dask`, execute; the ledger decides. Several threads may call an engine, one at
+a time; no call waits for another machine. ``name`` stands in the ledger: only dispatchers with this
+engine take its attempts over. ``slots`` is how many attempts it takes at the same time, ``trouble``
+what keeps it from running any.
+
+- ``submit`` starts or queues an attempt; OSError or `EngineError` says that nothing runs then.
+- ``attach`` takes over an attempt of another dispatcher, which has died. If nothing of the task is
+  known any more, it is ``lost``, or submitted again under the same key.
+- ``poll`` returns ``submitted`` until a solver works on the attempt, then ``running``, ``finished``
+  once its folder holds a result.json and the other artifacts. ``lost`` is final: no solver lives
+  that could still write one there. A death of workers, scheduler or machines is no state: the
+  engine runs the attempt again. An engine that ends an attempt itself, at its deadline for example,
+  writes the result.json in the solver's stead, once the solver is dead. The cause of a solver's
+  death, as far as it is known, is the last line of the attempt's log.
+- ``cancel`` has the solver end soon; `poll` shows when it counts as ended. It may be repeated, and
+  the attempt may be one that was neither submitted nor attached here.
+- ``forget`` drops what is kept of an attempt that is recorded, or that another dispatcher has;
+  ``close`` releases the engine's resources, and running attempts go on.
+"""
 
 import contextlib
 import functools
@@ -10,6 +30,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.files import lock as flock
@@ -26,10 +47,15 @@ from wrenchbook.service.jobs.attempt import (
     solver_seconds,
     tidy,
 )
-from wrenchbook.service.jobs.engines import Engine
 from wrenchbook.service.ledger import Beat, JobRecord, Ledger, StaleAttemptError
 from wrenchbook.service.library.component import estimate_of
 from wrenchbook.service.tables.solver_errors import SolverErrors
+
+if TYPE_CHECKING:  # only a server with a cluster has Dask, and waits for its import
+    from wrenchbook.service.jobs.dask import DaskEngine
+    from wrenchbook.service.jobs.solver_pool import LocalEngine
+
+    Engine: TypeAlias = LocalEngine | DaskEngine
 
 _log = logging.getLogger(__name__)
 
@@ -127,7 +153,7 @@ class Dispatcher:
     def __init__(
         self,
         ledger: Ledger,
-        engine: Engine,
+        engine: "Engine",
         bundles: Callable[[str], Path],
         jobs_folder: str | Path,
         fields: FieldStore | None = None,
@@ -144,10 +170,9 @@ class Dispatcher:
         self._fields, self._errors = fields, errors
         self._deadline = deadline
         self._lease: Lease | None = None
-        self._attempts: dict[tuple[int, int], Attempt] = {}
+        self._attempts: dict[str, Attempt] = {}  # by task key, as the next
         # Polled often: their end may come without an event, or something is due soon.
-        self._pressing: dict[tuple[int, int], Attempt] = {}
-        self._tasks: dict[str, Attempt] = {}
+        self._pressing: dict[str, Attempt] = {}
         self._begun: dict[tuple[int, int], float] = {}
         self._abandoned: dict[tuple[int, int], float] = {}
         self._reported: deque[str] = deque()
@@ -187,13 +212,22 @@ class Dispatcher:
         self._thread.join()
         self._thread = None
         try:
-            if not keep_solvers:
-                self._end_attempts()
+            deadline = time.monotonic() + STOP_SECONDS
+            attempts = [] if keep_solvers else list(self._attempts.values())
+            for attempt in attempts:
+                self._engine.cancel(attempt)
+            for attempt in attempts:
+                while self._engine.poll(attempt) in ALIVE and time.monotonic() < deadline:
+                    self._wake.clear()
+                    self._wake.wait(LOOK_SECONDS)
+                if not attempt.leaving and self._engine.poll(attempt) not in ALIVE:
+                    with contextlib.suppress(StaleAttemptError):
+                        record(self._ledger, attempt, None, self._fields, self._errors)
         finally:
             for end in self._ends:
                 end()
             # What could not be recorded is left to the next dispatcher.
-            for registry in (self._attempts, self._pressing, self._tasks, self._begun):
+            for registry in (self._attempts, self._pressing, self._begun):
                 registry.clear()
             if self._lease is not None:
                 with contextlib.suppress(Exception):  # it ends all the same
@@ -242,7 +276,7 @@ class Dispatcher:
                 self._leave_unwanted(lease)
             self._next_look = now + LOOK_SECONDS
         while self._reported:
-            attempt = self._tasks.get(self._reported.popleft())
+            attempt = self._attempts.get(self._reported.popleft())
             if attempt is not None:
                 self._look(attempt)
         for attempt in list(self._pressing.values()):
@@ -258,8 +292,15 @@ class Dispatcher:
     def _sweep(self, lease: Lease) -> None:
         if not self._orphans_stopped:
             for job in self._ledger.jobs(status="cancelled", limit=ORPHANS):
-                if job.attempt and job.engine == self._engine.name:
-                    self._stop_orphan(job)
+                if not job.attempt or job.engine != self._engine.name:
+                    continue
+                attempt = self._attempt_of(job)
+                self._engine.cancel(attempt)
+                if self._engine.poll(attempt) in ALIVE:
+                    attempt.adopted = attempt.leaving = True
+                    self._add(attempt)
+                else:
+                    self._engine.forget(attempt)
             self._orphans_stopped = True
         self._adopt_lost(lease)
         for attempt in list(self._attempts.values()):
@@ -284,17 +325,8 @@ class Dispatcher:
                 self._drop(attempt)
             else:
                 attempt.leaving = True
-                self._pressing[attempt.key] = attempt
+                self._pressing[attempt.task] = attempt
                 self._engine.cancel(attempt)
-
-    def _stop_orphan(self, job: JobRecord) -> None:
-        attempt = self._attempt_of(job)
-        self._engine.cancel(attempt)
-        if self._engine.poll(attempt) in ALIVE:
-            attempt.adopted = attempt.leaving = True
-            self._add(attempt)
-        else:
-            self._engine.forget(attempt)
 
     def _adopt_lost(self, lease: Lease) -> None:
         """Take over what dead dispatchers of this engine left; give up what another engine's did.
@@ -323,16 +355,10 @@ class Dispatcher:
                 attempt.taken = attempt.adopted = True
                 attempt.witnessed = self._engine.poll(attempt) in ALIVE
                 self._add(attempt)
-        self._give_up_abandoned(foreign)
-        for owner in lost - {job.owner for job in foreign}:
-            lease.remove(owner)
-            self._ledger.end_lease(owner)
-
-    def _give_up_abandoned(self, jobs: list[JobRecord]) -> None:
         now = time.monotonic()
-        keys = [(job.id, job.attempt) for job in jobs]
+        keys = [(job.id, job.attempt) for job in foreign]
         self._abandoned = {key: self._abandoned.get(key, now) for key in keys}
-        for job in jobs:
+        for job in foreign:
             if now - self._abandoned[job.id, job.attempt] > ABANDONED_SECONDS:
                 _log.warning(
                     "job %d waits again: no dispatcher supervises attempt %d on engine %s any more",
@@ -340,6 +366,9 @@ class Dispatcher:
                 )  # fmt: skip
                 with contextlib.suppress(StaleAttemptError):
                     self._ledger.release(job.id, job.attempt)
+        for owner in lost - {job.owner for job in foreign}:
+            lease.remove(owner)
+            self._ledger.end_lease(owner)
 
     # -- attempts ---------------------------------------------------------------------------
 
@@ -357,16 +386,15 @@ class Dispatcher:
         attempt.bundle = str(bundle.absolute())
 
     def _add(self, attempt: Attempt) -> None:
-        self._attempts[attempt.key] = self._tasks[attempt.task] = attempt
+        self._attempts[attempt.task] = attempt
         if attempt.adopted:
-            self._pressing[attempt.key] = attempt
+            self._pressing[attempt.task] = attempt
 
     def _drop(self, attempt: Attempt) -> None:
         self._engine.forget(attempt)
-        del self._attempts[attempt.key]
-        self._pressing.pop(attempt.key, None)
+        del self._attempts[attempt.task]
+        self._pressing.pop(attempt.task, None)
         self._begun.pop(attempt.key, None)
-        self._tasks.pop(attempt.task, None)
         self._may_claim = True
 
     def _look(self, attempt: Attempt) -> None:
@@ -383,7 +411,7 @@ class Dispatcher:
             counts = attempt.witnessed and (attempt.began or solver_began(attempt.folder))
             if attempt.died is None and state == "lost" and counts:
                 attempt.died = time.monotonic()
-                self._pressing[attempt.key] = attempt
+                self._pressing[attempt.task] = attempt
                 self._may_claim = True
             if attempt.died is not None and time.monotonic() - attempt.died < OUTLIVE_SECONDS:
                 return
@@ -428,18 +456,6 @@ class Dispatcher:
             prepare(attempt)
             self._engine.submit(attempt)
             attempt.taken = True
-
-    def _end_attempts(self) -> None:
-        deadline = time.monotonic() + STOP_SECONDS
-        for attempt in self._attempts.values():
-            self._engine.cancel(attempt)
-        for attempt in self._attempts.values():
-            while self._engine.poll(attempt) in ALIVE and time.monotonic() < deadline:
-                self._wake.clear()
-                self._wake.wait(LOOK_SECONDS)
-            if not attempt.leaving and self._engine.poll(attempt) not in ALIVE:
-                with contextlib.suppress(StaleAttemptError):
-                    record(self._ledger, attempt, None, self._fields, self._errors)
 
 
 def record(

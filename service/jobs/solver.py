@@ -18,15 +18,16 @@ and ``remedy`` is reported with them.
 import argparse
 import contextlib
 import errno
-import functools
 import hashlib
 import importlib
 import math
 import os
 import resource
+import select
 import signal
 import socket
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -124,7 +125,20 @@ class ComponentSolver:
             return _solved(self.ready, attempt, report)
         except MemoryError as error:
             self.spoiled = True
-            raise _out_of_memory(*self._limited) from error
+            estimated, limit = self._limited
+            message = "the machine has no memory left for this solve"
+            remedy = "use fewer solvers at a time or a coarser mesh"
+            if estimated and limit:
+                margin = f"{limit / estimated:.2g}"
+                message = (
+                    f"the solve needs more than the {limit / 1e9:.2g} GB it may take, {margin} "
+                    f"times its estimate of {estimated / 1e9:.2g} GB"
+                )
+                remedy = (
+                    "use a coarser mesh; or, if the machine has the memory, serve with a larger "
+                    f"{MARGIN_VARIABLE} (now {margin})"
+                )
+            raise SolveRefusedError("out_of_memory", message, remedy) from error
         except BaseException:
             self._drop()
             raise
@@ -177,7 +191,14 @@ def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
     """Solve a bundle, or the solver made ready for it, and return the numbers of the outcome."""
     from wrenchbook.fea.solve import solve
 
-    keep = functools.partial(_leave_fields, attempt)
+    def keep(fields: Any) -> None:
+        """Leave surface and stresses next to the outcome, which is worth having without them."""
+        try:
+            leave(attempt.folder, attempt.wrench, fields)
+        except (OSError, ValueError, MemoryError) as error:
+            with contextlib.suppress(OSError):  # on a full disk the log has no room either
+                print(f"the deformed surface was not kept: {error}", file=sys.stderr)
+
     folder = attempt.folder
     solution = solve(ready, attempt.wrench, progress=report, folder=folder, on_fields=keep)
     with contextlib.suppress(OSError):  # a full disk; the outcome holds them too
@@ -195,31 +216,6 @@ def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
         is_deck = isinstance(ready, Bundle)
         result["solver_error"] = unknown_of_deck(ready) if is_deck else accuracy_or_why(ready)
     return result
-
-
-def _leave_fields(attempt: Attempt, fields: Any) -> None:
-    """Leave surface and stresses next to the outcome; an answer is worth having without them."""
-    try:
-        leave(attempt.folder, attempt.wrench, fields)
-    except (OSError, ValueError, MemoryError) as error:
-        with contextlib.suppress(OSError):  # on a full disk the log has no room either
-            print(f"the deformed surface was not kept: {error}", file=sys.stderr)
-
-
-def _out_of_memory(estimated: int | None, limit: int | None) -> SolveRefusedError:
-    if not estimated or not limit:
-        return SolveRefusedError(
-            "out_of_memory",
-            "the machine has no memory left for this solve",
-            "use fewer solvers at a time or a coarser mesh",
-        )
-    return SolveRefusedError(
-        "out_of_memory",
-        f"the solve needs more than the {limit / 1e9:.2g} GB it may take, "
-        f"{limit / estimated:.2g} times its estimate of {estimated / 1e9:.2g} GB",
-        "use a coarser mesh; or, if the machine has the memory, serve with a larger "
-        f"{MARGIN_VARIABLE} (now {limit / estimated:.2g})",
-    )
 
 
 def limit_memory(estimated: int | None) -> int | None:
@@ -452,6 +448,14 @@ def _print_to(file: int) -> None:
     os.close(file)
 
 
+def _end_with(line: int) -> None:
+    """Kill this process and what it started once the other end of the line is closed."""
+    closed = select.poll()
+    closed.register(line, 0)  # a hang-up is always reported
+    closed.poll()
+    os.killpg(0, signal.SIGKILL)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run as the program: lower the priority, solve what comes."""
     _block_sigterm()
@@ -459,9 +463,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--line", type=int, required=True, help="open socket, the solver's end")
     parser.add_argument("--lives", type=int, required=True, help="attempts before it ends")
     parser.add_argument("--niceness", type=int, default=0)
+    parser.add_argument("--end-with-engine", action="store_true", help="even in an attempt")
     options = parser.parse_args(arguments)
     os.set_inheritable(options.line, False)
     os.nice(options.niceness)
+    if options.end_with_engine:
+        threading.Thread(target=_end_with, args=(options.line,), daemon=True).start()
     with socket.socket(fileno=options.line) as line:
         serve(line, options.lives)
 

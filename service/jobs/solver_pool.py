@@ -91,7 +91,7 @@ class LocalEngine(Listeners):
     many wait for work. `environment` is added to the variables that solvers inherit, `niceness` to
     theirs; whatever changes in the variables holds for the next attempt: a solver that was started
     with others is renewed. `grace` seconds pass between SIGTERM and SIGKILL; after `lives` attempts
-    a solver is renewed.
+    a solver is renewed. Without `outlived_by_solvers` they are killed when this process dies.
     """
 
     name = "local"
@@ -105,11 +105,13 @@ class LocalEngine(Listeners):
         niceness: int = 10,
         grace: float = 5.0,
         lives: int = LIVES,
+        outlived_by_solvers: bool = True,
     ) -> None:
         self.slots = slots or usable_cores()
         self._environment = dict(environment or {})
         self._grace = grace
-        self._options = "--niceness", str(niceness), "--lives", str(lives)
+        self._options = ["--niceness", str(niceness), "--lives", str(lives)]
+        self._options += [] if outlived_by_solvers else ["--end-with-engine"]
         self._kill_after: dict[Path, float] = {}
         self._began: dict[Path, float] = {}
         self._overdue: set[Path] = set()
@@ -151,7 +153,7 @@ class LocalEngine(Listeners):
         """Do nothing: lock and files hold the whole state."""
 
     def poll(self, attempt: Attempt) -> State:
-        """Return the attempt's state; see `service.jobs.engines`."""
+        """Return the attempt's state; see `service.jobs.dispatcher`."""
         folder = attempt.folder
         if (folder / OUTCOME).exists():
             return "finished"
@@ -298,7 +300,13 @@ class LocalEngine(Listeners):
         if attempt is not None:
             code = solver.process.returncode
             if code < 0 and not (attempt.folder / OUTCOME).exists():
-                _add_cause(attempt.folder / LOG, -code)
+                try:
+                    name = signal.Signals(-code).name
+                except ValueError:
+                    name = f"signal {-code}"
+                killed = "; often the machine has no memory left" if -code == signal.SIGKILL else ""
+                with contextlib.suppress(OSError), (attempt.folder / LOG).open("a") as log:
+                    log.write(f"the solver was ended by {name}{killed}\n")
             self._report(attempt.task)
 
     def _free(self, solver: SolverProcess, *, stays: bool) -> None:
@@ -325,13 +333,3 @@ def signal_group(group: int, number: int) -> None:
     """Send a signal to a process group, if there is one."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(group, number)
-
-
-def _add_cause(log: Path, number: int) -> None:
-    try:
-        name = signal.Signals(number).name
-    except ValueError:
-        name = f"signal {number}"
-    memory = "; often the machine has no memory left" if number == signal.SIGKILL else ""
-    with contextlib.suppress(OSError), log.open("a", encoding="utf-8") as file:
-        file.write(f"the solver was ended by {name}{memory}\n")

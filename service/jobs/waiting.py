@@ -49,46 +49,36 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
     for name in {run.component for run in taken} - means.keys():
         means[name] = ledger.solve_seconds(name)
     # Remaining time of those that run: 0 for one that takes longer than the mean.
-    left = [
+    remaining = [
         max(0.0, mean - max(0.0, now - (now if run.is_queued else run.began or run.started or now)))
         if (mean := means[run.component]) is not None
         else None
         for run in taken
     ]
     work = [part.waiting * part.seconds if part.seconds is not None else None for part in ahead]
-    expected = None if not slots or trouble else _start(slots, left, work, pause)
-    reason = _reason(job, before, running, slots, trouble, pause)
+    known = [time for time in (*remaining, *work) if time is not None]
+    expected = None
+    if not slots or trouble:
+        pass
+    elif not any(work) and None not in work and len(remaining) < slots:
+        expected = pause
+    elif len(known) == len(remaining) + len(work):
+        soonest = min((time for time in remaining if time is not None), default=0.0)
+        expected = max(pause, sum(known) / slots if any(work) else soonest)
+    if trouble:
+        reason = f"jobs do not run: {trouble}"
+    elif pause:
+        reason = f"its solver has died {job.lost} times; it is tried again in {pause:.0f} s"
+    elif not slots:
+        reason = "this server runs no solvers; it waits for a `wrenchbook work` on the same data"
+    elif before:
+        reason = f"{before} jobs are ahead of it and {running} run, {slots} at a time"
+    elif running >= slots:
+        reason = f"it is the next; all {slots} solvers are busy"
+    else:
+        reason = "it is the next and starts now"
     seconds = ledger.solve_seconds(job.component)
     return Waiting(reason, before, running, slots, seconds, expected)
-
-
-def _start(
-    slots: int, left: list[float | None], work: list[float | None], pause: float
-) -> float | None:
-    """Return when a slot is free for it, s from now, as far as the times are known."""
-    if not any(work) and None not in work and len(left) < slots:
-        return pause
-    known = [time for time in (*left, *work) if time is not None]
-    if len(known) < len(left) + len(work):
-        return None
-    soonest = min((time for time in left if time is not None), default=0.0)
-    return max(pause, sum(known) / slots if any(work) else soonest)
-
-
-def _reason(
-    job: JobRecord, before: int, running: int, slots: int, trouble: str | None, pause: float
-) -> str:
-    if trouble:
-        return f"jobs do not run: {trouble}"
-    if pause:
-        return f"its solver has died {job.lost} times; it is tried again in {pause:.0f} s"
-    if not slots:
-        return "this server runs no solvers; it waits for a `wrenchbook work` on the same data"
-    if before:
-        return f"{before} jobs are ahead of it and {running} run, {slots} at a time"
-    if running >= slots:
-        return f"it is the next; all {slots} solvers are busy"
-    return "it is the next and starts now"
 
 
 MAX_WAITERS: Final = 4096

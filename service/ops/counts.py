@@ -112,11 +112,11 @@ class Counts:
 
 def cumulative(edges: Sequence[float], numbers: Sequence[float]) -> list[tuple[str, float]]:
     """Return cumulative counts by upper edge, the last one infinite."""
-    total, found = 0, []
+    total, buckets = 0, []
     for edge, number in zip((*map(repr, edges), "+Inf"), numbers, strict=True):
         total += number
-        found.append((edge, float(total)))
-    return found
+        buckets.append((edge, float(total)))
+    return buckets
 
 
 class SharedCounts:
@@ -147,8 +147,8 @@ class SharedCounts:
         self._write()
         total, listeners, pids = Counts(), 0, {}
         for path in sorted(self._folder.glob("*.json")):
-            found, more, pid = _read(path)
-            total.add_all(found)
+            counts, more, pid = _read(path)
+            total.add_all(counts)
             listeners += more
             if pid:
                 pids[path.stem] = pid

@@ -63,9 +63,9 @@ def add_request_id(record: logging.LogRecord) -> bool:
     return True
 
 
-def set_up(level: str, how: LogFormat) -> None:
+def set_up(level: str, form: LogFormat) -> None:
     """Log to standard error from `level` up."""
     shown = logging.StreamHandler()
     shown.addFilter(add_request_id)
-    shown.setFormatter(JsonLines() if how == "json" else TextLines())
+    shown.setFormatter(JsonLines() if form == "json" else TextLines())
     logging.basicConfig(level=level.upper(), handlers=[shown], force=True)

@@ -18,7 +18,7 @@ from uvicorn.config import STARTUP_FAILURE
 
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.jobs.engines import open_engine
+from wrenchbook.service.jobs.solver_pool import LocalEngine
 from wrenchbook.service.ledger import FINAL, Ledger, LedgerError
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
@@ -66,7 +66,12 @@ def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
         yield None
         return
     (ledger, library, errors), jobs = parts, settings.data / "jobs"
-    engine = open_engine(settings.engine, settings.solvers, scheduler=settings.scheduler)
+    if settings.engine == "local":
+        engine = LocalEngine(settings.solvers)
+    else:
+        from wrenchbook.service.jobs.dask import DaskEngine  # only a server with a cluster has Dask
+
+        engine = DaskEngine(settings.scheduler or "")
     fields = FieldStore(settings.data / "fields")
     dispatcher = Dispatcher(ledger, engine, lambda name: library[name].folder, jobs, fields, errors)
     stop = threading.Event()

@@ -136,38 +136,44 @@ class Supervisor:
         self.failed = ""
 
     def run(self) -> None:
-        """Run until a signal or a failure ends the server; waits for no single process."""
+        """Run until a signal or a failure ends the server; waits for no single process.
+
+        It ends the web workers, then the builder; a further signal ends all processes at once.
+        """
         for number in (*_ENDS, signal.SIGHUP):
             signal.signal(number, lambda number, _: self._signals.append(number))
         while not self.failed and _ENDS.isdisjoint(self._signals):
-            if self._ready:
-                self._announce()
-            else:
-                self._keep_alive()
+            children = self._builder, *self._web
+            if not self._ready:
+                self._retired = [child for child in self._retired if child.process.is_alive()]
+                self._builder = self._living(self._builder, BUILDER)
+                self._web = [self._living(child, WEB_WORKER) for child in self._web]
                 self._replace()
+            elif not all(child.is_healthy() for child in children):
+                self.failed = "a process of the server did not start; its log says why"
+            elif all(child.started for child in children):
+                print(self._ready, flush=True)
+                self._ready = ""
             wait([child.process.sentinel for child in (self._builder, *self._web)], LOOK_S)
-        self._end()
+        for number in _ENDS:
+            signal.signal(number, lambda number, _: os._exit(128 + number))
+        web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
+        for child in web:
+            child.send(signal.SIGTERM)
+        time.sleep(REFUSE_AFTER_S)
+        with suppress(OSError):  # a connection is refused, rather than left to wait for the end
+            self._bound.shutdown(socket.SHUT_RDWR)
+        for child in web:
+            child.join()
+        self._builder.send(signal.SIGTERM)
+        self._builder.join()
 
     def _start(self, kind: tuple[str, str]) -> Child:
         sockets = () if kind == BUILDER else (self._bound,)
         return Child(kind, self._settings, *sockets)
 
-    def _announce(self) -> None:
-        """Print the address once all processes have started."""
-        children = self._builder, *self._web
-        if not all(child.is_healthy() for child in children):
-            self.failed = "a process of the server did not start; its log says why"
-        elif all(child.started for child in children):
-            print(self._ready, flush=True)
-            self._ready = ""
-
-    def _keep_alive(self) -> None:
-        """Replace processes that have ended or send no heartbeat."""
-        self._retired = [child for child in self._retired if child.process.is_alive()]
-        self._builder = self._living(self._builder, BUILDER)
-        self._web = [self._living(child, WEB_WORKER) for child in self._web]
-
     def _living(self, child: Child, kind: tuple[str, str]) -> Child:
+        """Return a process, or one in its place if it has ended or sends no heartbeat."""
         if child.is_healthy() or self.failed:
             return child
         child.kill()
@@ -196,21 +202,6 @@ class Supervisor:
             new.kill()
             log.error("a new web worker did not start in %d s; the others stay", HEALTH_S)
             self._successor, self._to_replace = None, 0
-
-    def _end(self) -> None:
-        """End the web workers, then the builder; a further signal ends all processes at once."""
-        for number in _ENDS:
-            signal.signal(number, lambda number, _: os._exit(128 + number))
-        web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
-        for child in web:
-            child.send(signal.SIGTERM)
-        time.sleep(REFUSE_AFTER_S)
-        with suppress(OSError):  # a connection is refused, rather than left to wait for the end
-            self._bound.shutdown(socket.SHUT_RDWR)
-        for child in web:
-            child.join()
-        self._builder.send(signal.SIGTERM)
-        self._builder.join()
 
 
 def bind_to(host: str, port: int) -> tuple[socket.socket, str]:

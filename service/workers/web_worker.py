@@ -13,7 +13,7 @@ import threading
 from typing import Final
 
 from wrenchbook.service.files.scratch import take_scratch
-from wrenchbook.service.http.access import security_of
+from wrenchbook.service.http.access import security_settings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.http.server import Server, raise_open_files, server_config
@@ -22,7 +22,7 @@ from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.supervisor import RETIRE
 
 DELAY_S: Final = 0.001  # for each open connection, in which a worker with fewer takes the next one
-LONGEST_DELAY_S: Final = 0.01
+MAX_DELAY_S: Final = 0.01
 SHARE: Final = 8  # of the open connections, one in so many is taken at once: bursts of thousands
 PARSERS = (
     "wrenchbook.service.library.bundles",
@@ -38,7 +38,7 @@ class WebWorker(Server):
         self._ready = ready
         raise_open_files()
         self._scratch = take_scratch()
-        security = security_of(settings)
+        security = security_settings(settings.host, settings.allow_host, settings.allow_origin)
         app = create_app(settings, security)
         super().__init__(server_config(app, settings.log_level, log_config=None))
         # The private server of a command ends before that pays; a process each takes 90 MB.
@@ -78,13 +78,13 @@ class WebWorker(Server):
             self._take(1 + count // SHARE)
             return
         self._loop.remove_reader(self._listening)
-        delay = min(count * DELAY_S, LONGEST_DELAY_S)
-        self._timer = self._loop.call_later(delay, self._look_again, 1 + count // SHARE)
 
-    def _look_again(self, most: int) -> None:
-        self._timer = None
-        self._take(most)
-        self._loop.add_reader(self._listening, self._look)
+        def take() -> None:
+            self._timer = None
+            self._take(1 + count // SHARE)
+            self._loop.add_reader(self._listening, self._look)
+
+        self._timer = self._loop.call_later(min(count * DELAY_S, MAX_DELAY_S), take)
 
     def _take(self, most: int) -> None:
         """Take at most so many of the connections that wait."""
@@ -100,9 +100,9 @@ class WebWorker(Server):
             task.add_done_callback(self._begun.discard)
 
     async def _begin(self, taken: socket.socket) -> None:
-        about = self.config, self.server_state, self.lifespan.state, self._loop
+        arguments = self.config, self.server_state, self.lifespan.state, self._loop
         try:
-            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*about), taken)
+            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*arguments), taken)
         except OSError:
             taken.close()
 

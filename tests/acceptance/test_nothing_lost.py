@@ -41,7 +41,7 @@ class Site:
         self._mender.start()
         if cluster:
             self._options = ("--engine", "dask", "--scheduler", cluster.address)
-            self._attempts = cluster.worker_folder / "attempts"
+            self._attempts = cluster.folder / "scratch"
         else:
             self._options = ()
             self._attempts = server.folder / "jobs"

@@ -20,7 +20,6 @@ from wrenchbook.service.jobs.attempt import (
     read_outcome,
     read_progress,
 )
-from wrenchbook.service.jobs.engines import open_engine
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 HERE = Path(__file__).parent
@@ -146,13 +145,6 @@ def test_ended_solvers_leave_no_zombies(tmp_path):
     pid = solver_pid(folder)
     os.kill(pid, signal.SIGKILL)
     until(lambda: not Path(f"/proc/{pid}").exists())
-
-
-def test_an_engine_is_opened_by_name():
-    assert open_engine("local", 3).slots == 3
-    assert open_engine().slots >= 1
-    with pytest.raises(ValueError, match="there are: local"):
-        open_engine("cloud")
 
 
 def test_a_lock_is_held_until_its_holder_lets_go(tmp_path):

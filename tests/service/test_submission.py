@@ -44,8 +44,8 @@ def test_wrenches_that_round_to_the_same_are_one_job_and_its_own(opened):
     scale = submission.solvable(NAME).load_range.scale
     wrench = 0.25 * scale
     first, second = submission.queue(NAME, np.array([wrench, wrench + 0.4 / GRAINS * scale]))
-    assert first.own
-    assert second.own
+    assert first.exact
+    assert second.exact
     assert first.job == second.job
 
 
@@ -64,7 +64,7 @@ def test_a_done_job_is_found_again_even_at_the_limit(opened):
     ledger.commit(job.id, claimed.attempt, [0.0] * 6)
     submission.queue(NAME, wrenches(submission, 50, 8))
     placed = submission.queue(NAME, wrench)[0]
-    assert (placed.job.id, placed.job.status, placed.own) == (job.id, "done", True)
+    assert (placed.job.id, placed.job.status, placed.exact) == (job.id, "done", True)
 
 
 def test_a_cancelled_job_is_not_joined_but_asked_for_anew(opened):
@@ -99,4 +99,4 @@ def test_a_loop_on_a_linear_component_queues_one_solve_not_sixty_four(opened):
         *(submission.queue("bar", one[None])[0] for one in some),
     ]
     assert {one.job.id for one in placed} == {1}
-    assert [one.own for one in placed[:20]] == [True] + 19 * [False]
+    assert [one.exact for one in placed[:20]] == [True] + 19 * [False]

@@ -34,21 +34,18 @@ class Cluster:
         self.folder = folder
         self.port = free_port()
         self.address = f"tcp://127.0.0.1:{self.port}"
-        self.worker_folder = folder / "worker"
-        self.environment = (
-            dict(os.environ)
-            | SETTINGS
-            | {
-                "PYTHONPATH": f"{TESTS}:{SOURCES}",
-                "WRENCHBOOK_WORKER_FOLDER": str(self.worker_folder),
-            }
-        )
+        self.environment = dict(os.environ) | SETTINGS | {"PYTHONPATH": f"{TESTS}:{SOURCES}"}
         if solver:
             self.environment["WRENCHBOOK_SOLVE"] = f"stand_in:{solver}"
         self.environment |= settings
         self.scheduler = None
         self.workers = []
         self._numbers = itertools.count(1)
+
+    def attempts(self, task="*"):
+        """The folders of an attempt on the workers, or of all."""
+        scratch = self.folder / "scratch"
+        return list(scratch.glob(f"dask-scratch-space/*/wrenchbook/attempts/{task}"))
 
     def start_scheduler(self):
         command = ["scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"]
@@ -120,8 +117,8 @@ class Cluster:
         for program in (self.scheduler, *self.workers):
             if program is not None:
                 kill(program)
-        for lock in self.worker_folder.glob("attempts/*/lock"):
-            kill_solver(lock)
+        for folder in self.attempts():
+            kill_solver(folder / "lock")
 
     def _start(self, command, log, environment):
         self.folder.mkdir(parents=True, exist_ok=True)

@@ -20,10 +20,10 @@ from wrenchbook.service.jobs.solver_pool import LocalEngine
 class Bench:
     """Attempts in a folder, engines of one kind that run them, and their solvers' processes."""
 
-    def __init__(self, folder, open_engine, attempts):
+    def __init__(self, folder, open_engine, cluster=None):
         self.folder = folder
         self.open_engine = open_engine
-        self._attempts = attempts
+        self._cluster = cluster
         self._numbers = itertools.count(1)
         self._name = uuid.uuid4().hex[:8]
         self._engines = []
@@ -74,25 +74,23 @@ class Bench:
         """Whether a solver has counted its start; it is known by its pid before."""
         return Path(attempt.fingerprint).exists()
 
-    def solver_folder(self, attempt):
-        """The folder that the solver works in."""
-        return attempt.folder if self._attempts is None else self._attempts / attempt.task
+    def solver_folders(self, attempt):
+        """The folders that solvers of the attempt work in, or have worked in."""
+        return [attempt.folder] if self._cluster is None else self._cluster.attempts(attempt.task)
 
     def pid(self, attempt):
         """The solver's pid as long as it lives; None otherwise."""
-        lock = self.solver_folder(attempt) / LOCK
-        if not lock.exists() or not is_locked(lock):
-            return None
-        text = lock.read_text()
-        return int(text) if text.isdigit() else None
+        for folder in self.solver_folders(attempt):
+            lock = folder / LOCK
+            if lock.exists() and is_locked(lock):
+                text = lock.read_text()
+                return int(text) if text.isdigit() else None
+        return None
 
     def go(self, attempt):
         """Let a solver end that waits for it."""
-        (self.solver_folder(attempt) / "go").touch()
-
-    def is_supervised(self, attempt):
-        """Whether a Dask worker is at the attempt."""
-        return is_locked(self._attempts.with_name("supervised") / attempt.task)
+        for folder in self.solver_folders(attempt):
+            (folder / "go").touch()
 
     def kill_solver(self, attempt):
         os.kill(until(lambda: self.pid(attempt)), signal.SIGKILL)
@@ -129,7 +127,7 @@ def bench(request, tmp_path):
     if request.param == "local":
         environment = {"WRENCHBOOK_SOLVE": "stand_in:by_component"}
         environment["PYTHONPATH"] = f"{TESTS}:{SOURCES}"
-        bench = Bench(tmp_path, lambda: LocalEngine(2, environment=environment, grace=5.0), None)
+        bench = Bench(tmp_path, lambda: LocalEngine(2, environment=environment, grace=5.0))
     else:
         bench = dask_bench(tmp_path, request.getfixturevalue("shared_cluster"))
     yield bench
@@ -145,5 +143,4 @@ def own(tmp_path, cluster):
 
 
 def dask_bench(folder, cluster):
-    attempts = cluster.worker_folder / "attempts"
-    return Bench(folder, lambda: DaskEngine(cluster.address), attempts)
+    return Bench(folder, lambda: DaskEngine(cluster.address), cluster)

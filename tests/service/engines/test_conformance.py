@@ -122,7 +122,7 @@ def test_a_cancelled_solver_ends_though_the_dispatcher_stops_at_once(bench):
 def test_a_solver_that_does_not_hear_ends_all_the_same(bench):
     engine = bench.engine()
     attempt = bench.started("deaf", engine)
-    until(lambda: read_progress(bench.solver_folder(attempt)))
+    until(lambda: any(map(read_progress, bench.solver_folders(attempt))))
     engine.cancel(attempt)
     bench.end(engine, attempt)
     until(lambda: bench.pid(attempt) is None)

@@ -3,22 +3,38 @@
 import os
 import signal
 
+import psutil
+
 from tests.service.engines.cluster import kill
 from tests.until import until
 from wrenchbook.service.jobs.attempt import ALIVE, read_progress
 
 
-def test_a_worker_that_dies_is_replaced_and_its_solver_is_found_alive(own, cluster):
+def test_a_worker_that_dies_is_replaced_and_its_solver_ends_with_it(own, cluster):
     cluster.start_scheduler()
     worker = cluster.start_worker()
     engine = own.engine()
     attempt = own.started("counted_until_go", engine)
+    solver = psutil.Process(own.pid(attempt))
+    until(lambda: own.has_begun(attempt))
     kill(worker)
+    solver.wait(20)
     cluster.start_worker()
-    until(lambda: own.is_supervised(attempt))
+    until(lambda: own.starts(attempt) == 2)
     own.go(attempt)
     assert own.end(engine, attempt) == "finished"
-    assert own.starts(attempt) == 1
+    assert own.starts(attempt) == 2
+
+
+def test_what_a_solver_started_ends_with_its_worker_too(own, cluster):
+    cluster.start_scheduler()
+    worker = cluster.start_worker()
+    attempt = own.started("leaves_a_child", own.engine())
+    (folder,) = own.solver_folders(attempt)
+    until((folder / "child").exists)
+    child = psutil.Process(int(until((folder / "child").read_text)))
+    kill(worker)
+    child.wait(20)
 
 
 def test_a_worker_and_its_solver_that_die_together_count_for_nothing(own, cluster):
@@ -44,8 +60,9 @@ def test_a_task_that_dask_gives_up_for_its_dead_workers_is_ordered_again(own, cl
     attempt = own.started("counted_until_go", engine)
     until(lambda: engine.poll(attempt) == "running")
     kill(worker)
-    own.go(attempt)
     cluster.start_worker()
+    until(lambda: own.starts(attempt) == 2)
+    own.go(attempt)
     assert own.end(engine, attempt) == "finished"
     assert own.outcome(attempt).status == "done"
 
@@ -55,6 +72,7 @@ def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
     cluster.start_worker()
     engine = own.engine()
     attempt = own.started("counted_until_go", engine)
+    until(lambda: own.has_begun(attempt))
     waiting = [own.attempt("quick") for _ in range(3)]
     for one in waiting:
         engine.submit(one)
@@ -64,11 +82,11 @@ def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
     assert all(engine.poll(one) in (*ALIVE, "finished") for one in (attempt, *waiting))
     cluster.mend(1)
     until(lambda: cluster.mend(1) or not engine.trouble, 60)  # workers end with their scheduler
-    until(lambda: own.is_supervised(attempt))
+    until(lambda: own.starts(attempt) == 2)  # solvers end with their workers
     own.go(attempt)
     for one in (attempt, *waiting):
         assert own.end(engine, one) == "finished"
-    assert own.starts(attempt) == 1
+    assert own.starts(attempt) == 2
 
 
 def test_a_connection_that_is_lost_and_comes_back_finds_the_same_task(own, cluster):
@@ -87,7 +105,7 @@ def test_a_connection_that_is_lost_and_comes_back_finds_the_same_task(own, clust
 def test_a_worker_that_is_stopped_holds_nothing_up_for_long(own, cluster):
     """Dask drops it after `worker-ttl`, and another worker takes what it had."""
     cluster.start_scheduler()
-    worker = cluster.start_worker(WRENCHBOOK_WORKER_FOLDER=str(cluster.folder / "elsewhere"))
+    worker = cluster.start_worker()
     engine = own.engine()
     attempt = own.attempt("counted_until_go")
     engine.submit(attempt)

@@ -8,7 +8,7 @@ from tests.service.engines.cluster import free_port
 from tests.until import until
 from wrenchbook.service.jobs.attempt import EngineError
 from wrenchbook.service.jobs.dask import DaskEngine
-from wrenchbook.service.jobs.engines import EngineSettingsError, check_engine
+from wrenchbook.service.settings import SettingsError, check_engine
 
 OTHER_VERSION = """
 import importlib.metadata as metadata
@@ -38,7 +38,7 @@ def test_an_address_where_nobody_is_is_told_and_keeps_nobody_waiting(tmp_path, o
     ],
 )
 def test_settings_that_cannot_work_are_refused_at_once(name, scheduler, why):
-    with pytest.raises(EngineSettingsError, match=why):
+    with pytest.raises(SettingsError, match=why):
         check_engine(name, scheduler)
 
 
