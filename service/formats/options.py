@@ -304,10 +304,13 @@ def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> P
 def is_within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
     """Return which rows of the columns of a `ParsedTable` are within all limits, (n,)."""
     good = np.ones(len(columns["seq"]), dtype=bool)
-    numbers = (columns[name] for name in ("wrench", "displacement", "uncertainty"))
-    for at, name, message in _excesses(*numbers, options):
+    wrench, displacement, uncertainty = (
+        columns[name] for name in ("wrench", "displacement", "uncertainty")
+    )
+    for at, name, message in _excesses(wrench, displacement, uncertainty, options):
         good[at] = False
-        report.mistakes.add(int(columns["seq"][at]), report.labels.get(name, name), message)
+        label = report.labels.get(name or "", name or "")
+        report.mistakes.add(int(columns["seq"][at]), label, message)
     return good
 
 
