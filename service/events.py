@@ -114,7 +114,7 @@ class Feed:
         if len(self._listeners) >= MAX_LISTENERS:
             raise TooManyListenersError(
                 f"{MAX_LISTENERS} listeners are connected, the most this server has; end one, or "
-                "poll GET /v1/jobs and GET /v1/components"
+                "poll GET /v1/jobs and GET /v1/components. Nothing was changed."
             )
         mark, _, number = (last_id or self._newest()).partition(".")
         known = mark == self._mark and number.isdecimal()
@@ -193,10 +193,7 @@ class Events:
         self._seen: Seen | None = None
         self._looked = asyncio.Event()
         self._wake = asyncio.Event()
-
-    def wake(self) -> None:
-        """Look soon: something was committed. For the loop."""
-        self._wake.set()
+        self.wake = self._wake.set  # look soon: something was committed; for the loop
 
     async def stop(self) -> None:
         """End the listeners and look no more."""

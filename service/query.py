@@ -50,7 +50,7 @@ _ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}
 class Query(NamedTuple):
     """A query of the main call, of a batch or of DirectFEA; a tuple takes a third of the time.
 
-    `on_thin` "solve" asks no table, `method` None is the component's own, and so is `tolerance`.
+    `on_thin` "solve" uses no table; without `method` or `tolerance` the component's apply.
     A batch has its wrenches beside it: its `wrench` is empty.
     """
 
@@ -95,7 +95,7 @@ class SolveFailedError(RefusedError):
         message, remedy = error.get("message", ""), error.get("remedy", "")
         # Failures that older versions stored end in their remedy already.
         text = message if message.endswith(remedy) else f"{message} {remedy}"
-        retry = f"Once mended, POST /v1/jobs/{job.id}/retry."
+        retry = f"Once it is repaired, POST /v1/jobs/{job.id}/retry."
         super().__init__(f"{text} {retry}".strip(), error=error)
         self.kind = error.get("kind", "unknown")
         self.job = job
@@ -105,8 +105,8 @@ class SolveFailedError(RefusedError):
 class Outcome:
     """The kernel's reply, and the solve that gave it or will.
 
-    `unsolved`: a solve was asked for and has not answered. `began`: when the request that has the
-    job began, s since the epoch; later jobs are its own. `row`: the ledger's number of the row that
+    `unsolved`: a solve was requested and has not answered. `began`: when the request that has the
+    job began, s since the epoch; later jobs are new. `row`: the ledger's number of the row that
     a solve gave, `notes` those of its solver. `details`: further fields of the reply.
     """
 
@@ -141,7 +141,7 @@ class BatchOutcome:
 
     @property
     def unsolved(self) -> bool:
-        """Whether a solve that was asked for has not answered."""
+        """Whether a solve that was requested has not answered."""
         return any(placed.job is None or not placed.job.is_final for placed in self.jobs.values())
 
 
@@ -193,7 +193,7 @@ def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
 
 
 def answered_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Outcome, bool]:
-    """Return the table's answer, and whether it is the whole answer to a plain query.
+    """Return the table's answer, and whether that completes the reply to a plain query.
 
     It is not where that needs a solve, another thread or a refusal.
     """
@@ -314,14 +314,14 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
 def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
     """Return the short form of a job, as displacement answers carry it.
 
-    `since`, the start of the request that queued it, s, adds whether the job is the request's own.
+    `since`, the start of the request that queued it, s, adds whether the request has queued it.
     """
-    own = {} if since is None else {"new": job.created >= since}
-    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}", **own}
+    new = {} if since is None else {"new": job.created >= since}
+    return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}", **new}
 
 
 def fields_of(outcome: Outcome) -> dict[str, Any]:
-    """Return the fields of a reply, for JSON."""
+    """Return the fields of a `messages.Displacement`, as its JSON has them."""
     table, reply = outcome.table, outcome.reply
     value, error, names = reply.outputs, reply.error, outcome.table.interfaces
     fields: dict[str, Any] = {"component": outcome.component}
@@ -376,7 +376,7 @@ async def answer_or_submit_many(
 ) -> BatchOutcome:
     """Return the answers of a component's table to wrenches and, where that is too thin, of solves.
 
-    `queue` places wrenches as those of a loop; `wait` gives each its own exact solve. Either adds
+    `queue` places wrenches as those of a loop; `wait` gives each an exact solve. Either adds
     no more open jobs than queries may have. Raises UnknownComponentError, and what `submit_many`
     does.
     """
@@ -456,7 +456,7 @@ def _also(reason: str, more: str) -> str:
 
 
 def _being_built(component: Component, table: ServedTable, on_thin: Wanted, count: int) -> str:
-    """How many rows a table will have more in a moment, in words; "" if none.
+    """Return the number of rows that are being built into a table, as text; "" if none.
 
     Raises TableBehindError if no solve can answer in their place, and the table has no rows or the
     query takes no estimate.
@@ -532,7 +532,7 @@ def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
 
 
 def _error_parts(table: ServedTable, reply: Reply, *, has_fea: bool) -> dict[str, Any]:
-    """Return the parts of an error bar by cause, and their bases in words."""
+    """Return the parts of an error bar by cause, and their bases as text."""
 
     def part(bars: Sequence[float | None] | None) -> dict[str, Any] | None:
         return None if bars is None else by_part(bars, table.interfaces)

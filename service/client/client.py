@@ -155,7 +155,8 @@ class DisplacementCalls(Connection):
             reply = self.call("POST", path, content, kind=BINARY, query=query, wait_s=wait_s)
             return Displacements.read_binary(name, block, reply)
         body = {"wrenches": block.tolist()} | chosen
-        return Displacements.read(name, block, self.call_json("POST", path, body, wait_s=wait_s))
+        reply = self.call_json("POST", path, body, wait_s=wait_s)
+        return Displacements.read({"component": name} | reply, block)
 
     def solve(
         self,
@@ -198,7 +199,7 @@ class DisplacementCalls(Connection):
         """Send the loads that `loads_body` returns."""
         path, body = component_path(name, call), loads | chosen
         reply = self.call_json("POST", path, body, wait_s=_server_wait(chosen))
-        return Displacement.read(name, wrench_of(loads), reply, loads.get("loads"))
+        return Displacement.read({"component": name} | reply, wrench_of(loads), loads.get("loads"))
 
 
 def _server_wait(chosen: Document) -> float:

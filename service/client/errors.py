@@ -40,7 +40,7 @@ class ProblemError(WrenchbookError):
     status : int
         HTTP status.
     title, detail : str
-        What is wrong in a few words; what exactly, and what to do.
+        What is wrong, in short; what exactly, and what to do.
     errors : list of dict
         The mistakes one by one: ``{loc, msg}`` of a body, ``{row, field, message}`` of a table.
     body : dict, optional
@@ -49,7 +49,7 @@ class ProblemError(WrenchbookError):
     Attributes
     ----------
     retry_after : float or None
-        Seconds after which the server may take the request, where it tells.
+        Seconds after which the server may take the request, if it names a time.
     """
 
     retry_after: float | None = None

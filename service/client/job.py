@@ -42,9 +42,9 @@ class Job(JobLink):
     seconds: float | None = None
 
     @classmethod
-    def read(cls, body: Mapping[str, Json], component: str = "") -> Self:
+    def read(cls, body: Mapping[str, Json], component: str = "", **more: Any) -> Self:
         """Make a job of its JSON, whose short form lacks the component."""
-        job = super().read(body)
+        job = super().read(body, **more)
         job.__dict__["component"] = job.component or component
         return job
 

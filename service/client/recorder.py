@@ -234,7 +234,15 @@ class Recorder:
 
     def _send_all(self) -> None:
         wait, longest = BACKOFF_S
-        while (block := self._next()) is not None:
+        while True:
+            with self._changed:
+                while not self._blocks:
+                    if self._closing:
+                        return
+                    self._changed.wait(FLUSH_S)
+                    if not self._blocks and time.monotonic() - self._opened_at >= FLUSH_S:
+                        self._seal()
+                block = self._blocks[0]
             try:
                 reply = self._client.send_block(
                     self.component, self.kind, block, self._key, self._sequence
@@ -263,18 +271,6 @@ class Recorder:
                     self._sequence += 1
                     self.reply, self._trouble = reply, None
                     self._changed.notify_all()
-
-    def _next(self) -> bytes | None:
-        """Wait for a block, and return it; None at the end."""
-        with self._changed:
-            while True:
-                if self._blocks:
-                    return self._blocks[0]
-                if self._closing:
-                    return None
-                self._changed.wait(FLUSH_S)
-                if not self._blocks and time.monotonic() - self._opened_at >= FLUSH_S:
-                    self._seal()
 
     def _seal(self) -> None:
         """Make the block that is being filled a full one."""

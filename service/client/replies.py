@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import messages
 from ..contract import COVERAGE
 from .errors import Document, InvalidArgument, Json
 from .job import Job, joined
@@ -31,11 +32,10 @@ EXACT = "One row of the table has exactly this wrench."
 ROUNDED = "One row of the table has this wrench, rounded to 1e-6 of the load range."
 
 
-@dataclass(frozen=True, eq=False)
-class Displacement:
+class Displacement(messages.Displacement):
     """The answer to one wrench, in the undeformed interface frame.
 
-    Parameters
+    Attributes
     ----------
     component : str
         Its name.
@@ -61,72 +61,56 @@ class Displacement:
     reason : str
         Why it is not covered, or has no job; may be empty.
     within_tolerance : bool or None
-        Whether the whole error bar is within the tolerance. A covered answer that is not has a
+        Whether the total error bar is within the tolerance. A covered answer that is not has a
         solver whose own error, of its mesh say, is larger; no row lowers that. None if unknown.
     derivative : numpy.ndarray or None
         du/dw, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if it was requested
         and is known; NaN where an output is not.
     interfaces : dict of str to Displacement
-        Of a component with several interfaces each one's own displacement by its name; the whole
-        has no translation and rotation then. Empty otherwise.
+        Of a component with several interfaces each one's displacement by its name; the answer
+        itself has no translation and rotation then. Empty otherwise.
     raw : dict
         The reply as it came; with ``detail`` it has ``axes``.
     """
 
-    component: str
     wrench: Vector
-    translation: Vector | None
-    rotation: Vector | None
-    error_translation: Vector | None
-    error_rotation: Vector | None
-    coverage: str
-    source: str | None
-    method: str | None
-    table_version: int | None
-    elapsed_us: float | None
-    job: Job | None
-    reason: str
-    within_tolerance: bool | None = None
-    derivative: Vector | None = None
-    raw: Document = field(default_factory=dict, repr=False)
+    job: Job | None = None
     interfaces: Mapping[str, Displacement] = field(default_factory=dict)
 
     @classmethod
     def read(
         cls,
-        component: str,
-        wrench: Vector,
-        body: Mapping[str, Json],
+        body: Mapping[str, Any],
+        wrench: Vector | None = None,
         loads: Mapping[str, Json] | None = None,
+        **more: Any,
     ) -> Self:
         """Make one from the reply to `wrench`, shape (6,), N and N·m, or to the wire's loads."""
-        error = body.get("error") or {}
-        job, shared = body.get("job"), {k: v for k, v in body.items() if k != "displacements"}
+        shared = {name: value for name, value in body.items() if name != "displacements"}
         parts = {
-            name: cls.read(component, wrench_of((loads or {}).get(name, {})), shared | part)
+            name: cls.read(shared | part, wrench_of((loads or {}).get(name, {})))
             for name, part in body.get("displacements", {}).items()
         }
         if parts:
             wrench = np.concatenate([part.wrench for part in parts.values()])
-        return cls(
-            component=body.get("component") or component,
+        job = body.get("job")
+        return super().read(
+            body,
             wrench=wrench,
-            translation=_array(body.get("translation")),
-            rotation=_array(body.get("rotation")),
-            error_translation=_array(error.get("translation")),
-            error_rotation=_array(error.get("rotation")),
-            coverage=body["coverage"],
-            source=body.get("source"),
-            method=body.get("method"),
-            table_version=body.get("table_version"),
-            elapsed_us=body.get("elapsed_us"),
-            job=Job.read(job, component) if job else None,
-            reason=body.get("reason") or "",
-            within_tolerance=body.get("within_tolerance"),
-            derivative=_array(body.get("derivative")),
-            raw=dict(body),
             interfaces=parts,
+            job=Job.read(job, body.get("component", "")) if job else None,
+            **more,
         )
+
+    @property
+    def error_translation(self) -> Vector | None:
+        """The error bars of the translation, shape (3,), m."""
+        return self.error["translation"] if self.error else None
+
+    @property
+    def error_rotation(self) -> Vector | None:
+        """The error bars of the rotation, shape (3,), rad."""
+        return self.error["rotation"] if self.error else None
 
     @property
     def covered(self) -> bool:
@@ -202,7 +186,7 @@ class Displacement:
     def _repr_html_(self) -> str:
         if self.interfaces:
             return "".join(
-                f"<p>{name}</p>{one._repr_html_()}" for name, one in self.interfaces.items()
+                f"<p>{name}</p>{part._repr_html_()}" for name, part in self.interfaces.items()
             )
         unknown = np.full(6, np.nan)
         moved, errors = self.vector, self.error_vector
@@ -221,11 +205,10 @@ class Displacement:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Displacements:
+class Displacements(messages.Displacements):
     """The answers to a batch of wrenches.
 
-    Parameters
+    Attributes
     ----------
     component : str
         Its name.
@@ -248,46 +231,50 @@ class Displacements:
     method : str or None
         How the table answered.
     within_tolerance : numpy.ndarray of bool or None
-        Shape (n,): where the whole error bar is known and within the tolerance; None without one.
+        Shape (n,): where the total error bar is known and within the tolerance; None without one.
     derivatives : numpy.ndarray or None
         du/dw, shape (n, outputs, inputs), SI, a line an output, if requested; NaN where it is not
         known.
     """
 
-    component: str
+    # By wrench and as arrays, where the JSON has lists.
+    jobs: dict[int, Job]  # pyright: ignore[reportIncompatibleVariableOverride]
+    coverage: NDArray[np.str_]  # pyright: ignore[reportIncompatibleVariableOverride]
+    within_tolerance: NDArray[np.bool_] | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    derivatives: Vector | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     wrenches: Vector
-    displacements: Vector
-    errors: Vector
-    coverage: NDArray[np.str_]
-    jobs: dict[int, Job]
-    no_job: dict[int, str]
-    table_version: int | None
-    elapsed_us: float | None
-    method: str | None = None
-    within_tolerance: NDArray[np.bool_] | None = None
-    derivatives: Vector | None = None
-    raw: Document = field(default_factory=dict, repr=False)
+    no_job: dict[int, str] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, component: str, wrenches: Vector, body: Mapping[str, Json]) -> Self:
-        """Make one from the reply to `wrenches`, shape (n, 6), N and N·m."""
-        count, jobs = len(wrenches), body.get("jobs") or ()
-        return cls(
-            component=body.get("component") or component,
+    def read(cls, body: Mapping[str, Any], wrenches: Vector | None = None, **more: Any) -> Self:
+        """Make one from the reply to `wrenches`, shape (n, inputs), SI."""
+        unknown, jobs = (np.nan,) * 6, body.get("jobs") or ()
+        blocks: dict[str, Any] = {}
+        for name in ("displacements", "errors"):
+            rows = body[name]
+            missing = next(((np.nan,) * len(row) for row in rows if row is not None), unknown)
+            blocks[name] = np.array([missing if row is None else row for row in rows], dtype=float)
+            blocks[name] = blocks[name].reshape(len(rows), len(missing))
+        if (slopes := body.get("derivatives")) is not None:
+            shape = next((np.shape(slope) for slope in slopes if slope is not None), (6, 6))
+            nothing = np.full(shape, np.nan)
+            arrays = [
+                nothing if slope is None else np.array(slope, dtype=float) for slope in slopes
+            ]
+            blocks["derivatives"] = np.array(arrays).reshape(len(arrays), *shape)
+        if (flags := body.get("within_tolerance")) is not None:
+            blocks["within_tolerance"] = np.array([flag is True for flag in flags], dtype=bool)
+        return super().read(
+            body,
+            **blocks | more,
             wrenches=wrenches,
-            displacements=_block(body["displacements"], count),
-            errors=_block(body["errors"], count),
             coverage=np.array(body["coverage"], dtype=np.str_),
             jobs={
-                job["index"]: Job.read(job, component) for job in jobs if job.get("id") is not None
+                job["index"]: Job.read(job, body.get("component", ""))
+                for job in jobs
+                if job.get("id") is not None
             },
             no_job={job["index"]: job.get("reason") or "" for job in jobs if job.get("id") is None},
-            table_version=body.get("table_version"),
-            elapsed_us=body.get("elapsed_us"),
-            method=body.get("method"),
-            within_tolerance=judged(body.get("within_tolerance")),
-            derivatives=_tangents(body.get("derivatives")),
-            raw=dict(body),
         )
 
     @classmethod
@@ -306,20 +293,23 @@ class Displacements:
             reply.headers.get(f"Wrenchbook-{name}")
             for name in ("Table-Version", "Elapsed-Us", "Jobs")
         )
-        return cls(
+        within = None
+        if (limits := reply.headers.get("Wrenchbook-Tolerance")) is not None:  # m, rad
+            allowed = np.repeat([float(limit) for limit in limits.split(",")], 3)
+            within = bars_within(block[:, m:-1], np.resize(allowed, m))
+        return super().read(
+            {"jobs_queued": int(jobs or 0)},
             component=component,
             wrenches=wrenches,
             displacements=block[:, :m],
             errors=block[:, m:-1],
             coverage=np.array(COVERAGE)[block[:, -1].astype(int)],
             jobs={},
-            no_job={},
             table_version=None if version is None else int(version),
             elapsed_us=None if elapsed is None else float(elapsed),
             method=reply.headers.get("Wrenchbook-Method"),
-            within_tolerance=_within(block[:, m:-1], reply.headers.get("Wrenchbook-Tolerance")),
+            within_tolerance=within,
             derivatives=rest.reshape(count, m, -1) if len(rest) else None,
-            raw={"jobs_queued": int(jobs or 0)},
         )
 
     def __len__(self) -> int:
@@ -365,48 +355,8 @@ def _named(names: Sequence[str], block: Vector, word: str) -> Document:
     return named_columns(names, block)
 
 
-def _array(values: Json) -> Vector | None:
-    """Return floats, NaN for null, as an array that is not written to by mistake, or None."""
-    if values is None:
-        return None
-    array = np.array(values, dtype=float)
-    array.flags.writeable = False
-    return array
-
-
-def judged(flags: Json) -> NDArray[np.bool_] | None:
-    """Return where error bars are within the tolerance, shape (n,), dimensionless, or None."""
-    return None if flags is None else np.array([one is True for one in flags], dtype=bool)
-
-
-def _within(bars: Vector, tolerance: str | None) -> NDArray[np.bool_] | None:
-    """Return the same of error bars (n, m), m and rad, and "translation, rotation", m and rad."""
-    if tolerance is None:
-        return None
-    allowed = np.repeat([float(one) for one in tolerance.split(",")], 3)
-    return bars_within(bars, np.resize(allowed, bars.shape[1]))
-
-
 def bars_within(bars: Vector, allowed: ArrayLike) -> NDArray[np.bool_]:
     """Return where error bars (n, m), m and rad, are known and within the allowed ones (m,)."""
     unknown = np.isnan(bars)
     within = np.all(unknown | (bars <= np.asarray(allowed, dtype=float)), axis=1)
     return np.logical_and(within, ~np.all(unknown, axis=1))
-
-
-def _tangents(found: Json) -> Vector | None:
-    """Return shape (n, m, inputs) of a batch's derivatives, NaN for null; None without any."""
-    if found is None:
-        return None
-    shape = next((np.shape(one) for one in found if one is not None), (6, 6))
-    unknown = np.full(shape, np.nan)
-    blocks = [unknown if one is None else np.array(one, dtype=float) for one in found]
-    return np.array(blocks).reshape(len(blocks), *shape)
-
-
-def _block(rows: Json, count: int) -> Vector:
-    """Return shape (n, m); a row, or a number, that is null becomes NaN."""
-    outputs = next((len(row) for row in rows if row is not None), 6)
-    unknown = (np.nan,) * outputs
-    block = np.array([unknown if row is None else row for row in rows], dtype=float)
-    return block.reshape(count, outputs)

@@ -132,7 +132,11 @@ class Scene:
         ServerUnreachable, ServerTimeout
             See `Connection.call`.
         """
-        return self._plan(client) if isinstance(client, Connection) else client.run(self._plan)
+        if isinstance(client, Connection):
+            return self._plan(client)
+        if not hasattr(client, "run"):
+            raise InvalidArgument(f"plan takes a Client or an AsyncClient, not {client!r}")
+        return client.run(self._plan)
 
     def _plan(self, client: Connection) -> dict[str, ComponentPlan]:
         reply = client.call_json("POST", "/v1/scenes/plan", {"components": self.components})

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import os
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter_ns
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.library import kernel
 from wrenchbook.surrogate.packed.format import write_file
 
-from ..contract import COVERAGE, LOADS
+from ..contract import COVERAGE, LOADS, Coverage
 from .errors import InvalidArgument, TableError, required
 from .notebook import html_table, named_columns
 from .replies import EXACT, ROUNDED, Displacement, Displacements, bars_within
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from wrenchbook.surrogate.kernel.replies import Floats, Reply
     from wrenchbook.surrogate.table.space import Input, Output, Space
 
-_WHOLE = len(LOADS)  # loads, or outputs, of one interface
+_PER_INTERFACE = len(LOADS)  # loads, or outputs, of one interface
 _ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
 
 
@@ -183,17 +183,21 @@ class Table:
         if slope is not None:
             slope.flags.writeable = False
             slope = None if np.isnan(slope).all() else slope
-        if packed.outputs == _WHOLE:
+        if packed.outputs == _PER_INTERFACE:
             wrench = next(iter(wrenches.values()))
             return self._displacement(wrench, reply, 0, elapsed_us, slope)
         parts = {
             name: self._displacement(
-                wrenches.get(name, np.zeros(_WHOLE)), reply, _WHOLE * k, elapsed_us, slope
+                wrenches.get(name, np.zeros(_PER_INTERFACE)),
+                reply,
+                _PER_INTERFACE * k,
+                elapsed_us,
+                slope,
             )
             for k, name in enumerate(packed.space.interfaces)
         }
-        whole = np.concatenate([part.wrench for part in parts.values()])
-        return self._displacement(whole, reply, None, elapsed_us, slope, parts)
+        wrench = np.concatenate([part.wrench for part in parts.values()])
+        return self._displacement(wrench, reply, None, elapsed_us, slope, parts)
 
     def _displacement(
         self,
@@ -212,22 +216,25 @@ class Table:
             source = reply.source
             reason = f"{EXACT if reply.exact else ROUNDED} {reason}".rstrip()
         return Displacement(
-            self.name,
-            wrench,
-            _frozen(moved and moved[start : start + 3]),
-            _frozen(moved and moved[start + 3 : start + 6]),
-            _frozen(error and error[start : start + 3]),
-            _frozen(error and error[start + 3 : start + 6]),
-            coverage=reply.coverage,
+            component=self.name,
+            wrench=wrench,
+            translation=_frozen(moved[start : start + 3]) if moved else None,
+            rotation=_frozen(moved[start + 3 : start + 6]) if moved else None,
+            error={
+                "translation": _frozen(error[start : start + 3]),
+                "rotation": _frozen(error[start + 3 : start + 6]),
+            }
+            if error
+            else None,
+            coverage=cast(Coverage, reply.coverage),
             source=source,
             method=reply.method,
             table_version=self.version,
             elapsed_us=elapsed_us,
-            job=None,
             reason=reason,
+            missing=reply.missing,
             within_tolerance=reply.within_tolerance,
             derivative=slope,
-            raw={"missing": reply.missing} if reply.missing else {},
             interfaces=interfaces or {},
         )
 
@@ -243,7 +250,12 @@ class Table:
         Negative zeros become zeros, as the server reads them.
         """
         packed = self.packed
-        if force is not None and loads is None and inputs is None and packed.inputs == _WHOLE:
+        if (
+            force is not None
+            and loads is None
+            and inputs is None
+            and packed.inputs == _PER_INTERFACE
+        ):
             wrench = one_wrench(force, moment)
             return (wrench + 0.0).tolist(), {"": wrench}
         body, space = loads_body(force, moment, loads, inputs), packed.space
@@ -257,7 +269,7 @@ class Table:
             values = space.vector(six, body.get("inputs", {}))
         except ValueError as error:
             raise InvalidArgument(f"{self.name}: {error}") from None
-        return [value + 0.0 for value in values], wrenches or {"": np.zeros(_WHOLE)}
+        return [value + 0.0 for value in values], wrenches or {"": np.zeros(_PER_INTERFACE)}
 
     def allowed_errors(self, tolerance: Tolerance | None) -> tuple[float, ...] | None:
         """Return the largest error of each output, shape (m,), m and rad; None for its own."""
@@ -265,7 +277,7 @@ class Table:
             return None
         pair = tolerance_body(tolerance)
         kinds = (pair["translation"],) * 3 + (pair["rotation"],) * 3
-        return kinds * (self.packed.outputs // _WHOLE)
+        return kinds * (self.packed.outputs // _PER_INTERFACE)
 
     def batch(
         self,
@@ -303,7 +315,6 @@ class Table:
             errors=replies.errors,
             coverage=np.array(COVERAGE)[replies.coverage],
             jobs={},
-            no_job={},
             table_version=packed.words["provenance"]["version"],
             elapsed_us=elapsed_us,
             method=packed.answers_by(method),
@@ -498,10 +509,8 @@ class DownloadCalls(Connection):
         return Table(packed, name, self, etag, scene)
 
 
-def _frozen(values: tuple[float, ...] | None) -> Vector | None:
-    """Return floats, NaN for None, as an array that is not written to by mistake, or None."""
-    if values is None:
-        return None
+def _frozen(values: Sequence[float | None]) -> Vector:
+    """Return floats, NaN for None, as an array that is not written to by mistake."""
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array

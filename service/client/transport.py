@@ -30,7 +30,7 @@ BINARY = "application/octet-stream"
 RETRY_S = 10.0  # a restart takes 2.5 s with 20 tables of 20,000 rows
 BACKOFF_S = (0.1, 1.0)  # between attempts: doubled from, up to
 _ONE_WRITE = 65_536  # bytes that are worth copying to be sent at once: any request but a batch
-# What a call raises when the other side has closed a kept connection.
+# What a call raises when the other side has closed an idle connection.
 _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
 _ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
 _BLANK_LINE = b"\r\n\r\n"
@@ -172,7 +172,7 @@ class Connection:
             Seconds that the server may wait before it answers; adds to the timeout.
         repeatable : bool
             Whether sending the request twice does no more than once. Others are sent once, on a new
-            connection: the server may have closed a kept one.
+            connection: the server may have closed an idle one.
         retry : bool
             Whether a server that refuses the connection is tried again, and one that is busy (503
             with Retry-After) if `repeatable`.
@@ -217,7 +217,7 @@ class Connection:
     def _send(
         self, method: str, head: bytes, content: bytes, timeout: float, repeatable: bool
     ) -> Response:
-        """Send a request on a kept connection, or on a new one if there is none or it is dead."""
+        """Send a request on an idle connection, or on a new one."""
         self._require_wanted()
         if self._process_id != os.getpid():
             # Forked: the sockets belong to the parent. Drop them without a byte on the wire.
@@ -226,7 +226,7 @@ class Connection:
             try:
                 return self._exchange(connection, method, head, content, timeout)
             except _CLOSED:
-                self.close()  # the server has closed what was kept: once more on a new one
+                self.close()  # the server has closed the idle ones: once more on a new one
         try:
             connection = self._kind(self._host, self._port)
             return self._exchange(connection, method, head, content, timeout)

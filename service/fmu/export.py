@@ -253,8 +253,9 @@ def make_fmu(
         raise UnknownMethodError(method)
     if not table.words["provenance"]["rows"]:
         raise NotExportableError("the table has no rows: fill or import it first, then export it")
-    groups = range(len(table.words["groups"]))
-    if not all(len(table.arrays[f"g{number}/near/moved"]) for number in groups):
+    low, high = table.arrays["space/ends"]
+    rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.words["groups"]))]
+    if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
         raise NotExportableError(
             "all rows of the table are outside its load range: nothing answers within it"
         )
@@ -308,8 +309,8 @@ def universal(slices: Sequence[bytes]) -> bytes:
 def _source_paths() -> list[Path]:
     """Return the files that an FMU is compiled from: C sources and headers."""
     folder = Path(__file__).parent / "c"
-    own = [name for name in SOURCES if name.startswith("fmu_")]
-    return [*(folder / name for name in (*own, *_HEADERS)), *_KERNEL]
+    sources = [name for name in SOURCES if name.startswith("fmu_")]
+    return [*(folder / name for name in (*sources, *_HEADERS)), *_KERNEL]
 
 
 @cache  # what differs between FMUs is their table: the library is the same

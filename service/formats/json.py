@@ -207,7 +207,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
             cells += [None] * len(names)
             continue
         width = len(columns.wrench) if key == "compliance" else len(names)
-        lines = values if key == "compliance" else [values]
+        lines: Any = values if key == "compliance" else [values]
         are_lists = isinstance(lines, list) and all(isinstance(line, list) for line in lines)
         if not are_lists or [*map(len, lines)] != [width] * (len(names) // width):
             problems.append((key, _form(key, names, width, is_missing=values is None)))
@@ -244,7 +244,8 @@ def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) ->
     """Return numbers as floats, None for null where that is allowed; else it is a mistake."""
     cells: list[float | None] = []
     for index, value in enumerate(line):
-        problem, is_null = "", value is None and key in ("displacement", "uncertainty")
+        problem = ""
+        is_null = value is None and key in ("displacement", "uncertainty")
         if type(value) is Digits and not math.isfinite(float(value)):
             problem = "is not finite; leave the row out"
         elif type(value) is Digits and float(value) == 0.0 and vanished(value):
@@ -253,7 +254,7 @@ def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) ->
             problem = f"{json.dumps(value)[:40]} is not a number"
         if problem:
             problems.append((f"{key}[{index}]", problem))
-        cells.append(None if is_null or problem else float(value))
+        cells.append(None if value is None or problem else float(value))
     return cells
 
 

@@ -304,10 +304,13 @@ def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> P
 def is_within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
     """Return which rows of the columns of a `ParsedTable` are within all limits, (n,)."""
     good = np.ones(len(columns["seq"]), dtype=bool)
-    numbers = (columns[name] for name in ("wrench", "displacement", "uncertainty"))
-    for at, name, message in _excesses(*numbers, options):
+    wrench, displacement, uncertainty = (
+        columns[name] for name in ("wrench", "displacement", "uncertainty")
+    )
+    for at, name, message in _excesses(wrench, displacement, uncertainty, options):
         good[at] = False
-        report.mistakes.add(int(columns["seq"][at]), report.labels.get(name, name), message)
+        label = report.labels.get(name or "", name or "")
+        report.mistakes.add(int(columns["seq"][at]), label, message)
     return good
 
 
@@ -378,7 +381,7 @@ def with_own_setup(
     """Yield the rows that a table of the setup `options.fingerprint` may hold."""
     setup = options.fingerprint
     for piece in pieces:
-        if setup is None or not (piece.fingerprint.any() or (piece.source == FEA).any()):
+        if setup is None or not ((piece.fingerprint != "") | (piece.source == FEA)).any():
             yield piece
             continue
         good = np.ones(len(piece), dtype=bool)

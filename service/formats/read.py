@@ -101,7 +101,8 @@ class ReadResult:
             for name in ("source", "fingerprint"):
                 text = part.fields[name]
                 columns[name] = np.full(n, text) if isinstance(text, str) else np.array(text)
-            yield ParsedTable(**columns | dict(part.arrays), space=self.space)
+            columns |= dict(part.arrays)
+            yield ParsedTable(**columns, space=self.space)
 
 
 def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) -> ReadResult:

@@ -30,7 +30,6 @@ from wrenchbook.service.keys import (
     digest_of,
     is_loopback,
 )
-from wrenchbook.service.settings import Settings
 
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 PERMISSION: Final = "wrenchbook.permission"  # its key in a request's scope
@@ -43,6 +42,7 @@ _PUBLIC_FOLDERS: Final = ("/page/",)
 _PUBLIC: Final = frozenset({"/", "/docs", "/openapi.json", "/favicon.ico", "/health/live"})
 _JSON: Final = b"application/json"
 _BYTES: Final = b"application/octet-stream"
+_QUERIES: Final = ("/displacement", "/displacements")
 _BINARY: Final = ("/displacements", "/recording", "/envelope")
 # Calls that name what they take themselves: files of many kinds.
 _ANY_TYPE: Final = ("/table", "/v1/components")
@@ -101,29 +101,21 @@ class SecuritySettings:
     own_key: str | None = None
 
 
-def security_settings(
-    host: str, hosts: str | None, origins: str | None, own_key: str | None = None
-) -> SecuritySettings:
+def security_settings(host: str, hosts: str | None, origins: str | None) -> SecuritySettings:
     """Security settings of a server that listens on an address; `hosts`, `origins` by commas.
 
     On loopback it answers to loopback's names and those listed: a page of another site whose name
     is made to mean this machine (DNS rebinding) is refused. Elsewhere it needs keys, and answers to
-    any name unless some are listed.
+    any name unless some are listed. The server's own key is in the environment.
     """
-    listed, local = _listed(hosts), is_loopback(host)
-    names = LOOPBACK_NAMES | {host} | listed if local or listed else None
-    sites = frozenset(site.rstrip("/").lower() for site in _listed(origins))
-    return SecuritySettings(not local, names, sites, own_key)
 
+    def listed(text: str | None) -> frozenset[str]:
+        return frozenset(part.strip().lower() for part in (text or "").split(",") if part.strip())
 
-def security_of(settings: Settings) -> SecuritySettings:
-    """Security settings of a server by its settings and the environment."""
-    own_key = os.environ.get(OWN_KEY)
-    return security_settings(settings.host, settings.allow_host, settings.allow_origin, own_key)
-
-
-def _listed(text: str | None) -> frozenset[str]:
-    return frozenset(part.strip().lower() for part in (text or "").split(",") if part.strip())
+    local, names = is_loopback(host), listed(hosts)
+    allowed = LOOPBACK_NAMES | {host} | names if local or names else None
+    sites = frozenset(site.rstrip("/") for site in listed(origins))
+    return SecuritySettings(not local, allowed, sites, os.environ.get(OWN_KEY))
 
 
 class Rates:
@@ -159,8 +151,10 @@ class Rates:
                     break
             with suppress(OSError):
                 content = os.pread(file, MAX_KEYS * _BUCKET.size, 0)
-        whole = len(content) - len(content) % _BUCKET.size
-        buckets = {held: full for held, full in _BUCKET.iter_unpack(content[:whole]) if full > now}
+        size = len(content) - len(content) % _BUCKET.size
+        buckets = {
+            key_name: full for key_name, full in _BUCKET.iter_unpack(content[:size]) if full > now
+        }
         full = max(buckets.get(name, now), self._known.get(name, now))
         if full > now + 2.0 * at_once:  # of an earlier start of the machine
             full = now
@@ -224,8 +218,8 @@ class AccessControl:
         self.security = security
         self.keyring = keyring
         self._rates = rates or Rates()
-        own = digest_of(security.own_key or "")
-        self._own = Key("own", "admin", own, 0.0, _NO_LIMIT, int(_NO_LIMIT))
+        digest = digest_of(security.own_key or "")
+        self._own = Key("own", "admin", digest, 0.0, _NO_LIMIT, int(_NO_LIMIT))
         self._permissions: dict[str, Permission] = {}
         self._streams: weakref.WeakKeyDictionary[Listener, Permission] = weakref.WeakKeyDictionary()
         self.heads: dict[bytes, Any] = {}  # cache of the fast path, emptied once a key changes
@@ -292,7 +286,11 @@ class AccessControl:
             return OPEN
         self._check_origin(head)
         permission = self._permission(head)
-        needed = _needed(method, path)
+        # Whether a displacement queues anything stands in its body, which is read later.
+        is_query = path.startswith("/v1/components/") and path.endswith(_QUERIES)
+        reads = method in _READING or (method == "POST" and is_query)
+        of_keys = path == "/v1/keys" or path.startswith("/v1/keys/")
+        needed: Scope = "admin" if of_keys else "read" if reads else "write"
         if not permission.allows(needed):
             raise beyond_scope(permission, needed)
         if counts and (seconds := permission.wait()) > 0.0:
@@ -367,8 +365,8 @@ class AccessControl:
             raise _no_key("This server needs a key, and the request has none.")
         permission = self._permissions.get(secret)
         if permission is None:
-            own = self.security.own_key
-            is_own = own is not None and compare_digest(secret.encode(), own.encode())
+            server_key = (self.security.own_key or "").encode()
+            is_own = bool(server_key) and compare_digest(secret.encode(), server_key)
             key = self._own if is_own else self.keyring.find(secret)
             if key is None:
                 raise _no_key("The request's key is none of this server's; it may be revoked.")
@@ -390,15 +388,6 @@ class AccessControl:
         """Whether a request that was permitted would be so now."""
         key = permission.key
         return not self.keys_needed if key is None else key is self._own or self.keyring.has(key)
-
-
-def _needed(method: str, path: str) -> Scope:
-    """Return the scope that a call needs."""
-    if path == "/v1/keys" or path.startswith("/v1/keys/"):
-        return "admin"
-    # Whether a displacement queues anything stands in its body, which is looked at there.
-    asks = path.startswith("/v1/components/") and path.endswith(("/displacement", "/displacements"))
-    return "read" if method in _READING or (method == "POST" and asks) else "write"
 
 
 def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:

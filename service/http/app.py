@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import secrets
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
 from importlib.metadata import version
+from time import perf_counter
+from typing import Final
 
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events import Events
-from wrenchbook.service.http import instrumentation, openapi, problems
-from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings
-from wrenchbook.service.http.protocol import FastPath
+from wrenchbook.service.http import openapi, problems
+from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings, sending
+from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
+from wrenchbook.service.http.protocol import HEADER, FastPath, id_of
 from wrenchbook.service.http.routes import (
     components,
     coverage,
     deformed,
     displacement,
-    drawing,
     events,
     health,
     jobs,
@@ -39,6 +42,7 @@ from wrenchbook.service.http.routes import (
 )
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ops.counts import Counts
+from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.ops.metrics import Metrics
 from wrenchbook.service.recording.store import RecordingStore
 from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
@@ -59,7 +63,6 @@ _PARTS = (
     library,
     report,
     recording,
-    drawing,
     scenes,
     jobs,
     events,
@@ -67,29 +70,73 @@ _PARTS = (
 )
 
 
-class Application(FastAPI):
-    """FastAPI behind the observer of requests and the access control.
+access_log = logging.getLogger("wrenchbook.access")
+NO_ROUTE: Final = "none"  # no call of the API, or refused before the router
+_METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+_STOPPING: Final = HttpProblemError(
+    503,
+    "stopping",
+    "The server stops",
+    "The request was not finished in the time that a server has to stop. Send it again in a few "
+    "seconds: an import is loaded completely or not at all, and rows are never loaded twice.",
+    headers={"Retry-After": "5"},  # s: a start takes three
+)
 
-    Attributes
-    ----------
-    fast_path : FastPath or None
-        Answers queries of the main call from their bytes; None if requests are logged or traced.
+
+class Application(FastAPI):
+    """FastAPI behind the access control; it gives each request an id, and counts and logs it.
+
+    The id is the header X-Request-ID of the request (1 to 128 visible ASCII characters), else a
+    random one. The reply has it, but for a displacement with status 200 to a request without the
+    header: the fast path sends the same reply. `fast_path` answers queries of the main call from
+    their bytes; None if requests are `logged`, each in a line of the access log, or traced.
     """
 
     fast_path: FastPath | None = None
-    observed: ASGIApp
+    logged = False
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or run the lifespan."""
-        inner = self.observed if scope["type"] == "http" else super().__call__
-        await inner(scope, receive, send)
+        if scope["type"] != "http":
+            await super().__call__(scope, receive, send)
+            return
+        started, status = perf_counter(), CLIENT_GONE
+        sent_id = id_of(scope["headers"])
+        request_id = sent_id or secrets.token_hex(8).encode()
+        REQUEST_ID.set(request_id.decode())  # each request runs in a context of its own
 
-    async def permitted(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request if the access control permits it."""
-        access: AccessControl = self.state.access
-        passed = await access.pass_on(scope, receive, send)
-        if passed is not None:
-            await super().__call__(scope, *passed)
+        async def send_with_id(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                if sent_id != b"" or status != 200 or not scope["path"].endswith("/displacement"):
+                    fields = [*message.get("headers", ()), (HEADER, request_id)]
+                    message = {**message, "headers": fields}
+            await send(message)
+
+        try:
+            permitted = await self.state.access.pass_on(scope, receive, send_with_id)
+            if permitted is not None:
+                await super().__call__(scope, *permitted)
+        except asyncio.CancelledError:  # see `Server.shutdown`
+            if status == CLIENT_GONE:
+                answer = sending(send_with_id, scope["path"], None)
+                await _STOPPING.response()(scope, receive, answer)
+        finally:
+            seconds, method = perf_counter() - started, scope["method"]
+            # The template of the route, such as ``/v1/jobs/{job_id}``; no words of the caller.
+            route = getattr(scope.get("route"), "path", NO_ROUTE)
+            known = method if method in _METHODS else "other"
+            self.state.counts.add_request(route, known, status, seconds)
+            if self.logged:
+                host = (scope.get("client") or ("-",))[0]
+                query = scope["query_string"].decode("latin-1")
+                # The path as it was sent: a decoded one may hold a line end.
+                target = scope["raw_path"].decode("latin-1").partition("?")[0]
+                target += "?" + query if query else ""
+                access_log.info(
+                    '%s "%s %s" %d %.1f ms', host, method, target, status, 1e3 * seconds
+                )
 
 
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
@@ -143,11 +190,6 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
     rates = Rates()
     keyring = Keyring(settings.data)
     app.state.access = AccessControl(keyring, security or SecuritySettings(), rates)
-    return _with_routes(app, settings)
-
-
-def _with_routes(app: Application, settings: Settings) -> Application:
-    """Add the routes, the errors, the document and the request log, and return the application."""
     problems.install(app)
     app.include_router(umbridge.router)  # a protocol with errors of its own form
     app.include_router(health.router, responses=openapi.refused(403, 500))
@@ -155,10 +197,9 @@ def _with_routes(app: Application, settings: Settings) -> Application:
         app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
     app.include_router(page.router)
     openapi.install(app)
-    logged = settings.access_log
-    app.observed = instrumentation.RequestObserver(app.permitted, app.state.counts, logged=logged)
-    if logged:
-        instrumentation.access_log.setLevel(logging.INFO)
+    app.logged = settings.access_log
+    if app.logged:
+        access_log.setLevel(logging.INFO)
     else:
         app.fast_path = FastPath(app.state)
     return app

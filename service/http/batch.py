@@ -10,43 +10,49 @@ import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, cast
 
 import numpy as np
 import orjson
 from fastapi import Request
 from pydantic import Field
+from starlette.responses import Response, StreamingResponse
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
-from wrenchbook.service.contract import MAX_BATCH
+from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS
 from wrenchbook.service.http.bodies import (
     BatchBody,
     Body,
     Derivatives,
     Flag,
+    Method,
     OnThin,
     Seconds,
 )
-from wrenchbook.service.http.body import Spooled, busy
-from wrenchbook.service.http.parsing import (
+from wrenchbook.service.http.body import (
+    Spooled,
     both_tolerances,
+    busy,
     checked,
-    even_rows,
-    known_method,
+    content_type,
     parsed_json,
     plain_rows,
-    plain_wrenches,
-    query_of,
+    too_many_wrenches,
+    with_wrenches,
 )
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.query import Query
+from wrenchbook.service.messages import Displacements, WrenchJob
+from wrenchbook.service.query import BatchOutcome, Query, job_link, known_slopes
 from wrenchbook.service.sandbox import MIB, Limits, Part, run
+from wrenchbook.surrogate.answer import within_tolerance_many
 from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
 
 # A million wrenches as Python's lists and numbers are 400 MB, next to the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)
 
 PIECE: Final = 1 << 20  # bytes that the parser sees at once
+WRITTEN: Final = 20_000  # wrenches laid out at once, in hundredths of a second
+_COLUMNS: Final = {"displacements", "errors", "coverage", "within_tolerance", "derivatives"}
 _WRENCHES: Final = b'"wrenches"'
 LARGE: Final = 50_000  # wrenches: beyond it, an answer is tens of MB in several forms at once
 WAIT_S: Final = 60.0
@@ -74,7 +80,7 @@ BINARY_REPLY: Final = {
             "coverage 0 covered, 1 thin, 2 outside; NaN where nothing is known. With "
             "derivatives=true then (n, 36): du/dw of each wrench, 6 x 6, an output a line (of n "
             "inputs and m outputs 2m + 1 and m n numbers a wrench). The header "
-            "Wrenchbook-Tolerance has the tolerance for whole bars, m and rad",
+            "Wrenchbook-Tolerance has the tolerance for total error bars, m and rad",
         }
     }
 }
@@ -89,7 +95,7 @@ def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndar
     """
     if body.path is None:
         full, wrenches = batch_parts(body.content, inputs)
-        return wrenches, query_of(full)
+        return wrenches, full.query()
     arguments = {"inputs": inputs}
     (part,) = run("wrenchbook.service.http.batch:parsed", body.path, arguments, LIMITS)
     if refused := part.fields["refused"]:
@@ -98,35 +104,17 @@ def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndar
         problem.body = dict(refused["body"])
         raise problem
     full = BatchBody(wrenches=[], **part.fields["batch"])
-    return np.array(part.arrays["wrenches"]), query_of(full)
+    return np.array(part.arrays["wrenches"]), full.query()
 
 
 def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.ndarray]:
     """Return the checked options of a JSON batch, and its wrenches, (n, inputs)."""
     # Before a parser makes 64 bytes of each list.
     if body.count(b"[") > MAX_BATCH + 64 or body.count(b"{") > 1024:
-        raise _too_many()
+        raise too_many_wrenches(MAX_BATCH)
     fields = parsed_json(body)
-    return _checked_batch(fields, plain_wrenches(fields, inputs=inputs), inputs)
-
-
-def _checked_batch(
-    fields: Any, wrenches: np.ndarray | None, inputs: int
-) -> tuple[BatchBody, np.ndarray]:
-    """As `batch_parts`; `wrenches` are those in the fields if they have been found in order."""
-    if wrenches is not None:
-        if len(wrenches) > MAX_BATCH:
-            raise _too_many()
-        fields = {**fields, "wrenches": []}
-    full: BatchBody = checked(BatchBody, fields)
-    if wrenches is None:
-        wrenches = even_rows(full.wrenches, inputs)
-    known_method(full.method)
-    return full, wrenches + 0.0
-
-
-def _too_many() -> HttpProblemError:
-    return bad_body([{"loc": "wrenches", "msg": f"at most {MAX_BATCH} wrenches a call"}])
+    wrenches, full = with_wrenches(BatchBody, fields, inputs, LARGEST_LOAD, MAX_BATCH)
+    return full, wrenches
 
 
 def parsed(path: Path, inputs: int) -> Iterator[Part]:
@@ -163,14 +151,18 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
                 return None
             text = text[1:]
         try:
-            block = plain_rows(orjson.loads(b"[" + text + b"]"), inputs=inputs)
+            block = plain_rows(orjson.loads(b"[" + text + b"]"), inputs)
         except orjson.JSONDecodeError:
             return None
         if block is None:
             return None
         blocks.append(block)
         place = cut
-    return _checked_batch(parsed_json(rest), np.concatenate(blocks), inputs)
+    wrenches = np.concatenate(blocks)
+    if len(wrenches) > MAX_BATCH:
+        raise too_many_wrenches(MAX_BATCH)
+    full, _ = batch_parts(rest, inputs)
+    return full, wrenches + 0.0
 
 
 @asynccontextmanager
@@ -194,7 +186,7 @@ class BinaryOptions(Body):
 
     on_thin: Annotated[OnThin, _JSONS] = "queue"
     wait_s: Annotated[Seconds, Field(description="binary form: s, with on_thin=wait")] = 30.0
-    method: Annotated[str | None, _JSONS] = None
+    method: Annotated[Method, _JSONS] = None
     translation: Annotated[_Bar | None, Field(description="binary form: tolerance, m")] = None
     rotation: Annotated[_Bar | None, Field(description="binary form: tolerance, rad")] = None
     beyond_range: Annotated[Flag, _JSONS] = False
@@ -205,8 +197,7 @@ class BinaryOptions(Body):
 
 def is_binary(request: Request) -> bool:
     """Whether a batch comes as float64."""
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    return kind == BINARY_TYPE
+    return content_type(request) == BINARY_TYPE
 
 
 def read_binary(
@@ -216,8 +207,8 @@ def read_binary(
     full: BinaryOptions = checked(BinaryOptions, options)
     wrenches = read_wrenches(body.read(), space=space)
     limit = both_tolerances(full.translation, full.rotation)
-    method, flags = known_method(full.method), (False, full.beyond_range, full.derivatives)
-    return wrenches, Query((), full.on_thin, full.wait_s, limit, method, *flags)
+    flags = full.beyond_range, full.derivatives
+    return wrenches, Query((), full.on_thin, full.wait_s, limit, full.method, False, *flags)
 
 
 def read_wrenches(
@@ -228,15 +219,15 @@ def read_wrenches(
 ) -> np.ndarray:
     """Wrenches (n, inputs), SI, of little-endian float64.
 
-    Raises HttpProblemError 422 if they are no whole wrenches, more than `count`, or if a number is
-    not finite or beyond `largest`.
+    Raises HttpProblemError 422 for an incomplete wrench, more than `count` wrenches, and a number
+    that is not finite or beyond `largest`.
     """
     inputs = len(space.inputs)
     if len(body) % (8 * inputs):
-        message = f"{len(body)} bytes are no whole number of wrenches, {8 * inputs} bytes each"
+        message = f"{len(body)} bytes are not complete wrenches of {8 * inputs} bytes each"
         raise bad_body([{"loc": "body", "msg": message}])
     if len(body) > count * 8 * inputs:
-        raise bad_body([{"loc": "body", "msg": f"at most {count} wrenches a call"}])
+        raise too_many_wrenches(count)
     wrenches = np.frombuffer(body, dtype="<f8").reshape(-1, inputs).astype(float) + 0.0
     bad = np.argwhere(~(np.isfinite(wrenches) & (np.abs(wrenches) <= largest)))
     if len(bad):
@@ -246,3 +237,72 @@ def read_wrenches(
         message = f"{space.input_names[load]} is {value}, {why}"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches
+
+
+def write_batch(outcome: BatchOutcome) -> Response:
+    """Answer a batch as JSON: 200, or 202 while a solve has not answered.
+
+    A large one is written in pieces: laying out millions of numbers keeps all others waiting.
+    """
+    replies, limit = outcome.replies, outcome.tolerance
+    reply = Displacements(
+        displacements=replies.outputs,
+        errors=replies.errors,
+        coverage=np.array(COVERAGE, dtype=object)[replies.coverage].tolist(),
+        within_tolerance=None if limit is None else within_tolerance_many(replies.errors, limit),
+        derivatives=cast(Any, outcome.derivatives),
+        component=outcome.component,
+        jobs=[
+            WrenchJob.of(
+                {"index": place, "id": None, "status": None, "url": None, "reason": placed.reason}
+                if placed.job is None
+                else {"index": place, **job_link(placed.job)}
+            )
+            for place, placed in outcome.jobs.items()
+        ],
+        method=outcome.method,
+        table_version=outcome.table.version,
+        elapsed_us=outcome.elapsed_us,
+    )
+    status, pieces = 202 if outcome.unsolved else 200, _pieces(reply, len(replies.coverage))
+    if len(replies.coverage) <= WRITTEN:
+        return Response(b"".join(pieces), status, None, "application/json")
+    return StreamingResponse(pieces, status, None, "application/json")
+
+
+def _pieces(reply: Displacements, count: int) -> Iterator[bytes]:
+    """Lay out a reply's JSON; fields with an entry a wrench by `WRITTEN` of them."""
+    option, before = orjson.OPT_SERIALIZE_NUMPY, b"{"
+    for name, value in vars(reply).items():
+        yield b'%b"%b":' % (before, name.encode())
+        before = b","
+        if name not in _COLUMNS:
+            yield orjson.dumps(value)
+            continue
+        for start in range(0, max(count, 1), WRITTEN):
+            some = value[start : start + WRITTEN]
+            if name == "derivatives":
+                some = [known_slopes(matrix) for matrix in some]
+            yield (b"," if start else b"[") + orjson.dumps(some, option=option)[1:-1]
+        yield b"]"
+    yield b"}"
+
+
+def write_binary(outcome: BatchOutcome) -> Response:
+    """Answer a batch as little-endian float64: displacements, errors, coverage; derivatives."""
+    displacements, errors, coverage = outcome.replies
+    content = np.hstack((displacements, errors, coverage[:, None])).astype("<f8").tobytes()
+    headers = {
+        "Wrenchbook-Table-Version": str(outcome.table.version),
+        "Wrenchbook-Method": outcome.method,
+        "Wrenchbook-Elapsed-Us": f"{outcome.elapsed_us:.1f}",
+        "Wrenchbook-Jobs": str(len({job.job.id for job in outcome.jobs.values() if job.job})),
+    }
+    if displacements.shape[1] != len(OUTPUTS):
+        headers["Wrenchbook-Outputs"] = str(displacements.shape[1])
+    if outcome.tolerance is not None:  # the block's form has no column for it
+        limit = outcome.tolerance
+        headers["Wrenchbook-Tolerance"] = f"{limit.translation!r}, {limit.rotation!r}"
+    if outcome.derivatives is not None:
+        content += outcome.derivatives.astype("<f8").tobytes()
+    return Response(content, 202 if outcome.unsolved else 200, headers, BINARY_TYPE)

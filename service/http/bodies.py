@@ -16,10 +16,13 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticKnownError
+from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from wrenchbook.fea.bundle.tables import LARGEST_LOAD
 from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, OnThin
+from wrenchbook.service.query import Query
+from wrenchbook.surrogate.answer import METHODS
+from wrenchbook.surrogate.table.rows import Tolerance
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
@@ -50,18 +53,28 @@ def _as_many(count: Literal["inputs", "outputs"]) -> AfterValidator:
     """Return the check of a vector's length against the space in the validation's context."""
 
     def check(values: list[float], info: ValidationInfo) -> list[float]:
-        size, given = len(getattr((info.context or {})["space"], count)), len(values)
-        if given == size:
+        size, length = len(getattr((info.context or {})["space"], count)), len(values)
+        if length == size:
             return values
-        kind, limit = ("too_short", "min_length") if given < size else ("too_long", "max_length")
-        words = {"field_type": "List", limit: size, "actual_length": given}
-        raise PydanticKnownError(kind, words)
+        kind, limit = ("too_short", "min_length") if length < size else ("too_long", "max_length")
+        raise PydanticKnownError(kind, {"field_type": "List", limit: size, "actual_length": length})
 
     return AfterValidator(check)
 
 
 InputVector = Annotated[list[Finite], _as_many("inputs")]
 OutputVector = Annotated[list[Finite], _as_many("outputs")]
+
+
+def _known(method: str | None) -> str | None:
+    if method is not None and method not in METHODS:
+        text = "unknown method {method}: one of {methods}"
+        known = {"method": repr(method), "methods": ", ".join(METHODS)}
+        raise PydanticCustomError("unknown_method", text, known)
+    return method
+
+
+Method = Annotated[str | None, AfterValidator(_known)]
 
 
 class ToleranceBody(Body):
@@ -84,11 +97,11 @@ class WrenchBody(Body):
         return self
 
     def is_empty(self) -> bool:
-        """Return whether nothing is given."""
+        """Return whether there are no loads."""
         return self.force is None and self.moment is None
 
     def wrench(self) -> list[float]:
-        """Return force then moment, zeros for what was not given."""
+        """Return force then moment, zeros for the one that is missing."""
         zero = [0.0, 0.0, 0.0]
         return [number + 0.0 for number in (self.force or zero) + (self.moment or zero)]
 
@@ -106,32 +119,37 @@ class LoadsBody(WrenchBody):
     ] = {}
 
     def is_empty(self) -> bool:
-        """Return whether nothing is given."""
+        """Return whether there are no loads."""
         return super().is_empty() and not self.loads and not self.inputs
 
 
-class DisplacementBody(LoadsBody):
-    """The main call's body."""
+class QueryOptions(Body):
+    """How a query is answered."""
 
     on_thin: OnThin = "queue"
     wait_s: Seconds = 30.0
     tolerance: ToleranceBody | None = None
-    method: str | None = None
-    detail: bool = False
+    method: Method = None
     beyond_range: Flag = False
     derivatives: Derivatives = False
 
+    def query(self) -> Query:
+        """Return the query without its wrench."""
+        limit = Tolerance(**self.tolerance.model_dump()) if self.tolerance else None
+        flags = self.beyond_range, self.derivatives
+        return Query((), self.on_thin, self.wait_s, limit, self.method, False, *flags)
 
-class BatchBody(Body):
+
+class DisplacementBody(QueryOptions, LoadsBody):
+    """The main call's body."""
+
+    detail: bool = False
+
+
+class BatchBody(QueryOptions):
     """A batch of wrenches, each force then moment."""
 
     wrenches: Annotated[Wrenches, Field(max_length=MAX_BATCH)]
-    on_thin: OnThin = "queue"
-    wait_s: Seconds = 30.0
-    tolerance: ToleranceBody | None = None
-    method: str | None = None
-    beyond_range: Flag = False
-    derivatives: Derivatives = False
 
 
 class SolveBody(LoadsBody):
@@ -141,15 +159,11 @@ class SolveBody(LoadsBody):
     beyond_range: Flag = False
 
 
-def _span_form(given: object) -> str:
-    """Return the form of a span: its mistakes are those of that form alone."""
-    return "pair" if isinstance(given, list) else "number"
-
-
 Span = Annotated[
     Annotated[Annotated[list[Finite], Field(min_length=2, max_length=2)], Tag("pair")]
     | Annotated[Positive, Tag("number")],
-    Discriminator(_span_form),
+    # The mistakes of a span are those of its form alone.
+    Discriminator(lambda span: "pair" if isinstance(span, list) else "number"),
 ]
 
 
@@ -163,12 +177,6 @@ Outputs = Annotated[
     ),
 ]
 Spans = Annotated[list[Span], Field(min_length=3, max_length=3)]
-
-
-def ends_of(force: list[Any] | None, moment: list[Any] | None) -> list[list[float]]:
-    """Return the low and the high end of each of six loads, N and N·m; zeros for None."""
-    spans = [*(force or [[0.0, 0.0]] * 3), *(moment or [[0.0, 0.0]] * 3)]
-    return [[-one, one] if isinstance(one, int | float) else list(one) for one in spans]
 
 
 class RangeBody(Body):
@@ -207,7 +215,7 @@ class SpaceSpan(Body):
 
 
 class FillBody(Body):
-    """How thick the table shall become, where and in what, and how many solves that may cost."""
+    """The tolerance that a table shall meet, where and in which outputs, and the most solves."""
 
     tolerance: ToleranceBody | None = None
     budget: Annotated[int, Field(ge=1, le=10_000)] = 24

@@ -1,43 +1,56 @@
-"""Bodies of requests: counted while they arrive, and refused as soon as they are too large."""
+"""Bodies of requests: counted while they arrive, parsed, and checked by the models of `bodies`.
+
+A mistake is a `HttpProblemError` with the place of each mistake and what to send.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final
 
+import numpy as np
+import orjson
 from fastapi import Request
 from fastapi.routing import APIRoute
+from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import FormData, UploadFile
+from starlette.datastructures import FormData, QueryParams
 from starlette.exceptions import HTTPException
 from starlette.formparsers import MultiPartException
 from starlette.responses import Response
 from starlette.types import Message, Receive
 
-from wrenchbook.service.http.parsing import parsed_json
-from wrenchbook.service.http.problems import HttpProblemError, bad_body
+from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.service.http.bodies import (
+    BatchBody,
+    BlockBody,
+    Body,
+    DisplacementBody,
+    LoadsBody,
+    ToleranceBody,
+)
+from wrenchbook.service.http.problems import HttpProblemError, bad_body, plain_errors
+from wrenchbook.service.query import Query, plain_query
+from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.space import DEFAULT, Space, SpaceError
 
 # One wrench with all its options is some 400 bytes; no reason makes it a hundred times that.
 MAX_QUERY_BYTES: Final = 64 * 1024
 # A million wrenches, the most of a batch, at 17 digits a number and some blanks.
 MAX_BATCH_BYTES: Final = 256 * 1024 * 1024
-MAX_TABLE_BYTES: Final = 512 * 1024 * 1024
 MAX_KEPT: Final = 4 << 30  # bytes of bodies in files at once
 PIECE: Final = 1 << 20  # bytes in memory: parsed in a hundredth of a second; more go to a file
-_FORM_BYTES: Final = 64 * 1024  # of a form, around its files
-_LOGS: Final = ("loads", "displacements")
-
-Refusal = Callable[[int], HttpProblemError]
 
 
 def too_large(most: int) -> HttpProblemError:
     """Return the refusal of a body of more than `most` bytes."""
-    detail = f"Send at most {most >> 20} MiB a call; send parts. Nothing was changed."
+    detail = (
+        f"Send at most {most >> 20} MiB a call: parts, or a table gzipped. Nothing was changed."
+    )
     if most < 1 << 20:
         detail = (
             f"This call takes at most {most:,} bytes; nothing was changed. Leave out what it "
@@ -46,18 +59,18 @@ def too_large(most: int) -> HttpProblemError:
     return HttpProblemError(413, "too-large", "The body is too large", detail)
 
 
-def _table_too_large(most: int) -> HttpProblemError:
-    detail = f"Send at most {most >> 20} MiB a call, gzipped or in parts; nothing was loaded."
-    return HttpProblemError(413, "too-large", "The table is too large", detail)
-
-
 def busy() -> HttpProblemError:
     """Return the refusal of a body while too many others are worked on."""
     detail = "Nothing was changed; send it again in a minute."
     return HttpProblemError(503, "busy", "Too many large bodies at once", detail)
 
 
-def counted(receive: Receive, most: int, refusal: Refusal = too_large) -> Receive:
+def content_type(request: Request) -> str:
+    """Return the type of a request's body without its parameters; empty if it has none."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+
+
+def counted(receive: Receive, most: int) -> Receive:
     """Return a `receive` that raises 413 as soon as more than `most` bytes have arrived.
 
     Starlette's own limit refuses a call that reads no body only after it has acted.
@@ -69,7 +82,7 @@ def counted(receive: Receive, most: int, refusal: Refusal = too_large) -> Receiv
         message = await receive()
         total += len(message.get("body", b""))
         if total > most:
-            raise refusal(most)
+            raise too_large(most)
         return message
 
     return count
@@ -129,9 +142,7 @@ class Spooled:
 
 
 @asynccontextmanager
-async def spooled(
-    receive: Receive, most: int, refusal: Refusal = too_large
-) -> AsyncIterator[Spooled]:
+async def spooled(receive: Receive, most: int) -> AsyncIterator[Spooled]:
     """Give a request's body, and delete its file at the end.
 
     It raises 413 as soon as more than `most` bytes have arrived, 503 while bodies in files are too
@@ -139,7 +150,7 @@ async def spooled(
     """
     body, buffer, size = Spooled(), bytearray(), 0
     try:
-        async for piece in Request({"type": "http"}, counted(receive, most, refusal)).stream():
+        async for piece in Request({"type": "http"}, counted(receive, most)).stream():
             buffer += piece
             if len(buffer) > PIECE or (body.path is not None and not piece):
                 Spooled.kept += len(buffer)
@@ -156,48 +167,10 @@ async def spooled(
             await run_in_threadpool(shutil.rmtree, body.path.parent, ignore_errors=True)
 
 
-class Received(NamedTuple):
-    """Files of a table: their paths, their names at the caller, the SHA-256 of all of them."""
-
-    files: tuple[Path, ...]
-    filename: str
-    digest: str
-
-
 @asynccontextmanager
-async def received(request: Request) -> AsyncIterator[Received]:
-    """Give a table's body as files, and delete them at the end.
-
-    A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``. It
-    raises 413 as soon as the body is too large, and 422 if a form lacks its files.
-    """
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if kind != "multipart/form-data":
-        async with spooled(request.receive, MAX_TABLE_BYTES, _table_too_large) as body:
-            path = body.path or await run_in_threadpool(body.append, body.content)
-            yield Received((path,), "", await run_in_threadpool(_digest, (path,)))
-        return
-    most = MAX_TABLE_BYTES + _FORM_BYTES
-    async with form_of(request, most, 2, _table_too_large) as form:
-        uploads = [form.get(name) for name in (_LOGS if _LOGS[0] in form else ("table",))]
-        if not all(isinstance(upload, UploadFile) for upload in uploads):
-            message = "send the file 'table', or both logs as 'loads' and 'displacements'"
-            raise bad_body([{"loc": "form", "msg": message}])
-        folder = Path(await run_in_threadpool(tempfile.mkdtemp, prefix="wrenchbook-"))
-        try:
-            files = await run_in_threadpool(_copied, cast(list[UploadFile], uploads), folder)
-            names = ", ".join(cast(UploadFile, upload).filename or "" for upload in uploads)
-            yield Received(files, names.strip(", "), await run_in_threadpool(_digest, files))
-        finally:
-            await run_in_threadpool(shutil.rmtree, folder, ignore_errors=True)
-
-
-@asynccontextmanager
-async def form_of(
-    request: Request, most: int, most_files: int, refusal: Refusal = too_large
-) -> AsyncIterator[FormData]:
+async def form_of(request: Request, most: int, most_files: int) -> AsyncIterator[FormData]:
     """Read a form of at most `most` bytes, its files into files of their own; else 413 or 422."""
-    request = Request(request.scope, counted(request.receive, most, refusal))
+    request = Request(request.scope, counted(request.receive, most))
     try:
         form = await request.form(max_files=most_files, max_fields=8)
     except (HTTPException, MultiPartException) as error:
@@ -211,18 +184,119 @@ async def form_of(
         await form.close()
 
 
-def _copied(uploads: Sequence[UploadFile], folder: Path) -> tuple[Path, ...]:
-    paths = tuple(folder / f"table-{number}" for number in range(len(uploads)))
-    for upload, path in zip(uploads, paths, strict=True):
-        with path.open("wb") as file:
-            shutil.copyfileobj(upload.file, file, PIECE)
-    return paths
+def read_query(body: bytes, space: Space = DEFAULT) -> Query:
+    """Return the query of the main call's body, of a component with the inputs of `space`.
+
+    A body of only force, moment and on_thin, which is what a simulator sends in its loop, is
+    checked without pydantic; anything else, and every mistake, goes through it.
+    """
+    fields = parsed_json(body)
+    plain = plain_query(fields) if space.is_default else None
+    if plain is not None:
+        return plain
+    full: DisplacementBody = checked(DisplacementBody, fields)
+    return full.query()._replace(wrench=loads_of(full, space), detail=full.detail)
 
 
-def _digest(files: Sequence[Path]) -> str:
-    digest = hashlib.sha256()
-    for path in files:
-        with path.open("rb") as file:
-            while block := file.read(PIECE):
-                digest.update(block)
-    return digest.hexdigest()
+def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
+    """Return the inputs of a component, (n,), SI: loads that a body does not have are zero.
+
+    Raises HttpProblemError 422 with each interface or input that is unknown, and each further input
+    that is missing.
+    """
+    loads = {name: wrench.wrench() for name, wrench in body.loads.items()}
+    if not super(LoadsBody, body).is_empty():
+        if loads or space.several:
+            names = " or ".join(space.several) or "one of both"
+            message = f"give force and moment of an interface in loads: {names}"
+            raise bad_body([{"loc": "force", "msg": message}])
+        loads = {space.interfaces[0]: body.wrench()}
+    try:
+        return space.vector(loads, {name: value + 0.0 for name, value in body.inputs.items()})
+    except SpaceError as error:
+        raise bad_body([{"loc": place, "msg": text} for place, text in error.mistakes]) from None
+
+
+def too_many_wrenches(most: int) -> HttpProblemError:
+    """Return the refusal of a body of more than `most` wrenches."""
+    return bad_body([{"loc": "wrenches", "msg": f"at most {most} wrenches a call"}])
+
+
+def with_wrenches(
+    kind: type[BlockBody | BatchBody], fields: Any, inputs: int, largest: float, most: int
+) -> tuple[np.ndarray, Any]:
+    """Return the wrenches of a JSON body, (n, inputs), SI, and the body, checked without them."""
+    wrenches = fields.get("wrenches") if isinstance(fields, dict) else None
+    plain = plain_rows(wrenches, inputs, largest)
+    if plain is not None:
+        if len(plain) > most:
+            raise too_many_wrenches(most)
+        return plain + 0.0, checked(kind, {**fields, "wrenches": []})
+    body = checked(kind, fields)
+    uneven = [place for place, wrench in enumerate(body.wrenches) if len(wrench) != inputs]
+    if uneven:
+        length = len(body.wrenches[uneven[0]])
+        message = f"has {length} numbers, and the component {inputs} inputs"
+        raise bad_body([{"loc": f"wrenches.{uneven[0]}", "msg": message}])
+    return np.array(body.wrenches, dtype=float).reshape(-1, inputs) + 0.0, body
+
+
+def read_body(kind: type[Body], body: bytes) -> Any:
+    """Read any other body with pydantic; an empty one counts as ``{}``."""
+    return checked(kind, parsed_json(body or b"{}"))
+
+
+def parsed_json(body: bytes) -> Any:
+    """Return the values of JSON; 422, or MemoryError if it is too large for the parser."""
+    try:
+        return orjson.loads(body)
+    except orjson.JSONDecodeError as error:
+        if "memory" in str(error).lower():
+            raise MemoryError from None
+        message = f"not valid JSON ({error}); note that JSON has no NaN and no Infinity"
+        raise bad_body([{"loc": "body", "msg": message}]) from None
+
+
+def checked(kind: type[Body], fields: Any) -> Any:
+    """Return the body of parsed JSON; 422 with every mistake's place."""
+    try:
+        return kind.model_validate(fields)
+    except ValidationError as error:
+        raise bad_body(plain_errors(error)) from None
+
+
+def both_tolerances(translation: float | None, rotation: float | None) -> Tolerance | None:
+    """Return a tolerance, m and rad; 422 if one of its two numbers is missing."""
+    if translation is not None and rotation is not None:
+        return Tolerance(translation, rotation)
+    if translation is rotation:
+        return None
+    missing = "rotation" if rotation is None else "translation"
+    raise bad_body([{"loc": missing, "msg": "a tolerance is translation and rotation, both"}])
+
+
+def plain_rows(rows: Any, inputs: int, largest: float = LARGEST_LOAD) -> np.ndarray | None:
+    """Wrenches as an array (n, inputs); None if anything is unusual in them."""
+    if not isinstance(rows, list) or not rows:
+        return None
+    try:
+        wrenches = np.array(rows)
+    except ValueError:
+        return None
+    if wrenches.dtype.kind not in "fi" or wrenches.ndim != 2 or wrenches.shape[1] != inputs:
+        return None
+    wrenches = wrenches.astype(float)
+    fine = np.isfinite(wrenches) & (np.abs(wrenches) <= largest)
+    return wrenches if fine.all() else None
+
+
+def tolerance_of(body: ToleranceBody | None) -> Tolerance | None:
+    """Return the tolerance of a body, m and rad."""
+    return Tolerance(body.translation, body.rotation) if body else None
+
+
+def refuse_query(query: QueryParams) -> None:
+    """Refuse the query parameters of a call that takes none: 422 with the name of each."""
+    if query:
+        message = "this call takes no query parameters: send its options in the body"
+        raise bad_body([{"loc": f"query.{name}", "msg": message} for name in query])

@@ -9,14 +9,13 @@ from typing import Any, Final
 import orjson
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
-from fastapi.routing import APIRoute
 from pydantic import TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
 
 from wrenchbook.service.http.problems import MEDIA_TYPE
-from wrenchbook.service.http.replies import holds, naming
-from wrenchbook.service.http.schemas import Problem
+from wrenchbook.service.http.routes import holds, naming
+from wrenchbook.service.messages import Problem
 
 Schema = dict[str, Any]
 Responses = dict[int | str, dict[str, Any]]
@@ -26,7 +25,7 @@ BYTES: Final[Schema] = {"schema": {"type": "string", "format": "binary"}}
 TEXT: Final[Schema] = {"schema": {"type": "string"}}
 _PROBLEM: Final = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
 _REFUSALS: Final[dict[int, str]] = {
-    401: "this server needs a key, and the request has none of its own",
+    401: "this server needs a key, and the request has none",
     403: "the key is not for this call, or a page of another site sends it",
     404: "there is no such component, job or row",
     409: "it cannot be done as things are; the detail says why",
@@ -44,15 +43,7 @@ _WITH_KEYS: Final = (401, 413, 429)
 _WITH_BODY: Final = (413, 415)
 _REFERENCE: Final = "#/components/schemas/{model}"
 _KINDS: Final[dict[str, Any]] = {"Problem": Problem}  # the types of bodies, by their names
-_OWN_ERRORS: Final = "/umbridge/"  # a protocol with errors of its own form
-
-
-def _operation_name(route: APIRoute) -> str:
-    """Return the name of a call in the document, from which clients are generated: its function's.
-
-    UM-Bridge's begin with its name, since it has an `info` and a `gradient` of its own.
-    """
-    return f"umbridge_{route.name}" if "umbridge" in route.tags else route.name
+_OWN_ERRORS: Final = "/umbridge/"  # a protocol with its form of errors
 
 
 # Of the application.
@@ -60,7 +51,11 @@ OPTIONS: Final[dict[str, Any]] = {
     "openapi_url": None,  # `install` serves it with an ETag
     "docs_url": None,  # service/http/routes/page.py has it without a host of others
     "redoc_url": None,
-    "generate_unique_id_function": _operation_name,
+    # A call is named, in clients that are generated, after its function; those of UM-Bridge begin
+    # with its name, since it has an `info` and a `gradient` too.
+    "generate_unique_id_function": lambda route: (
+        f"umbridge_{route.name}" if "umbridge" in route.tags else route.name
+    ),
 }
 
 
@@ -79,7 +74,7 @@ def refused(*statuses: int, **texts: str) -> Responses:
 
 
 def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -> Schema:
-    """Return FastAPI's `openapi_extra` of a call that reads its own body, and its own `query`.
+    """Return FastAPI's `openapi_extra` of a call that reads its body, and its `query`, itself.
 
     `more` is what OpenAPI says of further content types.
     """
@@ -89,23 +84,23 @@ def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -
     extra: Schema = {"requestBody": {"required": True, "content": content}}
     if query is not None:
         fields = TypeAdapter(query).json_schema()["properties"].items()
-        extra["parameters"] = [{"name": k, "in": "query", "schema": one} for k, one in fields]
+        extra["parameters"] = [{"name": k, "in": "query", "schema": v} for k, v in fields]
     return extra
 
 
 def install(app: FastAPI) -> None:
-    """Serve the document: made once for a server with keys, once for one without."""
-    made: dict[tuple[bool, str], tuple[bytes, str]] = {}
+    """Serve the document; one with keys and one without them is cached."""
+    documents: dict[tuple[bool, str], tuple[bytes, str]] = {}
 
     def document() -> dict[str, Any]:
         return _document(app, app.state.access.keys_needed, "")
 
     def serve(request: Request) -> Response:
         which = app.state.access.keys_needed, request.scope.get("root_path", "")
-        if which not in made:
+        if which not in documents:
             content = orjson.dumps(_document(app, *which))
-            made[which] = content, f'"{hashlib.blake2b(content, digest_size=12).hexdigest()}"'
-        content, tag = made[which]
+            documents[which] = content, f'"{hashlib.blake2b(content, digest_size=12).hexdigest()}"'
+        content, tag = documents[which]
         if holds(request.headers.get("if-none-match"), tag):
             return Response(None, 304, naming(tag))
         return Response(content, 200, naming(tag), JSON)
@@ -116,7 +111,7 @@ def install(app: FastAPI) -> None:
 
 def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
     """Return FastAPI's document with the refusals that depend on keys and on bodies."""
-    found = get_openapi(
+    document = get_openapi(
         title=app.title,
         version=app.version,
         summary=app.summary,
@@ -124,19 +119,19 @@ def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
         servers=[{"url": below}] if below else None,
         routes=app.routes,
     )
-    parts = found["components"]
+    parts = document["components"]
     kinds: list[Any] = [(name, "validation", TypeAdapter(kind)) for name, kind in _KINDS.items()]
     _, named = TypeAdapter.json_schemas(kinds, ref_template=_REFERENCE)
     parts["schemas"] |= named["$defs"]
     if keys:
         parts["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
-        found["security"] = [{"key": []}]
-    for path, operations in found["paths"].items():
+        document["security"] = [{"key": []}]
+    for path, operations in document["paths"].items():
         for operation in operations.values() if not path.startswith(_OWN_ERRORS) else ():
             more = (
                 *(_WITH_KEYS if keys else ()),
                 *(_WITH_BODY if "requestBody" in operation else ()),
             )
-            there = operation["responses"]
-            there |= {str(one): its for one, its in refused(*more).items() if str(one) not in there}
-    return found
+            refusals = {str(status): text for status, text in refused(*more).items()}
+            operation["responses"] = refusals | operation["responses"]
+    return document

@@ -16,8 +16,10 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.service.events import TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
+from wrenchbook.service.formats import SheetFullError, UnitError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.ledger import (
     BlockKeyError,
@@ -26,6 +28,7 @@ from wrenchbook.service.ledger import (
     InvalidTransitionError,
     LedgerFullError,
     LedgerUnavailableError,
+    RowStatusError,
     UnknownImportError,
     UnknownJobError,
     UnknownRowError,
@@ -50,7 +53,7 @@ from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.surrogate.answer import UnknownMethodError
 
 MEDIA_TYPE = "application/problem+json"
-CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was whole
+CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was complete
 MAX_ERRORS = 1000
 MAX_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
@@ -71,9 +74,13 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     TooFarError: (409, "beyond-range", "Outside the component's load range"),
     NotCoveredError: (409, "not-covered", "The table does not cover this"),
     BeyondRangeError: (409, "beyond-range", "Outside the component's load range"),
-    BlockKeyError: (409, "block-key", "The block's key does not tell whether it was recorded"),
+    BlockKeyError: (409, "block-key", "The block's key leaves open whether it was recorded"),
     InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
     TooManyPollsError: (503, "busy", "Too many callers wait for jobs"),
+    TooManyListenersError: (503, "too-many-listeners", "Too many listeners"),
+    RowStatusError: (409, "row-status", "The row's state does not allow this"),
+    UnitError: (422, "unit", "Not a unit this export can use"),
+    SheetFullError: (409, "export", "This export cannot be made"),
     SandboxError: (422, "too-costly", "The file cannot be read within its limits"),
     SandboxBusyError: (503, "busy", "Too many files are being read"),
     LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
@@ -88,7 +95,7 @@ _TYPE_ROOT = "urn:wrenchbook:problem:"
 class HttpProblemError(HTTPException):
     """A problem+json answer: its HTTP status, and `kind`, which ends its ``type``.
 
-    `title` and `detail` say what is wrong in a few words, and exactly with what to do. `extra` are
+    `title` and `detail` say what is wrong, in short and exactly with what to do. `extra` are
     further members, such as ``errors`` or ``job``.
     """
 
@@ -140,15 +147,12 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
         errors = error.errors()
     else:
         errors = error.errors(include_url=False, include_context=False, include_input=False)
-    return [
-        {"loc": _location(mistake["loc"])[:MAX_TEXT] or "body", "msg": mistake["msg"][:MAX_TEXT]}
-        for mistake in islice(errors, MAX_ERRORS)
-    ]
-
-
-def _location(places: Sequence[Any]) -> str:
-    """Return a dotted location; one in the body begins within it."""
-    return ".".join(map(str, places[1:] if places[:1] == ("body",) else places))
+    mistakes = []
+    for mistake in islice(errors, MAX_ERRORS):
+        places = mistake["loc"][1:] if mistake["loc"][:1] == ("body",) else mistake["loc"]
+        loc = ".".join(map(str, places))[:MAX_TEXT] or "body"
+        mistakes.append({"loc": loc, "msg": mistake["msg"][:MAX_TEXT]})
+    return mistakes
 
 
 def problem_of(error: Exception) -> HttpProblemError:

@@ -3,7 +3,7 @@
 uvicorn makes a scope, a task and two messages of each request; that costs more than most answers.
 The fast path answers from its bytes a query that is `POST /v1/components/{name}/displacement` with
 a small JSON body of force, moment and on_thin. All else, and each problem, is a request of the
-application, with what the fast path knows about it.
+application, with the fast path's permission, query and reply.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResp
 from uvicorn.server import ServerState
 
 from wrenchbook.service.http.access import PERMISSION, PLAIN, Permission
-from wrenchbook.service.http.instrumentation import HEADER, id_of
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.query import answered_at_once, fields_of, plain_query
 
@@ -74,12 +73,20 @@ _TOO_LONG: Final = HttpProblemError(
 
 ANSWERED: Final = "wrenchbook.answered"  # key in a scope: the fast path's query and its outcome
 ROUTE: Final = "/v1/components/{name}/displacement"
+HEADER: Final = b"x-request-id"
+_ID: Final = re.compile(rb"[\x21-\x7e]{1,128}")
 _FIRST_LINE: Final = re.compile(rb"POST /v1/components/([\w-]+)/displacement HTTP/1\.1\r\n")
 _BLANK_LINE: Final = b"\r\n\r\n"
 _UNUSUAL: Final = frozenset({b"expect", b"transfer-encoding", b"upgrade"})
 _LENGTH: Final = re.compile(rb"[1-9]\d{0,2}|[1-3]\d{3}")  # of a body; the longest have some 400
 _MAX_PLAIN_HEAD: Final = 2048  # bytes: a loop's heads have some 200
 _MAX_HEADS: Final = 1024  # 2 MiB: a loop's heads differ by component and content-length
+
+
+def id_of(headers: Iterable[tuple[bytes, bytes]]) -> bytes | None:
+    """Return the id that a request has: empty without the header, None if it is not valid."""
+    sent = next((value for name, value in headers if name == HEADER), b"")
+    return sent if not sent or _ID.fullmatch(sent) else None
 
 
 class Head(NamedTuple):
@@ -293,7 +300,7 @@ class FastPathProtocol(HttpToolsProtocol):
             super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Give a request to the application, with what the fast path has found about it.
+        """Give a request to the application, with the fast path's permission, query and reply.
 
         A request to switch protocols is answered as any other (RFC 9110, section 7.8), and the
         connection closed. The parser does not read its body: one with a body is refused.
@@ -410,7 +417,7 @@ class FastPathProtocol(HttpToolsProtocol):
             raise ValueError("the head is too long")
 
     def _answer(self, fast: FastPath, data: bytes) -> bool:
-        """Answer one whole query, or wait for the rest of its body; False for other requests."""
+        """Answer one complete query, or wait for the rest of its body; False for other requests."""
         head = fast.head(data)
         if head is None:
             return False

@@ -107,8 +107,9 @@ def connect(path: Path, *, frozen: bool = False) -> Connection:
 
 def _key_hash(key: object) -> int:
     """Return what `row_keys` has of a row's key; of a damaged one zero."""
-    sound = isinstance(key, bytes) and len(key) == KEY_BYTES
-    return int(key_hashes(key)[0]) if sound else 0
+    if not isinstance(key, bytes) or len(key) != KEY_BYTES:
+        return 0
+    return int(key_hashes(key)[0])
 
 
 def begin(connection: Connection) -> None:

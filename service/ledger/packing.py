@@ -68,7 +68,7 @@ class Record(NamedTuple):
     """
 
     seq: int  # of the first row
-    count: int
+    count: int  # of rows, as the column  # pyright: ignore[reportIncompatibleMethodOverride]
     component: str
     fingerprint: str
     source: str
@@ -181,15 +181,16 @@ def records_of(
     """Yield rows as records, numbered from `first`."""
     rows, at = block.rows, 0
     texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), block.note, strict=True))
-    columns = [_plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()]
-    columns += [_known(rows.compliance, np.all), _known(rows.curvature, np.all)]
-    columns.append(_known(rows.uncertainty, np.any))
+    wrench, displacement = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
+    compliance, curvature = _known(rows.compliance, np.all), _known(rows.curvature, np.all)
+    uncertainty = _known(rows.uncertainty, np.any)
 
-    def part(column: bytes | None) -> bytes | None:
-        if column is None:
-            return None
+    def part(column: bytes) -> bytes:
         width = len(column) // len(rows)
-        some = column[width * at : width * end]
+        return column[width * at : width * end]
+
+    def known_part(column: bytes | None) -> bytes | None:
+        some = b"" if column is None else part(column)
         return None if some == _NAN.tobytes() * (len(some) // 8) else some
 
     while at < len(rows):
@@ -202,7 +203,11 @@ def records_of(
             component,
             fingerprint,
             source,
-            *map(part, columns),
+            part(wrench),
+            part(displacement),
+            known_part(compliance),
+            known_part(curvature),
+            known_part(uncertainty),
             job,
             now,
             note,

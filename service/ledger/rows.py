@@ -102,7 +102,7 @@ def insert(
         block, keys = taken(block, places), [keys[at] for at in places]
         first = number(db, component, block, keys, now, job)
         hashes = key_hashes(b"".join(keys)).tolist()
-        enter(db, zip(hashes, range(first, first + len(keys)), strict=True))
+        enter(db, sorted(zip(hashes, range(first, first + len(keys)), strict=True)))
         db.rows += len(places)
     return len(places), known
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 
@@ -33,16 +32,20 @@ class ExportRows:
     def __init__(
         self, stored: NotedRows, spans: Sequence[tuple[int, int, ImportRecord]] = ()
     ) -> None:
-        self._rows, self.note, firsts = stored.rows, stored.note, [first for first, *_ in spans]
-        self.seq = stored.rows.seq.tolist()
+        rows, firsts = stored.rows, [first for first, *_ in spans]
+        self.wrench, self.displacement, self.uncertainty = (
+            rows.wrench,
+            rows.displacement,
+            rows.uncertainty,
+        )
+        self.compliance, self.curvature = rows.compliance, rows.curvature
+        self.source, self.fingerprint, self.note = rows.source, rows.fingerprint, stored.note
+        self.seq = rows.seq.tolist()
         self.when = [iso_time(created) for created in stored.created]
         self.who: list[str] = []
         for seq in self.seq:
             at = bisect_right(firsts, seq) - 1
             self.who.append(spans[at][2].who if at >= 0 and seq <= spans[at][1] else "")
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._rows, name)
 
 
 def iso_time(seconds: float) -> str:

@@ -13,7 +13,7 @@ import threading
 from typing import Final
 
 from wrenchbook.service.files.scratch import take_scratch
-from wrenchbook.service.http.access import security_of
+from wrenchbook.service.http.access import security_settings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.protocol import FastPathProtocol
 from wrenchbook.service.http.server import Server, raise_open_files, server_config
@@ -38,7 +38,7 @@ class WebWorker(Server):
         self._ready = ready
         raise_open_files()
         self._scratch = take_scratch()
-        security = security_of(settings)
+        security = security_settings(settings.host, settings.allow_host, settings.allow_origin)
         app = create_app(settings, security)
         super().__init__(server_config(app, settings.log_level, log_config=None))
         # The private server of a command ends before that pays; a process each takes 90 MB.

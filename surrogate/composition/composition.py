@@ -243,7 +243,8 @@ class Composition:
                 continue
             reading = cut.read(amounts)
             better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
-            outputs, rest, slopes, state = (column[better] for column in reading)
+            outputs, rest = reading.outputs[better], reading.rest[better]
+            slopes, state = reading.slopes[better], reading.state[better]
             part.put(better, _Part(outputs, rest, slopes[..., None], state))
         return part
 

@@ -20,8 +20,9 @@ vectors = st.lists(st.floats(-3, 3), min_size=3, max_size=3).map(np.array)
 
 
 def answer(translation, rotation) -> Displacement:
-    body = {"translation": translation, "rotation": rotation, "coverage": "covered"}
-    return Displacement.read("plate", np.zeros(6), body)
+    body = {"component": "plate", "translation": translation, "rotation": rotation}
+    body["coverage"] = "covered"
+    return Displacement.read(body, np.zeros(6))
 
 
 @given(vectors)

@@ -10,6 +10,7 @@ import wrenchbook
 from wrenchbook import Displacement, Displacements
 
 BODY = {
+    "component": "plate",
     "translation": [1e-6, None, 3e-4],
     "rotation": [0.0, 0.0, 0.0],
     "error": None,
@@ -20,19 +21,24 @@ BODY = {
 
 def batch(count: int) -> Displacements:
     row = [1e-6, 0, 3e-4, 0, 0, 0]
-    body = {"displacements": [row] * count, "errors": [None] * count, "coverage": ["thin"] * count}
-    return Displacements.read("plate", np.arange(6.0 * count).reshape(count, 6), body)
+    body = {
+        "component": "plate",
+        "displacements": [row] * count,
+        "errors": [None] * count,
+        "coverage": ["thin"] * count,
+    }
+    return Displacements.read(body, np.arange(6.0 * count).reshape(count, 6))
 
 
 def test_an_answer_is_a_table_with_units_and_escaped_text():
-    shown = Displacement.read("plate", np.arange(6.0), BODY)._repr_html_()
+    shown = Displacement.read(BODY, np.arange(6.0))._repr_html_()
     assert "axis z &lt;empty&gt; &amp; alone" in shown
     assert "<td>fz [N]</td><td>2</td><td>uz [m]</td><td>0.0003</td><td></td>" in shown
     assert shown.count("<tr>") == 7
 
 
 def test_an_answer_that_is_not_known_yet_is_a_table_without_numbers():
-    shown = Displacement.read("plate", np.zeros(6), {"coverage": "outside"})._repr_html_()
+    shown = Displacement.read({"coverage": "outside"}, np.zeros(6))._repr_html_()
     assert "<td>ux [m]</td><td></td><td></td>" in shown
 
 

@@ -1,8 +1,12 @@
 """The OpenAPI document says what each call takes and what it can answer."""
 
+from dataclasses import fields
+
 import pytest
 from starlette.testclient import TestClient
 
+from wrenchbook import Displacement, Displacements
+from wrenchbook.service import messages
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings
 
@@ -221,3 +225,19 @@ def test_the_document_is_not_rendered_anew_at_each_get(http, monkeypatch):
     first = http.get("/openapi.json").content
     monkeypatch.setattr("wrenchbook.service.http.openapi.get_openapi", None)
     assert http.get("/openapi.json").content == first
+
+
+def test_a_displacement_is_described_once_for_the_document_the_reply_and_the_client(http, document):
+    options = {"on_thin": "estimate", "detail": True, "derivatives": True}
+    one = http.post(f"{PLATE}/displacement", json={"force": [0, 0, 1], **options}).json()
+    options = {"on_thin": "estimate", "derivatives": True}
+    many = http.post(f"{PLATE}/displacements", json={"wrenches": [[0] * 6], **options}).json()
+    for kind, of_client, reply in (
+        (messages.Displacement, Displacement, one),
+        (messages.Displacements, Displacements, many),
+    ):
+        names = {field.name for field in fields(kind)}
+        schema = document["components"]["schemas"][kind.__name__]
+        assert set(schema["properties"]) == names
+        assert set(schema["required"]) <= reply.keys() <= names
+        assert issubclass(of_client, kind)

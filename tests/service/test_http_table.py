@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 from tests.service.following import wait_for_version
 from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.http.routes import components, table
+from wrenchbook.service.http.routes import table
 from wrenchbook.service.sandbox import SandboxBusyError
 from wrenchbook.service.tables import build as builds
 from wrenchbook.service.workspace import Settings
@@ -432,7 +432,8 @@ def test_a_component_and_its_readiness_have_the_rows_that_are_being_built(
     rig, slow_build, before, monkeypatch
 ):
     """The library and the component had no word of rows that an import had just loaded."""
-    monkeypatch.setattr(components, "CATCH_UP_S", 0.0)  # its wait for the held build
+    # Its wait for the build that is held.
+    monkeypatch.setattr("wrenchbook.service.http.routes.CATCH_UP_S", 0.0)
     if before:
         slow_build.set()
         load(rig, as_csv(measured(before)))
@@ -517,7 +518,7 @@ def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypat
 
 
 def test_a_table_that_is_too_large_is_413_without_a_declared_length(rig, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.http.body.MAX_TABLE_BYTES", 1 << 20)
+    monkeypatch.setattr("wrenchbook.service.http.routes.table.MAX_TABLE_BYTES", 1 << 20)
     pieces = (b"#" * 65536 for _ in range(17))
     reply = rig.post(CALL, content=pieces, headers={"content-type": "text/csv"})
     assert reply.status_code == 413

@@ -5,7 +5,7 @@ import pytest
 
 from tests.service.test_import_findings import CALL, add
 from tests.surrogate.findings.rigs import Rig
-from wrenchbook.service.http.import_query import ImportQuery
+from wrenchbook.service.http.routes.table import ImportQuery
 
 LAG = 0.35
 LOADS = "time [s],Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm]"

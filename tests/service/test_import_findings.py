@@ -9,7 +9,6 @@ from tests.surrogate.findings.rigs import Rig
 from tests.until import until
 from wrenchbook.service.formats.options import Options, ParsedTable
 from wrenchbook.service.formats.read import FindingsSample
-from wrenchbook.service.http.routes import components
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.surrogate.findings.find import MOST
 
@@ -123,7 +122,7 @@ def test_findings_stay_visible_after_the_import(http, rig):
 def test_a_finding_is_visible_while_the_table_of_its_import_is_not_built(http, rig, monkeypatch):
     add(http, rig)
     monkeypatch.setattr(MappedTables, "_map", lambda *_: False)  # no table is ever ready
-    monkeypatch.setattr(components, "CATCH_UP_S", 0.0)
+    monkeypatch.setattr("wrenchbook.service.http.routes.CATCH_UP_S", 0.0)
     load(http, with_outliers(rig), wait_s=0)
     assert [one["cause"] for one in findings_of(http)] == ["outlier"]
 

@@ -126,7 +126,7 @@ def test_a_large_batch_is_read_in_a_file_and_answered_as_a_small_one_is(live, mo
     wrenches = full_wrenches(7)
     small = live.displacements("rig", wrenches, on_thin="estimate")
     monkeypatch.setattr(bodies, "PIECE", 64)
-    monkeypatch.setattr("wrenchbook.service.http.replies.PIECE", 3)
+    monkeypatch.setattr("wrenchbook.service.http.batch.WRITTEN", 3)
     asked = {"wrenches": wrenches.tolist(), "on_thin": "estimate", "derivatives": True}
     reply = live.call_json("POST", f"{RIG}/displacements", asked)
     np.testing.assert_array_equal(np.array(reply["displacements"]), small.displacements)

@@ -104,7 +104,7 @@ class Joint:
         self.restart()
         # A table without stiffness is refused; where in its range no joint can invert it, it warns.
         packed, at, free, method = self._table.packed, self._at, self.free, self._method
-        sample = packed.sample(self._whole(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
+        sample = packed.sample(self._inputs(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
         try:
             answers = packed.batch(sample, None, method)
         except ValueError as error:  # no such method
@@ -149,7 +149,7 @@ class Joint:
     @property
     def coverage(self) -> str:
         """How the table covers the wrench: ``covered``, ``thin`` or ``outside``."""
-        loads = self._whole(self.wrench).tolist()
+        loads = self._inputs(self.wrench).tolist()
         return str(self._table.packed.answer(loads, None, self._method).coverage)
 
     def _more_rows(self) -> str:
@@ -301,13 +301,13 @@ class Joint:
         target[at] = moved
         turn = math.sqrt(float(moved[3:] @ moved[3:])) / LARGEST_TURN
         try:
-            start = self._whole(np.zeros(FREEDOMS))
+            start = self._inputs(np.zeros(FREEDOMS))
             if self._near is not None:
                 wrench = self._loads + self._near @ (target - self._moved)
                 start[: packed.outputs] = wrench[: packed.outputs]
             loads, slopes = packed.inverse(target, start, self._method, self._near)
         except (ValueError, ArithmeticError):  # no such wrench: far beyond the range
-            return self._beyond(self._whole(self.wrench), target, turn)
+            return self._beyond(self._inputs(self.wrench), target, turn)
         ranges = max(self._ranges(loads), turn)
         if ranges > 1.0:
             return self._beyond(loads, target, turn)
@@ -315,7 +315,7 @@ class Joint:
         return loads[at], slopes[at, at], ranges
 
     def _beyond(self, loads: Vector, target: Vector, turn: float) -> tuple[Vector, Vector, float]:
-        """Return the same of a pose beyond the range, from the last wrench that was found."""
+        """Return the same of a pose beyond the range, from the last wrench."""
         packed, at = self._table.packed, self._at
         free, stiffness = np.ix_(self.free, self.free), np.zeros((FREEDOMS, FREEDOMS))
         low, high = packed.arrays["space/ends"]
@@ -330,7 +330,7 @@ class Joint:
                     f"{self._name}: the compliance has no inverse at this pose, so that no wrench "
                     f"belongs to it: {self._more_rows()}, or lock the freedom that does not move"
                 ) from None
-            loads = edge + self._whole(stiffness @ (target - answer)[at])
+            loads = edge + self._inputs(stiffness @ (target - answer)[at])
             before, edge = edge, np.clip(self._shorter(loads, turn), low, high)
             if (np.abs(edge - before) <= CLOSE * packed.arrays["space/scale"]).all():
                 break
@@ -348,9 +348,9 @@ class Joint:
 
     def _shorter(self, loads: Vector, turn: float) -> Vector:
         """Return inputs, shape (n,), SI, whose loads turn the part by 20 degrees at most."""
-        return self._whole(loads[self._at] / max(turn, 1.0))
+        return self._inputs(loads[self._at] / max(turn, 1.0))
 
-    def _whole(self, wrench: Vector) -> Vector:
+    def _inputs(self, wrench: Vector) -> Vector:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""
         packed = self._table.packed
         loads = np.concatenate([np.zeros(packed.inputs - len(self._further)), self._further])
@@ -474,11 +474,11 @@ class LinearPart:
             Shape (6, 6), kg to kg·m^2; null in the dict where it is not known.
         """
         places = [OUTPUTS.index(name) for name in self.freedoms]
-        whole = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(places, places)]
+        condensed = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(places, places)]
         return {
             **asdict(self),
             "loads": [LOADS[place] for place in places],
-            "mass": None if whole is None else whole.tolist(),
+            "mass": None if condensed is None else condensed.tolist(),
             "units": "N, N·m, m, rad, kg",
             "frame": "the undeformed interface frame, about the interface point",
         }

@@ -164,20 +164,20 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     """
     if mass.shape != (FREEDOMS, FREEDOMS) or not np.isfinite(mass).all():
         raise JointError("the condensed mass must be a matrix of 6 x 6 finite numbers")
-    whole = float(np.trace(mass[:3, :3])) / 3.0
-    if whole <= 0.0:
+    total = float(np.trace(mass[:3, :3])) / 3.0
+    if total <= 0.0:
         return
-    cross = -0.5 * (mass[:3, 3:] - mass[:3, 3:].T) / whole
+    cross = -0.5 * (mass[:3, 3:] - mass[:3, 3:].T) / total
     centre = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
     arm = np.array(
         [[0, -centre[2], centre[1]], [centre[2], 0, -centre[0]], [-centre[1], centre[0], 0]]
     )
-    values, axes = np.linalg.eigh(mass[3:, 3:] + whole * arm @ arm)
-    values = np.maximum(values, _LEAST * max(float(values.max()), whole * 1e-6))
+    values, axes = np.linalg.eigh(mass[3:, 3:] + total * arm @ arm)
+    values = np.maximum(values, _LEAST * max(float(values.max()), total * 1e-6))
     values[2] = min(values[2], values[0] + values[1])  # no rigid body has more
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1.0
-    body.mass, body.ipos, body.inertia = whole, centre, values
+    body.mass, body.ipos, body.inertia = total, centre, values
     body.iquat, body.explicitinertial = _quaternion(axes), 1
 
 

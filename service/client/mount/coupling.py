@@ -33,7 +33,7 @@ BURST, RECORD = 4, 1.5  # so many in a row, each this many times the largest of 
 # The other way to diverge turns nothing round: a scene that tips, or a Newton step by a stiffness
 # of the wrong sign. Loads may grow, but not by half each sync, `CYCLE` times in a row: 650 x.
 ONWARD = 0.9  # the cosine between such residuals
-ABSURD = 1e100  # tolerances: beyond, squares overflow, and no watch can tell anything
+ABSURD = 1e100  # tolerances: beyond, squares overflow, and no watch can decide
 # Tolerances: smaller residuals of a running simulation say nothing, as with what `settle` takes for
 # rest. A load that rests on a row of the table meets the row's own answer or, a rounding error
 # beside it, the interpolated one: that jump has either sign. Taken for overshoots, such jumps let
@@ -180,7 +180,7 @@ class Relaxation:
 
 @dataclass(frozen=True)
 class ContractionWatch:
-    """What tells a loop that drives itself from one that is driven."""
+    """Distinguishes a loop that drives itself from one that is driven."""
 
     size: float = 0.0  # of the last residual, in tolerances
     largest: float = 0.0  # of all of the run
@@ -409,7 +409,7 @@ def by_newton(
         compliance = state.answer.derivative
         if compliance is None:
             raise MountError(
-                f"{state.answer.component} tells no derivative under this wrench, and Newton needs "
+                f"{state.answer.component} has no derivative under this wrench, and Newton needs "
                 "it: settle with relaxation='aitken'"
             )
         product = np.nan_to_num(compliance) @ slope  # NaN: an output that is taken as rigid

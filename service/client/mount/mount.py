@@ -58,7 +58,7 @@ MODES = ("table", "solve", "record", "envelope")
 _MEANS = {
     "thin": "the table is too thin here: answers are estimates, with wider error bars",
     "outside": "the wrench is outside the table or the load range: answers are flagged estimates",
-    "unknown": "the table cannot answer: the pose of before is kept",
+    "unknown": "the table cannot answer: the pose stays",
 }
 
 
@@ -78,7 +78,7 @@ class Coverage:
     Attributes
     ----------
     covered, thin, outside, unknown : int
-        ``unknown``: the table had nothing to say, and the pose of before was kept.
+        ``unknown``: the table had no answer, and the pose stayed.
     first : dict of str to First
         The first answer of each kind but covered.
     widest : numpy.ndarray
@@ -153,7 +153,7 @@ class Mount:
     natural_frequency, ramp_time : float, optional
         The component's first, with what it carries, Hz, and the time in which loads build up, s: a
         warning says when answers at rest will miss the ringing. With a `ramp_time` alone a server
-        tells the frequency: the component's own, lowered by what it carries.
+        gives the frequency: the component's, lowered by what it carries.
     carried : float or array_like, optional
         The rigid system's mass, kg, or its mass matrix about the interface point, shape (6, 6), kg,
         kg·m, kg·m^2, for that frequency.
@@ -177,7 +177,7 @@ class Mount:
     Raises
     ------
     ValueError, TypeError
-        If an option is none of its words, a pose no pose, or the mode needs a server.
+        If an option or a pose is not valid, or the mode needs a server.
     ProblemError, ServerUnreachable
         If the server has no such component, or does not answer.
     """
@@ -705,7 +705,7 @@ def warn_if_ringing(
 ) -> None:
     """Warn where loads build up, in `ramp_time`, s, too fast for answers at rest.
 
-    A server tells the first natural frequency, Hz, if it is not given. InvalidArgument if one is
+    A server gives the first natural frequency, Hz, if it is not given. InvalidArgument if one is
     given without the other, or `carried`, kg or a mass matrix (6, 6), is of no use.
     """
     if frequency is None and ramp_time is not None and hasattr(source, "compliance"):
@@ -719,7 +719,7 @@ def warn_if_ringing(
     if frequency is None or ramp_time is None:
         raise InvalidArgument(
             "natural_frequency, Hz, and ramp_time, s, are given together; ramp_time alone where "
-            "the source is a Client, whose server tells the frequency"
+            "the source is a Client, whose server gives the frequency"
         )
     if not (frequency > 0.0 and ramp_time > 0.0):
         raise InvalidArgument("natural_frequency and ramp_time must be over 0")
@@ -739,7 +739,7 @@ def _known_frequency(
 ) -> float | None:
     """Return the first natural frequency, Hz, by a server's facts; None and a warning without."""
     alone = (client.component(component).get("vibration") or {}).get("first_frequency")
-    unknown = f"{component}: whether loads build up slowly enough cannot be told."
+    unknown = f"{component}: whether loads build up slowly enough is not known."
     matrix, compliance = None, None
     if carried is not None:
         mass = np.asarray(carried, dtype=float)
@@ -762,7 +762,7 @@ def _known_frequency(
     if math.isfinite(frequency):
         return frequency
     warn(
-        f"{unknown} its bundle tells no density, and no mass that it carries is known: give "
+        f"{unknown} its bundle gives no density, and no mass that it carries is known: give "
         "natural_frequency=, Hz, or carried=, kg",
         MountWarning,
     )

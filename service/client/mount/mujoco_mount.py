@@ -1,6 +1,6 @@
 """The mount in MuJoCo: reads two sensors, writes a mocap body's pose.
 
-Sensors tell the wrench on the component only of some scenes. Each check was tried in MuJoCo 4.0.0;
+Sensors read the wrench on the component only of some scenes. Each check was tried in MuJoCo 4.0.0;
 tests/service/client has a scene for each.
 """
 
@@ -76,7 +76,7 @@ class MujocoMount:
     Raises
     ------
     SensorError
-        If the scene's sensors do not tell the wrench on the component; the text says why.
+        If the scene's sensors do not read the wrench on the component; the text says why.
     ValueError, TypeError, ProblemError
         See `Mount`.
 
@@ -170,7 +170,7 @@ class MujocoMount:
             self.restart()
             self._begin(float(now) - 2.0 * self._half_step)  # one step has been made since
         if now == self._now:
-            return False  # no step since: the sensors have nothing new to tell, or nothing at all
+            return False  # no step since: the sensors have no new reading, or none at all
         if now < self._due:
             self._now = now
             return False
@@ -230,7 +230,7 @@ class MujocoMount:
         self._due = self._now + self._sync - self._half_step
 
     def _read(self) -> Vector:
-        """Return the wrench that the sensors tell, shape (6,), N and N·m."""
+        """Return the wrench that the sensors read, shape (6,), N and N·m."""
         axes, point = self._axes, self._point
         force, moment = -(axes @ self._force), -(axes @ self._torque)
         if self._floating is not None:
@@ -305,8 +305,8 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
 def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector | None:
     """Return what gravity compensation takes off each body: kg, shape (bodies,); None if nothing.
 
-    SensorError if a body is compensated and `gravcomp` is not given; InvalidArgument if it is none
-    of its words, or cannot be taken off with this integrator.
+    SensorError if a body is compensated and `gravcomp` is not given; InvalidArgument if it is not
+    valid, or cannot be taken off with this integrator.
     """
     if gravcomp is not None and gravcomp not in ("motors", "float"):
         raise InvalidArgument(f"gravcomp must be 'motors' or 'float', not {gravcomp!r}")

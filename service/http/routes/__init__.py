@@ -1,17 +1,73 @@
-"""One file a resource of the HTTP interface."""
+"""One file a resource of the HTTP interface; here is what they share."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Annotated, Any
+from urllib.parse import urlencode
 
+import orjson
 from fastapi import Depends, Request
+from fastapi.routing import APIRoute
+from starlette.responses import Response
 
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.messages import Message
+from wrenchbook.service.tables.mapped import ServedTable
+from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 
-async def _opened(request: Request) -> Workspace:
+async def _workspace(request: Request) -> Workspace:
     return request.app.state.workspace
 
 
-Opened = Annotated[Workspace, Depends(_opened)]
+Opened = Annotated[Workspace, Depends(_workspace)]
 """A parameter of a route: the workspace of the server."""
+
+
+async def _newest(name: str, request: Request) -> ServedTable:
+    return await request.app.state.workspace.newest(name, CATCH_UP_S)
+
+
+Newest = Annotated[ServedTable, Depends(_newest)]
+"""A parameter of a route: the component's table, once it holds all rows there are now."""
+
+
+class DirectRoute(APIRoute):
+    """A call that takes the bare request: FastAPI's own reading takes 60 µs, an answer 50."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return the endpoint, called with the request and the path's parameters."""
+
+        async def handle(request: Request) -> Response:
+            return await self.endpoint(request=request, **request.path_params)
+
+        return handle
+
+
+def json_reply(
+    fields: dict[str, Any] | Message, status: int = 200, headers: dict[str, str] | None = None
+) -> Response:
+    """Write a body; what is not finite is null, never a number."""
+    content = orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)
+    return Response(content, status, headers, "application/json")
+
+
+def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:
+    """Return the URL of a list's next page, and put it into the header Link (RFC 8288)."""
+    parameters = {
+        name: "true" if value is True else value for name, value in query.items() if value
+    }
+    url = f"{path}?{urlencode(parameters)}"
+    response.headers["Link"] = f'<{url}>; rel="next"'
+    return url
+
+
+def naming(tag: str) -> dict[str, str]:
+    """Return the headers of a version: its entity tag, and that caches revalidate it."""
+    return {"ETag": tag, "Cache-Control": "no-cache"}
+
+
+def holds(if_none_match: str | None, tag: str) -> bool:
+    """Return whether the caller has this version (RFC 9110, section 13.1.2)."""
+    tags = [tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")]
+    return tag in tags or "*" in tags

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
@@ -15,12 +16,17 @@ from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
-from wrenchbook.service.http.body import MAX_QUERY_BYTES, JsonRoute, form_of, read_limited
+from wrenchbook.service.http.body import (
+    MAX_QUERY_BYTES,
+    JsonRoute,
+    content_type,
+    form_of,
+    read_body,
+    read_limited,
+)
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
-from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.replies import json_reply, next_page
-from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.http.routes import Newest, Opened, json_reply, next_page
 from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.library.bundles import MAX_BUNDLE_BYTES
 from wrenchbook.service.library.component import (
@@ -33,8 +39,8 @@ from wrenchbook.service.library.component import (
 from wrenchbook.service.messages import JobLink, Queued
 from wrenchbook.service.query import job_link
 from wrenchbook.service.tables.mapped import warning_of
-from wrenchbook.service.workspace import CATCH_UP_S, Workspace
-from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
+from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.solver_error import UNKNOWN
 from wrenchbook.surrogate.table.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"], route_class=JsonRoute)
@@ -61,28 +67,21 @@ def list_components(
         str | None, Query(max_length=300, description="go on after this component's name")
     ] = None,
 ) -> dict[str, Any]:
-    library, cards = workspace.library, workspace.catalogue
-    found = [
-        library[name]
-        for name in library.names()
-        if (after is None or name > after) and (archived or not cards[name].archived)
-    ]
-    searched = q.casefold().split()
-    found = [
-        item
-        for item in found
-        if all(
-            word in f"{item.name} {item.title} {cards[item.name].notes}".casefold()
-            for word in searched
-        )
-    ]
-    following = None
-    if len(found) > limit:
-        words = {"q": q, "archived": archived, "limit": limit, "after": found[limit - 1].name}
-        following = next_page(response, "/v1/components", words)
+    library, cards, searched = workspace.library, workspace.catalogue, q.casefold().split()
+    components = []
+    for name in library.names():
+        text = f"{name} {library[name].title} {cards[name].notes}".casefold()
+        is_listed = (after is None or name > after) and (archived or not cards[name].archived)
+        if is_listed and all(word in text for word in searched):
+            components.append(library[name])
+    next_url = None
+    if len(components) > limit:
+        last = components[limit - 1].name
+        query = {"q": q, "archived": archived, "limit": limit, "after": last}
+        next_url = next_page(response, "/v1/components", query)
     return {
-        "components": [_summary(workspace, one) for one in found[:limit]],
-        "next": following,
+        "components": [_summary(workspace, component) for component in components[:limit]],
+        "next": next_url,
         "broken": [
             {"name": name, "reason": redact(reason)}
             for name, reason in sorted(workspace.broken().items())
@@ -96,9 +95,8 @@ def list_components(
     response_description="the component",
     responses=refused(404, 422),
 )
-async def get_component(name: str, workspace: Opened) -> dict[str, Any]:
-    await workspace.newest(name, CATCH_UP_S)
-    return await run_in_threadpool(component_body, workspace, workspace.library[name])
+def get_component(name: str, workspace: Opened, _: Newest) -> dict[str, Any]:
+    return component_body(workspace, workspace.library[name])
 
 
 @router.post(
@@ -109,9 +107,17 @@ async def get_component(name: str, workspace: Opened) -> dict[str, Any]:
     openapi_extra=takes(TableOnlyComponent, {"multipart/form-data": {"schema": _BUNDLE}}),
 )
 async def add_component(request: Request, workspace: Opened) -> Response:
-    kind = request.headers.get("content-type", "").partition(";")[0].strip()
+    kind = content_type(request)
     if kind == "multipart/form-data":
-        component = await _add_bundle(workspace, request)
+        # The archive may be as large as a bundle, and its form has a head.
+        async with form_of(request, MAX_BUNDLE_BYTES + MAX_QUERY_BYTES, most_files=1) as form:
+            upload = form.get("bundle")
+            if not isinstance(upload, UploadFile):
+                message = "send the zip as the form's file 'bundle'"
+                raise bad_body([{"loc": "bundle", "msg": message}])
+            decks = permission_of(request.scope).allows("admin")
+            add_zip = workspace.library.add_zip
+            component = await run_in_threadpool(add_zip, upload.file, decks=decks)
     elif kind == "application/json":
         body = read_body(TableOnlyComponent, await read_limited(request.receive))
         fields = body.model_dump(exclude_none=True)
@@ -126,16 +132,6 @@ async def add_component(request: Request, workspace: Opened) -> Response:
         )
     body = await run_in_threadpool(component_body, workspace, component)
     return json_reply(body, 201, {"Location": f"/v1/components/{component.name}"})
-
-
-async def _add_bundle(workspace: Workspace, request: Request) -> Component:
-    # The archive may be as large as a bundle, and its form has a head.
-    async with form_of(request, MAX_BUNDLE_BYTES + MAX_QUERY_BYTES, most_files=1) as form:
-        upload = form.get("bundle")
-        if not isinstance(upload, UploadFile):
-            raise bad_body([{"loc": "bundle", "msg": "send the zip as the form's file 'bundle'"}])
-        decks = permission_of(request.scope).allows("admin")
-        return await run_in_threadpool(workspace.library.add_zip, upload.file, decks=decks)
 
 
 @router.post(
@@ -174,88 +170,68 @@ def fill(name: str, workspace: Opened, order: FillBody) -> Response:
 
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return all there is to say about a component."""
-    table = workspace.tables.surrogate(component.name)
-    own_error = workspace.solver_error(component.name) if component.has_fea else None
-    findings = workspace.ledger.findings(component.name)  # a large table may still be in the making
-    warning = warning_of(component, table)  # of rows that are in the ledger and not in the table
+    table, limit = workspace.tables.surrogate(component.name), component.tolerance
+    error = workspace.solver_error(component.name) if component.has_fea else None
+    warnings = [*warnings_of(component.folder)]  # of its check
+    if not table.bars_are_whole:
+        warnings.append({"where": WHERE, "message": UNKNOWN})
+    elif error is not None and limit is not None:  # the newest estimate takes the check's place
+        warnings = [warning for warning in warnings if warning["where"] != WHERE]
+        newest = over_tolerance(error.values, limit.translation, limit.rotation)
+        warnings += ({"where": mistake.where, "message": mistake.message} for mistake in newest)
+    # A large table may still be in the making, and rows be in the ledger and not in the table.
+    findings = workspace.ledger.findings(component.name)
+    if message := warning_of(component, table):
+        warnings.append({"where": "rows", "message": message})
+    warnings += ({"where": f"import {finding['import']}", **finding} for finding in findings)
+    solver_error = None  # of a measured table
+    if error is not None:
+        names = ("mesh_basis", "linearity_basis", "buckling")
+        basis = {name: error.values[name] for name in names if name in error.values}
+        solver_error = {**error.at_full_range(), **basis}
+    elif component.has_fea:
+        solver_error = {"mesh": None, "mesh_basis": UNKNOWN}
     return {
         **_summary(workspace, component),
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
         "interface": interface_of(component),
         **({"interfaces": interfaces_of(component)} if component.space.several else {}),
-        "warnings": [
-            *_warnings(component, own_error, known=table.bars_are_whole),
-            *([{"where": "rows", "message": warning}] if warning else []),
-            *({"where": f"import {one['import']}", **one} for one in findings),
-        ],
+        "warnings": warnings,
         "vibration": vibration_of(component.folder, component.fingerprint),
-        "solver_error": _solver_error(component, own_error),
+        "solver_error": solver_error,
         "sources": dict(sorted(table.sources.items())),
         "coverage": table.summary,
         "jobs": workspace.ledger.counts(component.name),
     }
 
 
-def _warnings(
-    component: Component, error: SolverError | None, *, known: bool
-) -> list[dict[str, str]]:
-    """Return what its check warned of, and what the newest estimate of its solver's error does."""
-    checked = warnings_of(component.folder)
-    if not known:
-        return [*checked, {"where": WHERE, "message": UNKNOWN}]
-    limit = component.tolerance
-    if error is None or limit is None:
-        return checked
-    now = over_tolerance(error.values, limit.translation, limit.rotation)
-    return [
-        *(one for one in checked if one["where"] != WHERE),
-        *({"where": one.where, "message": one.message} for one in now),
-    ]
-
-
-def _solver_error(component: Component, error: SolverError | None) -> dict[str, Any] | None:
-    """Return what the solver's own answers may be wrong by; None of a measured table."""
-    if not component.has_fea:
-        return None
-    if error is None:
-        return {"mesh": None, "mesh_basis": UNKNOWN}
-    words = ("mesh_basis", "linearity_basis", "buckling")
-    basis = {name: error.values[name] for name in words if name in error.values}
-    return {**error.at_full_range(), **basis}
-
-
-def _range(component: Component) -> dict[str, Any]:
-    """Return the load range as requests have it: by interface where there are several."""
-    space = component.space
+def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
+    table = workspace.tables.surrogate(component.name)
+    limit, space = component.tolerance, component.space
+    card = workspace.catalogue[component.name]
+    solved = table.sources.get("fea", 0)
+    # The load range as requests have it: by interface where there are several.
     bounds = component.load_range.low.tolist(), component.load_range.high.tolist()
     spans = [list(span) for span in zip(*bounds, strict=True)]
     loads = {
         name: {"force": spans[6 * k : 6 * k + 3], "moment": spans[6 * k + 3 : 6 * k + 6]}
         for k, name in enumerate(space.interfaces)
     }
-    further = {one.name: span for one, span in zip(space.scalars[::-1], spans[::-1], strict=False)}
-    inputs = {"inputs": dict(reversed(further.items()))} if further else {}
-    return ({"loads": loads} if space.several else next(iter(loads.values()))) | inputs
-
-
-def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
-    table = workspace.tables.surrogate(component.name)
-    limit = component.tolerance
-    card = workspace.catalogue[component.name]
-    solved = table.sources.get("fea", 0)
+    load_range: dict[str, Any] = {"loads": loads} if space.several else loads[space.interfaces[0]]
+    if space.scalars:
+        further = zip(space.scalars, spans[-len(space.scalars) :], strict=True)
+        load_range |= {"inputs": {load.name: span for load, span in further}}
     return {
         "name": component.name,
         "title": component.title,
         "has_fea": component.has_fea,
         "linear": component.linear,
         "shipped": component.shipped,
-        "range": _range(component),
+        "range": load_range,
         # The inputs and outputs where they are not those of one wrench.
-        **({} if component.space.is_default else {"space": component.space.words()}),
-        "tolerance": (
-            {"translation": limit.translation, "rotation": limit.rotation} if limit else None
-        ),
+        **({} if space.is_default else {"space": space.words()}),
+        "tolerance": limit and asdict(limit),
         "rows": table.row_count,
         "pending_rows": workspace.unbuilt(component.name, table)[0],
         "solved": solved,

@@ -1,24 +1,39 @@
-"""Coverage of a component's table, and its compliance with checks of physics."""
+"""What a table covers, its compliance, and what a page draws of it: nothing is queued."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from itertools import product
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
-from fastapi import APIRouter
-from starlette.concurrency import run_in_threadpool
+from fastapi import APIRouter, Query
+from numpy.typing import NDArray
 from starlette.responses import Response
 
+from wrenchbook.service.contract import COVERAGE, LOADS, OUTPUTS
 from wrenchbook.service.http.openapi import answers, refused
-from wrenchbook.service.http.replies import json_reply
-from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.http.schemas import Compliance
+from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.http.routes import Newest, Opened, json_reply
+from wrenchbook.service.library.bundles import surface_of
+from wrenchbook.service.library.component import require_one_wrench
+from wrenchbook.service.messages import Compliance
 from wrenchbook.service.tables.mapped import ServedTable
-from wrenchbook.service.workspace import CATCH_UP_S
 from wrenchbook.surrogate.describe import axis_gaps
+from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.physics_checks import check_physics
+from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
+MAX_ROWS = 5_000  # what a browser turns in 3-D without delay; the reply is then some 1 MB
+SAMPLE = 128  # wrenches: the covered share of a range to some 4 %
+PRIMES = (2, 3, 5, 7, 11, 13)  # the first six: the bases of Halton's sequence for each load
+CELLS = 7  # of each load in the grid of an axis; odd, so that no load is a middle of one
+
+Load = Literal["fx", "fy", "fz", "mx", "my", "mz"]
+Force = Annotated[float, Query(allow_inf_nan=False, description="N")]
+Moment = Annotated[float, Query(allow_inf_nan=False, description="N·m")]
+Places = NDArray[np.intp]
 
 
 @router.get(
@@ -26,18 +41,13 @@ router = APIRouter(prefix="/v1/components/{name}", tags=["components"], response
     summary="Hull and gaps per axis, and rows that contradict each other",
     responses=answers(dict[str, Any], "hull and gaps"),
 )
-async def coverage(name: str, workspace: Opened) -> Response:
-    return await run_in_threadpool(_coverage, name, await workspace.newest(name, CATCH_UP_S))
-
-
-def _coverage(name: str, table: ServedTable) -> Response:
+def coverage(name: str, table: Newest) -> Response:
     gaps = table.packed.words["gaps"]
     if not table.load_range.space.is_default:
         gaps = []  # its table has no axes
     elif gaps is None:
         gaps = axis_gaps(table.surrogate().composition, table.load_range)
-    body = {"component": name, **table.summary, "gaps": gaps}
-    return json_reply(body)
+    return json_reply({"component": name, **table.summary, "gaps": gaps})
 
 
 @router.get(
@@ -45,26 +55,187 @@ def _coverage(name: str, table: ServedTable) -> Response:
     summary="The 6x6 at zero load, its mean over the load range, and what breaks physics",
     response_model=Compliance,
 )
-async def compliance(name: str, workspace: Opened) -> Response:
-    return await run_in_threadpool(_compliance, name, await workspace.newest(name, CATCH_UP_S))
-
-
-def _compliance(name: str, table: ServedTable) -> Response:
+def compliance(name: str, table: Newest) -> Response:
     fit, tangent, space = table.fit, table.packed.words["tangent"], table.load_range.space
-    body: dict[str, Any] = {
+    return json_reply(
+        Compliance(
+            component=name,
+            table_version=table.version,
+            tangent=tangent["matrix"],
+            tangent_origin=tangent["origin"],
+            origin=cast(Any, fit.origin),
+            matrix=fit.matrix,
+            offset=np.ascontiguousarray(np.broadcast_to(fit.offset, len(space.outputs))),
+            known_loads=[
+                load for load, known in zip(space.input_names, fit.known, strict=True) if known
+            ],
+            error=fit.error,
+            rows=[f"{output.name} [{output.unit}]" for output in space.outputs],
+            columns=[f"{load.name} [{load.unit}]" for load in space.inputs],
+            **check_physics(table.rows, table.load_range, fit, table.tolerance),
+        )
+    )
+
+
+@router.get(
+    "/glance",
+    summary="Covered, thin and outside parts of the range, and total error bars",
+)
+def glance(name: str, workspace: Opened) -> Response:
+    table = workspace.tables.surrogate(name)
+    span = table.load_range
+    require_one_wrench(name, span.space)
+    # Halton's sequence (1960). Importing `scipy.stats` for it takes a fifth of a server's start.
+    sample = np.zeros((SAMPLE, 6))
+    for load, base in enumerate(PRIMES):
+        numbers, part = np.arange(1, SAMPLE + 1), 1.0  # without 0, which is a corner
+        while numbers.any():
+            part /= base
+            sample[:, load] += part * (numbers % base)
+            numbers = numbers // base
+    wrenches = span.low + sample * (span.high - span.low)
+    replies = [table.packed.answer(wrench) for wrench in wrenches.tolist()]
+    within = [reply.within_tolerance for reply in replies if reply.coverage == "covered"]
+    body = {
         "component": name,
         "table_version": table.version,
-        "tangent": tangent["matrix"],
-        "tangent_origin": tangent["origin"],
-        "origin": fit.origin,
-        "matrix": fit.matrix.tolist(),
-        "offset": np.broadcast_to(fit.offset, len(space.outputs)).tolist(),
-        "known_loads": [
-            load for load, known in zip(space.input_names, fit.known, strict=True) if known
-        ],
-        "error": fit.error.tolist(),
-        "rows": [f"{output.name} [{output.unit}]" for output in space.outputs],
-        "columns": [f"{load.name} [{load.unit}]" for load in space.inputs],
-        **check_physics(table.rows, table.load_range, fit, table.tolerance),
+        "shares": COVERAGE,
+        "whole": _shares(table, wrenches),
+        "error": _median([reply.error for reply in replies]),
+        "interpolation": _median([reply.interpolation for reply in replies]),
+        "bars_are_whole": table.bars_are_whole,
+        # The share of wrenches that are covered and within the tolerance; a covered one that
+        # cannot be compared leaves it unknown.
+        "within_tolerance": None if None in within else sum(map(bool, within)) / SAMPLE,
+        "axes": {axis.name: _shares(table, _grid(span, axis)) for axis in AXES},
     }
     return json_reply(body)
+
+
+def _shares(table: ServedTable, wrenches: Floats) -> list[float]:
+    """Return the shares of wrenches (n, 6) that are covered, thin and outside."""
+    coverage = table.packed.batch(wrenches).coverage
+    return (np.bincount(coverage, minlength=3) / len(wrenches)).tolist()
+
+
+def _median(errors: Sequence[Sequence[float | None] | None]) -> Floats:
+    """Return the median of each output's error bars; an unknown one counts as the largest."""
+    return np.median(np.nan_to_num(_six_each(errors), nan=np.inf), axis=0)
+
+
+def _six_each(errors: Sequence[Sequence[float | None] | None]) -> Floats:
+    """Error bars as an array (n, 6); NaN where they are not known."""
+    return np.array([six or (None,) * 6 for six in errors], dtype=float)
+
+
+def _ends(span: LoadRange) -> tuple[Floats, Floats]:
+    """Return the range's ends, (6,) each, stretched to hold zero as answers count it."""
+    return np.minimum(span.low, 0.0), np.maximum(span.high, 0.0)
+
+
+def _grid(span: LoadRange, axis: LoadAxis) -> Floats:
+    """Return the middles of a grid's cells over the loads of an axis, (n, 6); other loads are zero.
+
+    At the ends of the range, which rows hardly ever reach, lie no points: each stands for a cell of
+    the same size.
+    """
+    middles = np.linspace(*_ends(span), 2 * CELLS + 1)[1::2]
+    loads = np.array(list(product(*(np.unique(middles[:, load]) for load in axis.inputs))))
+    wrenches = np.zeros((len(loads), 6))
+    wrenches[:, list(axis.inputs)] = loads
+    return wrenches
+
+
+@router.get("/surface", summary="The undeformed surface, for a picture: at most 2000 vertices, m")
+def surface(name: str, workspace: Opened) -> Response:
+    component = workspace.library[name]
+    if not component.has_fea:
+        why = f"{name!r} has measured rows and no mesh, so there is nothing to draw."
+        raise HttpProblemError(404, "no-mesh", "The component has no mesh", why)
+    drawn = surface_of(component.folder, component.fingerprint)
+    return json_reply({"component": name, **drawn})
+
+
+@router.get("/drawing", summary="Rows to draw, at most `most`, and the coverage of a grid")
+def drawing(
+    name: str,
+    table: Newest,
+    axis: Annotated[
+        Literal["x", "y", "z"] | None, Query(description="rows that load it alone first; its grid")
+    ] = None,
+    along: Annotated[Load | None, Query(description="only rows that have no other load")] = None,
+    most: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 2_000,
+) -> Response:
+    require_one_wrench(name, table.load_range.space)
+    rows, drawn = table.rows, next((every for every in AXES if every.name == axis), None)
+    loaded = np.abs(rows.wrench) > CLEAN * table.load_range.scale
+    chosen = np.arange(len(rows))
+    clean: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
+    if along is not None:
+        chosen = np.flatnonzero(~loaded[:, np.arange(6) != LOADS.index(along)].any(axis=1))
+    if drawn is not None:
+        clean = np.logical_not(loaded[:, drawn.others].any(axis=1))
+    first = _spread(chosen[clean[chosen]], most)
+    rest = _spread(chosen[~clean[chosen]], most - len(first))
+    shown = np.sort(np.concatenate((first, rest)))
+    some = rows.take(shown)
+    body = {
+        "component": name,
+        "table_version": table.version,
+        "of": len(chosen),
+        "shown": len(shown),
+        "row": some.seq,
+        "wrench": np.ascontiguousarray(some.wrench),
+        "displacement": np.ascontiguousarray(some.displacement),
+        "clean": clean[shown],
+        "source": [str(source) for source in some.source],
+    }
+    if drawn is not None:
+        grid = _grid(table.load_range, drawn)
+        covers = {"wrench": grid, "coverage": table.packed.batch(grid).coverage.tolist()}
+        body |= {"inputs": [LOADS[load] for load in drawn.inputs], "grid": covers}
+    return json_reply(body)
+
+
+def _spread(places: Places, count: int) -> Places:
+    """At most `count` evenly spread places, the first and the last among them."""
+    if len(places) <= count:
+        return places
+    return places[np.linspace(0, len(places) - 1, count).astype(np.intp)]
+
+
+@router.get("/response", summary="What the table answers along one load, with its total error bars")
+def response(
+    name: str,
+    table: Newest,
+    load: Load,
+    fx: Force = 0.0,
+    fy: Force = 0.0,
+    fz: Force = 0.0,
+    mx: Moment = 0.0,
+    my: Moment = 0.0,
+    mz: Moment = 0.0,
+    points: Annotated[int, Query(ge=2, le=501)] = 121,
+) -> Response:
+    require_one_wrench(name, table.load_range.space)
+    low, high = _ends(table.load_range)
+    wrenches = np.repeat([[fx, fy, fz, mx, my, mz]], points, axis=0)
+    place = LOADS.index(load)
+    wrenches[:, place] = np.linspace(low[place], high[place], points)
+    replies = table.packed.batch(wrenches)
+    each = [table.packed.answer(wrench).interpolation for wrench in wrenches.tolist()]
+    return json_reply(
+        {
+            "component": name,
+            "table_version": table.version,
+            "method": table.default,
+            "load": load,
+            "at": wrenches[:, place].tolist(),
+            "outputs": OUTPUTS,
+            "displacement": replies.outputs,
+            "error": replies.errors,
+            "interpolation": _six_each(each),
+            "bars_are_whole": table.bars_are_whole,
+            "coverage": replies.coverage.tolist(),
+        }
+    )

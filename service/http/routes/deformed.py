@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections import Counter
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -12,14 +13,12 @@ from starlette.responses import Response
 
 from wrenchbook.service.contract import LOADS, MOMENT_POINT, Coverage
 from wrenchbook.service.fields import surface_files
-from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.http.openapi import BYTES, answers, refused
 from wrenchbook.service.http.problems import bad_body
-from wrenchbook.service.http.replies import json_reply
-from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.http.routes import Newest, Opened, json_reply
 from wrenchbook.service.library.component import interface_of, require_one_wrench
 from wrenchbook.service.messages import DeformedShape, Stress
-from wrenchbook.service.workspace import CATCH_UP_S, Workspace
+from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(
     prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 409, 422)
@@ -42,6 +41,7 @@ async def deformed(
     name: str,
     request: Request,
     workspace: Opened,
+    _: Newest,
     fx: Annotated[float, _FORCE] = 0.0,
     fy: Annotated[float, _FORCE] = 0.0,
     fz: Annotated[float, _FORCE] = 0.0,
@@ -50,8 +50,16 @@ async def deformed(
     mz: Annotated[float, _MOMENT] = 0.0,
     format: Literal["json", "gltf", "vtu"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
-    _require_known_names(request)
-    await workspace.newest(name, CATCH_UP_S)
+    known = (*LOADS, "format")
+    counts = Counter(key for key, _ in request.query_params.multi_items())
+    unknown = f"no such parameter; there are {', '.join(known)}"  # a misspelt load would be zero
+    errors = [
+        {"loc": key, "msg": "sent more than once" if key in known else unknown}
+        for key, count in counts.items()
+        if key not in known or count > 1
+    ]
+    if errors:
+        raise bad_body(errors)
     require_one_wrench(name, workspace.library.as_read(name).space)
     loads = np.array([fx, fy, fz, mx, my, mz])
     # On threads of its own, few: it reads files and multiplies large arrays.
@@ -61,49 +69,26 @@ async def deformed(
     )
 
 
-def _require_known_names(request: Request) -> None:
-    """Refuse parameters that this call has not: a misspelt load would be a zero one."""
-    known = (*LOADS, "format")
-    names = [key for key, _ in request.query_params.multi_items()]
-    errors = [
-        {"loc": key, "msg": f"no such parameter; there are {', '.join(known)}"}
-        for key in dict.fromkeys(names)
-        if key not in known
-    ]
-    errors += [
-        {"loc": key, "msg": "given more than once"}
-        for key in dict.fromkeys(names)
-        if key in known and names.count(key) > 1
-    ]
-    if errors:
-        raise bad_body(errors)
-
-
 def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
     shape = workspace.deformed(name, loads)
-    if form == "json":
-        return json_reply(_body(workspace, shape))
-    write, kind, ending = (
-        (surface_files.write_gltf, surface_files.GLTF_MEDIA_TYPE, "glb")
-        if form == "gltf"
-        else (surface_files.write_vtu, surface_files.VTU_MEDIA_TYPE, "vtu")
-    )
-    headers = {
-        "Content-Disposition": f'attachment; filename="{name}.{ending}"',
-        "Wrenchbook-Coverage": shape.coverage,
-        "Wrenchbook-Within-Tolerance": json.dumps(shape.within_tolerance),
-    }
-    return Response(write(shape), 200, headers, kind)
-
-
-def _body(workspace: Workspace, shape: Deformed) -> DeformedShape:
-    geometry = shape.geometry
+    if form != "json":
+        write, kind, ending = (
+            (surface_files.write_gltf, surface_files.GLTF_MEDIA_TYPE, "glb")
+            if form == "gltf"
+            else (surface_files.write_vtu, surface_files.VTU_MEDIA_TYPE, "vtu")
+        )
+        headers = {
+            "Content-Disposition": f'attachment; filename="{name}.{ending}"',
+            "Wrenchbook-Coverage": shape.coverage,
+            "Wrenchbook-Within-Tolerance": json.dumps(shape.within_tolerance),
+        }
+        return Response(write(shape), 200, headers, kind)
+    geometry, count = shape.geometry, len(shape.geometry.vertices)
     stress: dict[str, Any] | None = shape.stress and shape.stress._asdict()
-    interface = interface_of(workspace.library[shape.component]) or {}
-    count = len(geometry.vertices)
+    interface = interface_of(workspace.library[name]) or {}
     simplified: dict[Literal["from", "to"], int] = {"from": geometry.whole_vertices, "to": count}
-    return DeformedShape(
-        component=shape.component,
+    reply = DeformedShape(
+        component=name,
         force=np.array(shape.wrench[:3]),
         moment=np.array(shape.wrench[3:]),
         frame={"point": interface.get("point"), "axes": interface.get("axes")},
@@ -120,3 +105,4 @@ def _body(workspace: Workspace, shape: Deformed) -> DeformedShape:
         coverage=cast(Coverage, shape.coverage),
         reason=shape.reason,
     )
+    return json_reply(reply)

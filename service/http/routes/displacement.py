@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+from collections.abc import Callable
+from typing import TypeVar
 
 from fastapi import APIRouter, Request
-from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
@@ -20,31 +19,37 @@ from wrenchbook.service.http.batch import (
     is_binary,
     read_batch_body,
     read_binary,
+    write_batch,
+    write_binary,
 )
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
-from wrenchbook.service.http.body import MAX_BATCH_BYTES, Spooled, read_limited, spooled
+from wrenchbook.service.http.body import (
+    MAX_BATCH_BYTES,
+    Spooled,
+    checked,
+    loads_of,
+    parsed_json,
+    read_limited,
+    read_query,
+    refuse_query,
+    spooled,
+)
 from wrenchbook.service.http.openapi import answers, refused, takes
-from wrenchbook.service.http.parsing import checked, loads_of, parsed_json, read_query, refuse_query
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.protocol import ANSWERED
-from wrenchbook.service.http.replies import write_batch, write_binary, write_outcome
-from wrenchbook.service.http.schemas import Displacement, Displacements
-from wrenchbook.service.query import Floats, Query, answer_or_submit, answer_or_submit_many
+from wrenchbook.service.http.routes import DirectRoute, json_reply
+from wrenchbook.service.messages import Displacement, Displacements
+from wrenchbook.service.query import (
+    Floats,
+    Outcome,
+    Query,
+    answer_or_submit,
+    answer_or_submit_many,
+    fields_of,
+)
 from wrenchbook.service.workspace import Workspace
 
-Asked = TypeVar("Asked", Query, tuple[Floats, Query])
-
-
-class DirectRoute(APIRoute):
-    """A call that takes the bare request: nothing of it is parsed before its endpoint runs."""
-
-    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return the endpoint, called with the request and the path's parameters."""
-
-        async def handle(request: Request) -> Response:
-            return await self.endpoint(request=request, **request.path_params)
-
-        return handle
+Read = TypeVar("Read", Query, tuple[Floats, Query])
 
 
 router = APIRouter(
@@ -62,18 +67,18 @@ _MANY = answers(Displacements, _SOLVED, content=BINARY_REPLY) | answers(
 )
 
 
-def _permitted(permission: Permission, read: Callable[[], Asked]) -> Asked:
+def _permitted(permission: Permission, read: Callable[[], Read]) -> Read:
     """Read a query; 403 for a key for reading if it cannot be read or queues solves."""
     if permission.allows("write"):
         return read()
     try:
-        asked = read()
+        result = read()
     except HttpProblemError:
         raise beyond_scope(permission, "write") from None
-    query = asked if isinstance(asked, Query) else asked[1]
+    query = result if isinstance(result, Query) else result[1]
     if query.on_thin not in ("estimate", "reject"):
         raise beyond_scope(permission, "write")
-    return asked
+    return result
 
 
 @router.post(
@@ -138,3 +143,12 @@ async def solve(name: str, request: Request) -> Response:
     body: SolveBody = checked(SolveBody, parsed_json(content))
     query = Query(loads_of(body, space), "solve", body.wait_s, beyond_range=body.beyond_range)
     return write_outcome(await answer_or_submit(workspace, name, query))
+
+
+def write_outcome(outcome: Outcome) -> Response:
+    """Answer one query: 200, or 202 while its solve has not answered."""
+    reply = Displacement.of(fields_of(outcome))
+    if not outcome.unsolved:
+        return json_reply(reply)
+    headers = {"Location": f"/v1/jobs/{outcome.job.id}"} if outcome.job else None
+    return json_reply(reply, 202, headers)

@@ -11,10 +11,9 @@ from fastapi import APIRouter, Header, Query, Request
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from wrenchbook.service.events import Events, Feed, Listener, TooManyListenersError
+from wrenchbook.service.events import Events, Feed, Listener
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.openapi import refused
-from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened
 
 router = APIRouter(prefix="/v1/events", tags=["events"], responses=refused(404, 422))
@@ -31,7 +30,7 @@ _STREAM = {
     "dropped: the listener read too slowly and is disconnected, data {reason}. Comments between "
     "are heartbeats. The stream ends once its key is revoked",
 }
-SEND_S = 20.0  # how long a listener may leave unread what the sockets have no room for
+SEND_S = 20.0  # for a listener to read when the sockets have no room for more
 HEADERS: Mapping[str, str] = {
     "Content-Type": "text/event-stream; charset=utf-8",
     "Cache-Control": "no-store",
@@ -61,12 +60,7 @@ async def events(
     watched: Events = request.app.state.events
     if component is not None:
         _ = workspace.library[component]
-    try:
-        listener = await watched.listen(component, last_event_id)
-    except TooManyListenersError as error:
-        raise HttpProblemError(
-            503, "too-many-listeners", "Too many listeners", f"{error}. Nothing was changed."
-        ) from None
+    listener = await watched.listen(component, last_event_id)
     request.app.state.access.end_with_key(listener, permission_of(request.scope))
     return EventStream(watched.feed, listener)
 
@@ -75,8 +69,14 @@ class EventStream(StreamingResponse):
     """Events until the connection ends, the listener is ended, or the caller no longer reads."""
 
     def __init__(self, feed: Feed, listener: Listener) -> None:
-        super().__init__(_lines(listener), headers=HEADERS)
         self._feed, self._listener = feed, listener
+
+        async def lines() -> AsyncIterator[bytes]:
+            while not listener.ended:
+                yield await listener.read(HEARTBEAT_S) or b":\n\n"
+            yield await listener.read(0.0)
+
+        super().__init__(lines(), headers=HEADERS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the events; free the listener's place in any case."""
@@ -89,9 +89,3 @@ class EventStream(StreamingResponse):
                 await super().__call__(scope, receive, send_in_time)
         finally:
             self._feed.leave(self._listener)
-
-
-async def _lines(listener: Listener) -> AsyncIterator[bytes]:
-    while not listener.ended:
-        yield await listener.read(HEARTBEAT_S) or b":\n\n"
-    yield await listener.read(0.0)

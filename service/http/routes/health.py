@@ -96,5 +96,5 @@ def table_states(workspace: Workspace) -> dict[str, TableState]:
     response_description="metrics in Prometheus' text form",
 )
 def metrics(request: Request) -> Response:
-    found: Metrics = request.app.state.metrics
-    return Response(found.text(), media_type=CONTENT_TYPE_LATEST)
+    metrics: Metrics = request.app.state.metrics
+    return Response(metrics.text(), media_type=CONTENT_TYPE_LATEST)

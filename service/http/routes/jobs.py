@@ -18,8 +18,7 @@ from wrenchbook.service.contract import by_part
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.http.replies import next_page
-from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.http.routes import Opened, next_page
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, read_progress, zipped
 from wrenchbook.service.jobs.waiting import why_waiting
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
@@ -50,7 +49,7 @@ def job_body(
 ) -> dict[str, Any]:
     """Return the full form of a job, with its progress and, when done, its displacement.
 
-    `rows` are those of many jobs, read together; one alone reads its own.
+    `rows` are those of many jobs, read together; without them the job's row is read.
     """
     library, name = workspace.library, job.component
     space = library[name].space if name in library else DEFAULT
@@ -76,8 +75,8 @@ def job_body(
         row = workspace.ledger.row(job.row) if rows is None else rows.get(job.row)
         if row is not None:  # GET /health/ready names a damaged one
             names = space.several if space else ()
-            moved = by_part(row.displacement, names)
-            body |= {"displacements": moved} if names else moved
+            parts = by_part(row.displacement, names)
+            body |= {"displacements": parts} if names else parts
     return body
 
 
@@ -96,11 +95,11 @@ def list_jobs(
     jobs = workspace.ledger.jobs(component, status, limit + 1, below=after)
     more, jobs = len(jobs) > limit, jobs[:limit]
     rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
-    next_link = None
+    next_url = None
     if more:
-        words = {"component": component, "status": status, "limit": limit, "after": jobs[-1].id}
-        next_link = next_page(response, "/v1/jobs", words)
-    return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_link}
+        query = {"component": component, "status": status, "limit": limit, "after": jobs[-1].id}
+        next_url = next_page(response, "/v1/jobs", query)
+    return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_url}
 
 
 @router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
@@ -124,7 +123,9 @@ async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -
 @router.delete(
     "",
     summary="Cancel all jobs that wait, or that run",
-    responses={200: {"model": dict[Literal["cancelled"], int], "description": "how many"}},
+    responses={
+        200: {"model": dict[Literal["cancelled"], int], "description": "the number of jobs"}
+    },
 )
 def cancel_jobs(
     workspace: Opened,
@@ -157,23 +158,19 @@ def get_job_files(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
     folder = workspace.attempt_folder(job)
     if not folder.is_dir():
-        raise _no_files(job, folder)
+        if not (job.attempt and job.is_final):
+            why = f"Job {job.id} is {job.status} and has no files yet."
+            raise HttpProblemError(404, "no-files", "No files yet", why)
+        why = (
+            f"Job {job.id} is {job.status} and the folder of its attempt {job.attempt}, "
+            f"jobs/{folder.parent.name}/{folder.name} in the data directory, is not there: it was "
+            "old and pruned (see serve --keep-days), deleted, or not copied with the ledger. The "
+            "job's row needs no files."
+        )
+        raise HttpProblemError(404, "no-files", "The files are gone", why)
     name = f"job-{job_id}.zip"
     disposition = {"Content-Disposition": f'attachment; filename="{name}"'}
     return StreamingResponse(pieces_of(zipped(folder)), 200, disposition, "application/zip")
-
-
-def _no_files(job: JobRecord, folder: pathlib.Path) -> HttpProblemError:
-    if not (job.attempt and job.is_final):
-        why = f"Job {job.id} is {job.status} and has no files yet."
-        return HttpProblemError(404, "no-files", "No files yet", why)
-    where = f"jobs/{folder.parent.name}/{folder.name}"
-    why = (
-        f"Job {job.id} is {job.status} and the folder of its attempt {job.attempt}, {where} in the "
-        "data directory, is not there: it was old and pruned (see serve --keep-days), deleted, or "
-        "not copied with the ledger. The job's row needs no files."
-    )
-    return HttpProblemError(404, "no-files", "The files are gone", why)
 
 
 @router.get(

@@ -12,7 +12,7 @@ from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.http.body import JsonRoute
 from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.replies import json_reply
+from wrenchbook.service.http.routes import json_reply
 from wrenchbook.service.keys import MEGABYTES, RATE, Keyring, KeysError
 
 router = APIRouter(
@@ -24,7 +24,7 @@ router = APIRouter(
 
 
 class KeyBody(Body):
-    """A key to be made."""
+    """A new key."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}$")]
     scope: Literal["read", "write", "admin"] = "write"
@@ -43,7 +43,7 @@ def list_keys(request: Request) -> dict[str, Any]:
     "",
     status_code=201,
     summary="Make a key; its secret is sent this once",
-    responses=answers(dict[str, Any], "made; `key` is its secret, sent this once", 201)
+    responses=answers(dict[str, Any], "the new key; `key` is its secret, sent this once", 201)
     | refused(422),
 )
 def add_key(request: Request, body: KeyBody) -> Response:

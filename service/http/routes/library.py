@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
+from typing_extensions import TypedDict
 
 from wrenchbook.service.formats import text_problem
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
-from wrenchbook.service.http.body import JsonRoute, read_limited
+from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
 from wrenchbook.service.http.openapi import answers, refused, takes
-from wrenchbook.service.http.parsing import read_body
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.replies import json_reply
-from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
-from wrenchbook.service.http.routes.rows import import_body
-from wrenchbook.service.http.table_schemas import (
-    Card,
-    Demand,
-    Disagreement,
-    ImportEdited,
-    Imports,
-)
+from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import About
+from wrenchbook.service.messages import Card, Demand, Disagreement, Import, Imports
 from wrenchbook.service.tables.disagreement import disagreement
 from wrenchbook.service.tables.importing import copy_rows
 from wrenchbook.service.tables.rows import iso_time
@@ -43,6 +37,23 @@ Finding = Annotated[
     str | None, Query(max_length=100, description="cause of a finding: its rows; else all rows")
 ]
 MAX_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
+
+
+# A dataclass has no field of the name `import`.
+ImportEdited = TypedDict(
+    "ImportEdited",
+    {
+        "component": str,
+        "import": int,
+        "status": Literal["withdrawn", "restored"],
+        "rows": Annotated[int, Field(description="the number that changed")],
+        "current": Annotated[
+            bool, Field(description="whether answers come from the table without them")
+        ],
+        "table_version": int,
+    },
+    total=False,
+)
 
 
 @router.post(
@@ -94,20 +105,23 @@ async def write_notes(name: str, request: Request) -> Response:
     "/imports", summary="Who loaded which rows from what, newest first", response_model=Imports
 )
 def list_imports(name: str, workspace: Opened) -> Response:
-    found = workspace.ledger.imports(workspace.library[name].name)
-    versions = {one.id: last for _, last, one in workspace.ledger.import_spans(name)}
-    findings = workspace.ledger.findings(name)
-    rows = [
-        {
-            **import_body(one),
-            "when": iso_time(one.created),
-            "rows": one.rows,
-            "table_version": versions.get(one.id),
-            "findings": [found for found in findings if found["import"] == one.id],
-        }
-        for one in found
-    ]
-    return json_reply({"imports": rows})
+    records = workspace.ledger.imports(workspace.library[name].name)
+    versions = {record.id: last for _, last, record in workspace.ledger.import_spans(name)}
+    findings: list[Any] = workspace.ledger.findings(name)
+    return json_reply(
+        Imports(
+            imports=[
+                Import(
+                    **file_fields(record),
+                    when=iso_time(record.created),
+                    rows=record.rows,
+                    table_version=versions.get(record.id),
+                    findings=[item for item in findings if item["import"] == record.id],
+                )
+                for record in records
+            ]
+        )
+    )
 
 
 @router.delete(
@@ -140,17 +154,16 @@ def restore_import(
 def list_disagreements(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
-    how = component.load_range, component.tolerance, component.linear, table.locked
-    found = disagreement(table.rows, *how, table.solver_error)
-    return json_reply({"component": name, "table_version": table.version, **found})
+    setup = component.load_range, component.tolerance, component.linear, table.locked
+    compared = disagreement(table.rows, *setup, table.solver_error)
+    return json_reply(Disagreement(component=name, table_version=table.version, **compared))
 
 
 @router.get("/demand", summary="Queries that were not covered", response_model=Demand)
 def demand(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
-    return json_reply(
-        {"component": name, **workspace.query_counts.map_of(name, component.load_range)}
-    )
+    counts = workspace.query_counts.map_of(name, component.load_range)
+    return json_reply(Demand(component=name, **counts))
 
 
 @router.delete("/demand", summary="Begin the demand map anew")
@@ -178,7 +191,7 @@ def _edited(
 def _put(request: Request, name: str, **fields: Any) -> Response:
     workspace: Workspace = request.app.state.workspace
     card = workspace.catalogue.change(workspace.library[name].name, **fields)
-    return json_reply({"component": name, "archived": card.archived, "notes": card.notes})
+    return json_reply(Card(component=name, archived=card.archived, notes=card.notes))
 
 
 def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
@@ -199,15 +212,15 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
             "The component was renamed already",
             f"{name!r} is {newer!r} now. Rename that, or copy: POST /v1/components/{name}/copy.",
         )
-    made = workspace.library.add_copy(name, body.name, body.title)
+    copy = workspace.library.add_copy(name, body.name, body.title)
     card = workspace.catalogue[name]
-    workspace.catalogue.change(made.name, notes=card.notes, copied_from=name)
+    workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)
     if body.rows:
         key = permission_of(request.scope).key
         about = About(who=key.name if key else "", format="copy", note=f"copied from {name}")
-        copy_rows(workspace.ledger, source, made, about)
+        copy_rows(workspace.ledger, source, copy, about)
     if renamed:
-        workspace.catalogue.change(name, archived=True, renamed_to=made.name)
-    workspace.tables.catch_up(made.name, CATCH_UP_S)
-    where = {"Location": f"/v1/components/{made.name}"}
-    return json_reply(component_body(workspace, made), 201, where)
+        workspace.catalogue.change(name, archived=True, renamed_to=copy.name)
+    workspace.tables.catch_up(copy.name, CATCH_UP_S)
+    headers = {"Location": f"/v1/components/{copy.name}"}
+    return json_reply(component_body(workspace, copy), 201, headers)

@@ -19,7 +19,7 @@ from fastapi import APIRouter, Header, Request
 from starlette.responses import Response
 
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.http.replies import holds, naming
+from wrenchbook.service.http.routes import holds, naming
 
 router = APIRouter(include_in_schema=False)
 
@@ -85,16 +85,16 @@ def _answer(name: str, request: Request, if_none_match: str | None) -> Response:
 @cache
 def _paths() -> dict[str, Path]:
     """Return all files there are, by name: nothing else is ever opened."""
-    own = {
+    files = {
         path.relative_to(FOLDER).as_posix(): path
         for path in FOLDER.rglob("*")
         if path.suffix in MEDIA_TYPES and path.is_file()
     }
     for name, (package, inside) in BORROWED.items():
-        found = find_spec(package)
-        if found is not None and found.origin is not None:
-            own[name] = Path(found.origin).parent / inside
-    return own
+        spec = find_spec(package)
+        if spec is not None and spec.origin is not None:
+            files[name] = Path(spec.origin).parent / inside
+    return files
 
 
 @lru_cache(maxsize=256)

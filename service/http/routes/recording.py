@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Annotated, Any
+from dataclasses import asdict
+from typing import Annotated, Any, cast
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
@@ -22,11 +23,16 @@ from wrenchbook.service.http.bodies import (
     EnvelopeStartBody,
     StartBody,
 )
-from wrenchbook.service.http.body import JsonRoute, read_limited
+from wrenchbook.service.http.body import (
+    JsonRoute,
+    both_tolerances,
+    checked,
+    parsed_json,
+    read_limited,
+    with_wrenches,
+)
 from wrenchbook.service.http.openapi import answers, refused, takes
-from wrenchbook.service.http.parsing import both_tolerances, checked, read_block
-from wrenchbook.service.http.replies import json_reply
-from wrenchbook.service.http.routes.displacement import DirectRoute
+from wrenchbook.service.http.routes import DirectRoute, json_reply
 from wrenchbook.service.query import job_link
 from wrenchbook.service.recording.start import (
     StartedSolves,
@@ -126,7 +132,7 @@ async def widen_envelope(name: str, request: Request) -> Response:
 
 @router.get(
     "/envelope",
-    summary="The extremes, and how far they can move the component",
+    summary="The extremes, and a bound of the displacements under them",
     response_model=messages.Envelope,
 )
 def get_envelope(
@@ -138,25 +144,24 @@ def get_envelope(
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
     tolerance = both_tolerances(translation, rotation) or component.tolerance
-    found = _store(request).envelope(name)
-    bound = bound_of(workspace.tables.surrogate(name), found, tolerance)
-    low, high = found.box
+    envelope = _store(request).envelope(name)
+    bound = bound_of(workspace.tables.surrogate(name), envelope, tolerance)
+    low, high = envelope.box
     return json_reply(
         messages.Envelope(
             component=name,
             inputs=component.space.input_names,
             outputs=component.space.output_names,
-            count=found.tally.offered,
+            count=envelope.tally.offered,
             min=low,
             max=high,
-            outside=found.tally.outside,
-            at_min=found.lowest,
-            at_max=found.highest,
+            outside=envelope.tally.outside,
+            at_min=envelope.lowest,
+            at_max=envelope.highest,
             displacement_bound=bound.displacement,
             bound={"kind": bound.kind, "formula": bound.formula, "coverage": bound.coverage},
             negligible=bound.negligible,
-            tolerance=tolerance
-            and {"translation": tolerance.translation, "rotation": tolerance.rotation},
+            tolerance=cast(Any, tolerance and asdict(tolerance)),
             reason=bound.reason,
         )
     )
@@ -202,7 +207,12 @@ async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] |
             checked(BlockKey, dict(request.query_params)),
         )
     else:
-        wrenches, key = await run_in_threadpool(read_block, body, len(space.inputs))
+
+        def read() -> tuple[Floats, BlockBody]:
+            fields = parsed_json(body)
+            return with_wrenches(BlockBody, fields, len(space.inputs), np.inf, MAX_BLOCK)
+
+        wrenches, key = await run_in_threadpool(read)
     if key.client is None or key.sequence is None:
         return wrenches, None
     return wrenches, (key.client, key.sequence)

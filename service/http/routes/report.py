@@ -11,8 +11,7 @@ from starlette.responses import Response
 
 from wrenchbook.service.http.openapi import JSON, TEXT, answers, refused
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.http.replies import json_reply
-from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
@@ -34,7 +33,7 @@ _MAKING = answers(dict[str, Any], "being made", 202)
     "",
     status_code=202,
     summary="Make the report anew; it takes minutes of solving",
-    responses=answers(dict[str, Any], "made already") | _MAKING | refused(409),
+    responses=answers(dict[str, Any], "the report is there") | _MAKING | refused(409),
 )
 def make_report(
     name: str,
@@ -48,20 +47,16 @@ def make_report(
             f"{name!r} has no finite-element setup, so there is no reference to report against. "
             "GET .../coverage tells what its rows know."
         )
-    _wait_for_file(workspace, name)
+    # The builder writes the file of a table after its rows.
+    deadline, tables = time.monotonic() + CATCH_UP_S, workspace.tables
+    if tables.caught_up(name, CATCH_UP_S).row_count:
+        while tables.written(name) is None and time.monotonic() < deadline:
+            time.sleep(LOOK_S)
     try:
         workspace.reports.make(component, wrenches, seed)
     except FileNotFoundError as error:
         raise HttpProblemError(409, "no-rows", "The table has no rows", str(error)) from None
     return _state(workspace, name)
-
-
-def _wait_for_file(workspace: Workspace, name: str) -> None:
-    """Return once a table with rows is in its file, which the builder writes after the rows."""
-    deadline, tables = time.monotonic() + CATCH_UP_S, workspace.tables
-    if tables.caught_up(name, CATCH_UP_S).row_count:
-        while tables.written(name) is None and time.monotonic() < deadline:
-            time.sleep(LOOK_S)
 
 
 @router.delete("", summary="Stop making a report; the latest one stays")

@@ -10,9 +10,8 @@ from fastapi import APIRouter, Path
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.service.http.openapi import refused
-from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.ledger import ImportRecord, LedgerRow, RowStatusError, UnknownRowError
+from wrenchbook.service.ledger import ImportRecord, LedgerRow, UnknownRowError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
@@ -47,12 +46,7 @@ def _edited(
     workspace: Workspace, name: str, row: int, edit: Callable[[str, int], None], done: str
 ) -> dict[str, Any]:
     component = workspace.library[name]
-    try:
-        edit(component.name, row)
-    except RowStatusError as error:
-        raise HttpProblemError(
-            409, "row-status", "The row's state does not allow this", str(error)
-        ) from None
+    edit(component.name, row)
     current = workspace.tables.catch_up(name, CATCH_UP_S)
     version = workspace.tables.surrogate(name).version
     return {
@@ -83,7 +77,7 @@ def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, 
         "provenance": {
             "when": iso_time(row.created),
             "note": row.origin,
-            "import": import_body(loaded) if loaded else None,
+            "import": file_fields(loaded) if loaded else None,
             "job": job
             and {
                 "id": job.id,
@@ -104,16 +98,16 @@ def _nulls(values: tuple[float, ...]) -> list[float | None]:
     return [None if math.isnan(value) else value for value in values]
 
 
-def import_body(one: ImportRecord) -> dict[str, Any]:
-    """Return who loaded rows from which file."""
+def file_fields(record: ImportRecord) -> dict[str, Any]:
+    """Who loaded rows from which file: the fields of `messages.FileImport`."""
     return {
-        "id": one.id,
-        "who": one.who,
-        "filename": one.filename,
-        "format": one.format,
-        "sha256": one.digest,
-        "note": one.note,
-        "rig": one.rig,
+        "id": record.id,
+        "who": record.who,
+        "filename": record.filename,
+        "format": record.format,
+        "sha256": record.digest,
+        "note": record.note,
+        "rig": record.rig,
     }
 
 
@@ -139,10 +133,10 @@ def _setup(component: Component, row: LedgerRow) -> dict[str, Any]:
         },
         "materials": [
             {
-                "region": one.region,
-                "youngs_modulus": one.youngs_modulus,
-                "poisson_ratio": one.poisson_ratio,
+                "region": material.region,
+                "youngs_modulus": material.youngs_modulus,
+                "poisson_ratio": material.poisson_ratio,
             }
-            for one in bundle.materials
+            for material in bundle.materials
         ],
     }

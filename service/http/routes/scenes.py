@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import asdict
 from statistics import median
 from typing import Annotated, Any
 
@@ -19,14 +20,11 @@ from wrenchbook.service.http.bodies import (
     SceneComponent,
     SpaceSpan,
     ToleranceBody,
-    ends_of,
 )
-from wrenchbook.service.http.body import JsonRoute
+from wrenchbook.service.http.body import JsonRoute, read_body, tolerance_of
 from wrenchbook.service.http.openapi import BYTES, refused
-from wrenchbook.service.http.parsing import read_body, tolerance_of
 from wrenchbook.service.http.problems import bad_body
-from wrenchbook.service.http.replies import holds, json_reply, naming
-from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.http.routes import Newest, Opened, holds, json_reply, naming
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.messages import Plans
@@ -34,7 +32,7 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.scene.cut import cut
 from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
-from wrenchbook.surrogate.scene.plan import ScenePlan, plan_of
+from wrenchbook.surrogate.scene.plan import plan_of
 from wrenchbook.surrogate.scene.savings import measured
 from wrenchbook.surrogate.table.rows import Floats, LoadRange
 from wrenchbook.surrogate.table.space import Space
@@ -74,9 +72,10 @@ async def plan_scene(workspace: Opened, scene: SceneBody) -> Response:
         304: {"description": "the caller has this version"},
     },
 )
-async def scene_table(
+def scene_table(
     name: str,
     workspace: Opened,
+    table: Newest,
     wanted: Annotated[
         str, Query(max_length=8192, description="JSON: what /v1/scenes/plan takes a component")
     ],
@@ -85,19 +84,15 @@ async def scene_table(
     component = workspace.library[name]
     body = read_body(SceneComponent, wanted.encode())
     need = _need_of(component, body, "wanted")
-    table = await workspace.newest(name, CATCH_UP_S)
     scene = orjson.dumps(body.model_dump(), option=orjson.OPT_SORT_KEYS)
     what = hashlib.sha256(scene + component.fingerprint.encode()).hexdigest()[:16]
     tag = f'"{table.version}-{what}-{table.packed.checksum:08x}"'
     if holds(if_none_match, tag):
         return Response(None, 304, naming(tag))
 
-    def file() -> bytes:
-        """Return the table cut to the scene, with the plan; of a rigid or linear component too."""
-        plan = _plan(workspace, component, table, need)
-        return b"".join(cut(table.packed, need, plan))
-
-    return Response(await run_in_threadpool(file), 200, naming(tag), PACKED_TYPE)
+    # With the plan, of a rigid or linear component too.
+    content = b"".join(cut(table.packed, need, _plan(workspace, component, table, need)))
+    return Response(content, 200, naming(tag), PACKED_TYPE)
 
 
 def _plan(
@@ -106,49 +101,45 @@ def _plan(
     """Return a scene's plan of a component, as JSON values."""
     built = table.surrogate()
     plan = plan_of(built, need, solved=component.has_fea)
-    savings, limit, (whole, scene) = measured(built, plan), need.tolerance, plan.solves
+    (full, scene), savings = plan.solves, measured(built, plan)
+    # The meaning of the numbers of solves, and the time that the saved ones take.
+    solves = "the component has no finite-element setup: nothing is solved"
+    if component.has_fea:
+        jobs = workspace.ledger.jobs(component.name, "done", SOLVES_TIMED)
+        times = [job.seconds for job in jobs if job.seconds is not None]
+        timed = "; no solve of it has been timed here yet"
+        if times:
+            each = median(times)
+            timed = (
+                f"; at {each:.3g} s a solve, the median of the last {len(times)}, that is "
+                f"{(full - scene) * each:.3g} s less"
+            )
+        solves = (
+            f"counted: the first design of an empty table has {full} wrenches for the whole load "
+            f"range and {scene} for the scene{timed}"
+        )
     body: dict[str, Any] = {
         "decision": plan.decision,
         "reason": plan.reason,
         "loads": need.loads,
         "axes": need.axes(),
         "outputs": need.output_names(),
-        "tolerance": limit and {"translation": limit.translation, "rotation": limit.rotation},
+        "tolerance": need.tolerance and asdict(need.tolerance),
         "displacement_bound": [
             value if np.isfinite(value) else None for value in plan.bound.tolist()
         ],
-        "solves": {"whole": whole, "scene": scene},
+        "solves": {"whole": full, "scene": scene},
         "saves": {
             "build_s": savings.build_s,
             "memory_bytes": savings.memory_bytes,
             "us_per_answer": savings.us_per_answer,
         },
-        "saves_from": savings.origin | {"solves": _solves_from(workspace, component, plan)},
+        "saves_from": savings.origin | {"solves": solves},
         "table_version": table.version,
     }
     if plan.compliance is not None:
         body["compliance"] = plan.compliance.tolist()
     return body
-
-
-def _solves_from(workspace: Workspace, component: Component, plan: ScenePlan) -> str:
-    """Return the meaning of the numbers of solves, and the time that the saved ones take."""
-    whole, scene = plan.solves
-    if not component.has_fea:
-        return "the component has no finite-element setup: nothing is solved"
-    counted = (
-        f"counted: the first design of an empty table has {whole} wrenches for the whole load range"
-        f" and {scene} for the scene"
-    )
-    jobs = workspace.ledger.jobs(component.name, "done", SOLVES_TIMED)
-    times = [job.seconds for job in jobs if job.seconds is not None]
-    if not times:
-        return f"{counted}; no solve of it has been timed here yet"
-    each = median(times)
-    return (
-        f"{counted}; at {each:.3g} s a solve, the median of the last {len(times)}, that is "
-        f"{(whole - scene) * each:.3g} s less"
-    )
 
 
 def _need_of(component: Component, wanted: SceneComponent, where: str) -> Need:
@@ -164,14 +155,12 @@ def need_from(
     where: str,
     of_outputs: str,
 ) -> Need:
-    """Return what a scene needs of a component, from the parts of a body.
+    """Return what a scene needs of a component; 422 for unknown names and ends beyond the range.
 
-    `where` and `of_outputs` are the places of the span and of the outputs in the body. Raises
-    HttpProblemError 422 if an interface, an input or an output is none of the component's, an end
-    is beyond the component's load range or the two ends are the wrong way round.
+    `where` and `of_outputs` are the places of the span and of the outputs in the body.
     """
-    whole, names = component.load_range, component.space.output_names
-    mistakes = [] if span is None else _unknown(span, whole.space, where)
+    load_range, names = component.load_range, component.space.output_names
+    mistakes = [] if span is None else _unknown(span, load_range.space, where)
     for place, name in enumerate(outputs or ()):
         if name not in names:
             *first, last = [repr(known) for known in names]  # as pydantic lists a literal's
@@ -179,13 +168,13 @@ def need_from(
             mistakes.append({"loc": f"{of_outputs}.{place}", "msg": f"Input should be {known}"})
     if mistakes:
         raise bad_body(mistakes)
-    bounds = None if span is None else _bounds(span, whole)
+    bounds = None if span is None else _bounds(span, load_range)
     read = None if outputs is None else [names.index(name) for name in outputs]
     try:
-        return need_of(whole, bounds, read, tolerance_of(tolerance), component.idle)
+        return need_of(load_range, bounds, read, tolerance_of(tolerance), component.idle)
     except NeedError as error:
         places = []  # force.0, loads.left.force.0
-        for number, load in enumerate(whole.space.inputs):
+        for number, load in enumerate(load_range.space.inputs):
             front = f"loads.{load.interface}." if load.interface else ""
             is_scalar = load.kind == "scalar"
             name = f"inputs.{load.name}" if is_scalar else f"{front}{load.kind}.{number % 3}"
@@ -216,14 +205,15 @@ def _unknown(span: SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
     return [{"loc": f"{where}.{place}", "msg": text} for place, text in mistakes]
 
 
-def _bounds(span: SpaceSpan, whole: LoadRange) -> Floats:
+def _bounds(span: SpaceSpan, load_range: LoadRange) -> Floats:
     """Return the low and the high end of each input, shape (n, 2), N, N·m and further units."""
-    loads, further, bounds = span.loads or {}, span.inputs or {}, []
-    for name in whole.space.interfaces:
+    loads, further, spans = span.loads or {}, span.inputs or {}, []
+    zero = [[0.0, 0.0]] * 3
+    for name in load_range.space.interfaces:
         of_interface = loads.get(name, InterfaceSpan()) if name else span
-        bounds += ends_of(of_interface.force, of_interface.moment)
-    for load, low, high in zip(whole.space.inputs, whole.low, whole.high, strict=True):
-        if load.kind == "scalar":
-            ends = further.get(load.name, [low, high])
-            bounds.append([-ends, ends] if isinstance(ends, int | float) else list(ends))
-    return np.array(bounds)
+        spans += [*(of_interface.force or zero), *(of_interface.moment or zero)]
+    bounds = zip(load_range.space.inputs, load_range.low, load_range.high, strict=True)
+    spans += [
+        further.get(load.name, [low, high]) for load, low, high in bounds if load.kind == "scalar"
+    ]
+    return np.array([[-ends, ends] if isinstance(ends, int | float) else ends for ends in spans])

@@ -3,37 +3,50 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import shutil
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, NamedTuple
 from weakref import WeakValueDictionary
 
+import orjson
 from fastapi import APIRouter, Header, Query, Request
+from pydantic import Field, field_validator, model_validator
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
+from typing_extensions import TypedDict
 
-from wrenchbook.service.formats import SheetFullError, UnitError
+from wrenchbook.service.formats import (
+    MAX_PREVIEW,
+    MAX_ZERO_ROWS,
+    Options,
+)
+from wrenchbook.service.formats.rig import MAX_RIG, Rig, rig_text
 from wrenchbook.service.http.access import permission_of
-from wrenchbook.service.http.body import received
-from wrenchbook.service.http.import_query import ImportQuery
+from wrenchbook.service.http.bodies import Body
+from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.replies import holds, json_reply, naming
-from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.http.table_schemas import Imported, Table
+from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
 from wrenchbook.service.ledger import About
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.messages import (
+    ImportFinding,
+    PreviewRow,
+    RowMistake,
+    RowMistakes,
+    TableRows,
+)
 from wrenchbook.service.sandbox import SandboxBusyError
 from wrenchbook.service.tables.exporting import (
     ENDINGS,
-    ExportFormat,
     ExportRequest,
-    check_units,
     export_table,
 )
 from wrenchbook.service.tables.importing import import_files, solved_compliance
@@ -45,6 +58,8 @@ router = APIRouter(
     prefix="/v1/components/{name}/table", tags=["table"], responses=refused(404, 422)
 )
 _READER_WAIT_S: Final = 60.0
+MAX_TABLE_BYTES: Final = 512 * 1024 * 1024
+_FORM_BYTES: Final = 64 * 1024  # of a form, around its files
 _reader_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed"]
@@ -56,7 +71,7 @@ MEDIA_TYPES = {
     "parquet": "application/vnd.apache.parquet",
 }
 PACKED_TYPE = "application/octet-stream"
-_FILES = {MEDIA_TYPES[one]: BYTES for one in ("hdf5", "xlsx", "parquet")} | {
+_FILES = {MEDIA_TYPES[form]: BYTES for form in ("hdf5", "xlsx", "parquet")} | {
     MEDIA_TYPES["csv"]: {"schema": {"type": "string", "description": "units in the header"}}
 }
 _LOGS = {
@@ -95,13 +110,205 @@ _TAKEN = frozenset(
         "multipart/form-data",
     }
 )
+_MAX_COLUMNS = 1000
+WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
+MAX_WAIT_S = 600.0  # a million rows take minutes
+_POINT = "x,y,z from the interface's point in its frame, m: the point that"
+_LOAD_CELL = "the point where it is now, or where it was: translation x force is taken off them"
+_Text = Annotated[str, Field(max_length=1000)]
+
+
+class ImportQuery(Body):
+    """The query of an import; what is not named is refused."""
+
+    format: Annotated[
+        Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat"] | None,
+        Field(description="checked against the content; detected if left out"),
+    ] = None
+    dry_run: Annotated[bool, Field(description="check and count; nothing is changed")] = False
+    partial: Annotated[bool, Field(description="load the good rows of a file with mistakes")] = (
+        False
+    )
+    preview: Annotated[
+        int, Field(ge=0, le=MAX_PREVIEW, description="so many first good rows come back")
+    ] = 0
+    decimal: Annotated[
+        Literal[".", ","] | None,
+        Field(description="mark of numbers in text; detected if left out"),
+    ] = None
+    ignore: Annotated[
+        list[_Text],
+        Field(default_factory=list, max_length=_MAX_COLUMNS, description="columns to leave out"),
+    ]
+    ignore_extra: Annotated[bool, Field(description="leave out all unknown columns")] = False
+    mapping: Annotated[
+        str | None,
+        Field(
+            max_length=100_000,
+            description='JSON: from columns of the file to what they are, {"Load cell": "fz [N]"}; '
+            "a - before it turns the sign",
+        ),
+    ] = None
+    missing_loads: Annotated[
+        Literal["zero"] | None, Field(description="loads without a column were zero")
+    ] = None
+    tare: Annotated[
+        int, Field(ge=0, le=MAX_ZERO_ROWS, description="rows whose mean is taken off all others")
+    ] = 0
+    sheet: Annotated[str | None, Field(max_length=200, description="xlsx: its name")] = None
+    frame: Annotated[
+        _Text, Field(description="the rig's axes in the interface's: x=-y,y=x,z=z or nine numbers")
+    ] = ""
+    load_point: Annotated[_Text, Field(description=f"{_POINT} moments are about")] = ""
+    displacement_point: Annotated[_Text, Field(description=f"{_POINT} was measured")] = ""
+    load_cell: Annotated[
+        Literal["moving", "fixed"] | None, Field(description=f"moments are about {_LOAD_CELL}")
+    ] = None
+    rig: Annotated[
+        str, Field(max_length=MAX_RIG, description="TOML: these four, name; kept with the import")
+    ] = ""
+    time_offset_s: Annotated[
+        Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
+        Field(
+            description="added to the displacements' times, s; auto: the lag that the logs show. "
+            "`lag` is another name of it"
+        ),
+    ] = 0.0
+    max_gap_s: Annotated[
+        float | None,
+        Field(gt=0, allow_inf_nan=False, description="between loads that a row lies between, s"),
+    ] = None
+    wait_s: Annotated[
+        float,
+        Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False, description="for answers from the rows, s"),
+    ] = WAIT_S
+    note: Annotated[str, Field(max_length=10_000, description="kept with the import")] = ""
+    filename: Annotated[str, Field(max_length=1000, description="kept with the import")] = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lag_is_the_offset(cls, values: Any) -> Any:
+        if isinstance(values, dict) and "lag" in values and "time_offset_s" not in values:
+            return {
+                "time_offset_s" if name == "lag" else name: text for name, text in values.items()
+            }
+        return values
+
+    @field_validator("mapping")
+    @classmethod
+    def _is_a_mapping(cls, text: str | None) -> str | None:
+        if text is not None:
+            _pairs(text)
+        return text
+
+    @model_validator(mode="after")
+    def _has_one_rig(self) -> ImportQuery:
+        if self.rig and rig_text(self.frame, self.load_point, self.displacement_point):
+            raise ValueError("rig has the frame and the points: send either it or these three")
+        if self.load_cell and Rig.read(self.rig).load_cell:
+            raise ValueError("rig has the load_cell already: send it once")
+        if text := self._rig_text():
+            Rig.read(text)
+        return self
+
+    def _rig_text(self) -> str:
+        parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
+        axes = rig_text(*parts) if any(parts) else ""
+        return "\n".join(filter(None, (self.rig, axes)))
+
+    @field_validator("note", "filename", "rig")
+    @classmethod
+    def _can_be_kept(cls, text: str) -> str:
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise ValueError("holds half a character (a lone surrogate)") from None
+        if "\0" in text:
+            raise ValueError("holds a zero byte")
+        return text
+
+    def options(self) -> Options:
+        """Return the options of reading the file."""
+        same = self.model_dump(include={field.name for field in fields(Options)})
+        return Options(
+            **same
+            | {
+                "ignore": tuple(self.ignore),
+                "mapping": _pairs(self.mapping) if self.mapping else {},
+                "zero_rows": self.tare,
+                "rig": self._rig_text(),
+            }
+        )
+
+
+def _pairs(text: str) -> dict[str, str]:
+    try:
+        pairs = orjson.loads(text)
+    except orjson.JSONDecodeError as error:
+        raise ValueError(f"is not JSON: {error}") from None
+    if not isinstance(pairs, dict) or not all(isinstance(name, str) for name in pairs.values()):
+        raise ValueError('is not of the form {"column in the file": "fz [N]"}')
+    if len(pairs) > _MAX_COLUMNS:
+        raise ValueError(f"names more than {_MAX_COLUMNS} columns")
+    return pairs
+
+
+# A dataclass has no field of the name `import`.
+Imported = TypedDict(
+    "Imported",
+    {
+        "inserted": int,
+        "existing": Annotated[
+            int,
+            Field(
+                description="rows that were there already, withdrawn ones too; they stay as they "
+                "are, without the slopes and second derivatives of this import"
+            ),
+        ],
+        "errors": Annotated[list[RowMistake], Field(description="1,000 at most")],
+        "causes": Annotated[list[RowMistakes], Field(description="the mistakes by cause")],
+        "findings": Annotated[list[ImportFinding], Field(description="probable systematic errors")],
+        "dry_run": bool,
+        "partial": bool,
+        "format": Annotated[str, Field(description="detected from the content")],
+        "gzip": bool,
+        "import": Annotated[int | None, Field(description="its number, in imports")],
+        "rig": Annotated[
+            dict[str, Any] | None,
+            Field(description="name, handedness, axes, points, load cell"),
+        ],
+        "rows": Annotated[
+            dict[Literal["read", "loaded", "refused", "tare", "unmatched"], int],
+            Field(description="read = loaded + refused + tare + unmatched, but of a dry run"),
+        ],
+        "columns": Annotated[
+            list[dict[Literal["column", "name", "unit"], str]],
+            Field(description="what each column was taken for"),
+        ],
+        "clock": Annotated[
+            dict[Literal["applied_s", "lag_s", "uncertainty_s"], float | None] | None,
+            Field(
+                description="of two logs: seconds added to the displacements' times, and those "
+                "they show"
+            ),
+        ],
+        "ignored": list[str],
+        "above": Annotated[
+            list[str], Field(description="lines of title above the header, left out")
+        ],
+        "preview": list[PreviewRow],
+        "table_version": Annotated[int, Field(description="the version that holds these rows")],
+        "in_use": Annotated[bool, Field(description="whether the rows answer already")],
+    },
+    total=False,
+)
 
 
 @router.get(
     "",
     summary="Export the table",
     response_class=Response,
-    responses=answers(Table, "the table", content=_WRITTEN, headers=_ETAG)
+    responses=answers(TableRows, "the table", content=_WRITTEN, headers=_ETAG)
     | {304: {"description": _CURRENT, "headers": _ETAG}}
     | refused(s409="this form cannot hold this table"),
 )
@@ -129,17 +336,15 @@ async def get_table(
             raise bad_body([{"loc": "query.table_version", "msg": message}])
         return await _packed(workspace, name, if_none_match)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
-    how = units, table_version, comments
-    return await run_in_threadpool(_export, workspace, name, format, how, if_none_match)
+    export = ExportRequest(format, units, table_version, comments)
+    return await run_in_threadpool(_export, workspace, name, export, if_none_match)
 
 
 async def _packed(workspace: Workspace, name: str, if_none_match: str | None) -> Response:
     """Return the packed table that answers."""
-    component = workspace.library[name]
-    await workspace.newest(name, CATCH_UP_S)
-    table = await run_in_threadpool(workspace.surrogate, name)
-    # What is known of the solver's error is in the file too, and can change within a version.
-    tag = f'{_tag(component, table.version)[:-1]}-{table.packed.checksum:08x}"'
+    table = await workspace.newest(name, CATCH_UP_S)
+    # The solver's error is in the file too, and can change within a version, as the setup can.
+    tag = f'"{table.version}-{table.packed.checksum:08x}"'
     headers = naming(tag)
     if holds(if_none_match, tag):
         return Response(status_code=304, headers=headers)
@@ -150,30 +355,35 @@ async def _packed(workspace: Workspace, name: str, if_none_match: str | None) ->
 
 
 def _export(
-    workspace: Workspace,
-    name: str,
-    format_: ExportFormat,
-    how: tuple[dict[str, str], int | None, bool],
-    if_none_match: str | None,
+    workspace: Workspace, name: str, export: ExportRequest, if_none_match: str | None
 ) -> Response:
-    """Return the rows as a file; `how` has units, version and whether there are comments."""
-    component, (_, table_version, _) = workspace.library[name], how
+    """Return the rows as a file that is written now and deleted when it has been sent."""
+    component, form = workspace.library[name], export.format
     # Only a table that is behind the ledger has to be read before its version is known.
-    if table_version is None and workspace.tables.catch_up(name, 0.0):
+    if export.version is None and workspace.tables.catch_up(name, 0.0):
         tag = _tag(component, workspace.tables.surrogate(name).version)
         if holds(if_none_match, tag):
             return Response(status_code=304, headers=naming(tag))
-    export_request = ExportRequest(format_, *how)
+    error = workspace.errors.read(name, component.fingerprint) if component.has_fea else None
+    folder = Path(tempfile.mkdtemp(prefix="wrenchbook-"))
+    path = folder / f"table.{ENDINGS[form]}"
     try:
-        check_units(export_request)
-    except UnitError as error:
-        raise HttpProblemError(422, "unit", "Not a unit this export can use", str(error)) from None
-    own = workspace.errors.read(name, component.fingerprint) if component.has_fea else None
-    return _file(
-        component,
-        format_,
-        lambda path: export_table(workspace.ledger, component, export_request, path, own),
-    )
+        version = export_table(workspace.ledger, component, export, path, error)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    headers = naming(_tag(component, version))
+    if form != "json":
+        filename = f"{name}-v{version}.{ENDINGS[form]}"
+        headers["Content-Disposition"] = f'attachment; filename="{filename}"'
+    kind = MEDIA_TYPES[form] + ("; charset=utf-8" if form == "csv" else "")
+    done = BackgroundTask(shutil.rmtree, folder, ignore_errors=True)
+    return FileResponse(path, 200, headers, kind, done)
+
+
+def _tag(component: Component, version: int) -> str:
+    """Return what differs with a table's rows, and with the range and tolerance sent with them."""
+    return f'"{version}-{setup_of(component)}"'
 
 
 @router.post(
@@ -185,13 +395,21 @@ def _export(
         s415="the content type is no form of a table",
         s422="the table has mistakes; nothing was loaded",
     ),
-    openapi_extra=takes(Table, _SENT),
+    openapi_extra=takes(TableRows, _SENT),
 )
 async def import_table(
     name: str, request: Request, workspace: Opened, query: Annotated[ImportQuery, Query()]
 ) -> Response:
     component = workspace.library[name]
-    _check_kind(request)
+    kind = content_type(request)
+    if kind and kind not in _TAKEN:
+        raise HttpProblemError(
+            415,
+            "media-type",
+            "Not a form of table this call takes",
+            f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
+            "application/octet-stream, each gzipped if you like: the content decides which it is.",
+        )
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
     options = replace(query.options(), solved=solved, linear=component.linear)
@@ -218,12 +436,79 @@ async def import_table(
             )
     loaded = reply.pop("loaded")
     if reply["errors"] and not (query.dry_run or loaded):
-        raise _refused(reply)
+        errors = reply["errors"]
+        first = errors[0]
+        reply["errors"] = [
+            {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
+            for error in errors
+        ]
+        raise HttpProblemError(
+            422,
+            "bad-rows",
+            "The table has mistakes",
+            f"Nothing was loaded. {len(errors)} mistake(s); the first is in row {first['row']}, "
+            f"{first['field']}: {first['message']}. Correct them and send the complete file again, "
+            "or say partial=true (--partial) to load the good rows.",
+            **reply,
+        )
     wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
     caught_up = await workspace.caught_up(component.name, wait_s)
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
     reply["table_version"] = workspace.ledger.last_seq(component.name)
     return json_reply(reply)
+
+
+class Received(NamedTuple):
+    """Files of a table: their paths, their names at the caller, the SHA-256 of all of them."""
+
+    files: tuple[Path, ...]
+    filename: str
+    digest: str
+
+
+@asynccontextmanager
+async def received(request: Request) -> AsyncIterator[Received]:
+    """Give a table's body as files, and delete them at the end.
+
+    A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``. It
+    raises 413 as soon as the body is too large, and 422 if a form lacks its files.
+    """
+    if content_type(request) != "multipart/form-data":
+        async with spooled(request.receive, MAX_TABLE_BYTES) as body:
+            path = body.path or await run_in_threadpool(body.append, body.content)
+            yield Received((path,), "", await run_in_threadpool(_digest, (path,)))
+        return
+    async with form_of(request, MAX_TABLE_BYTES + _FORM_BYTES, 2) as form:
+        names = ("loads", "displacements") if "loads" in form else ("table",)
+        uploads = [sent for name in names if isinstance(sent := form.get(name), UploadFile)]
+        if len(uploads) < len(names):
+            message = "send the file 'table', or both logs as 'loads' and 'displacements'"
+            raise bad_body([{"loc": "form", "msg": message}])
+
+        folder = Path(await run_in_threadpool(tempfile.mkdtemp, prefix="wrenchbook-"))
+        files = tuple(folder / f"table-{number}" for number in range(len(uploads)))
+
+        def copy() -> str:
+            """Parsers read by name, and the form's files have none."""
+            for upload, path in zip(uploads, files, strict=True):
+                with path.open("wb") as file:
+                    shutil.copyfileobj(upload.file, file, PIECE)
+            return _digest(files)
+
+        try:
+            filename = ", ".join(upload.filename or "" for upload in uploads).strip(", ")
+            yield Received(files, filename, await run_in_threadpool(copy))
+        finally:
+            await run_in_threadpool(shutil.rmtree, folder, ignore_errors=True)
+
+
+def _digest(files: Sequence[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in files:
+        with path.open("rb") as file:
+            while block := file.read(PIECE):
+                digest.update(block)
+    return digest.hexdigest()
 
 
 @asynccontextmanager
@@ -243,62 +528,3 @@ async def one_reader(caller: str) -> AsyncIterator[None]:
         yield
     finally:
         lock.release()
-
-
-def _tag(component: Component, version: int) -> str:
-    """Return what differs with a table's rows, and with the range and tolerance sent with them."""
-    return f'"{version}-{setup_of(component)}"'
-
-
-def _file(component: Component, format_: str, write: Any) -> Response:
-    """Return a file that is written now and deleted when it has been sent."""
-    folder = Path(tempfile.mkdtemp(prefix="wrenchbook-"))
-    path = folder / f"table.{ENDINGS[format_]}"
-    try:
-        version = write(path)
-    except BaseException as error:
-        shutil.rmtree(folder, ignore_errors=True)
-        if isinstance(error, SheetFullError):
-            raise HttpProblemError(
-                409, "export", "This export cannot be made", str(error)
-            ) from None
-        raise
-    headers = naming(_tag(component, version))
-    if format_ != "json":
-        filename = f"{component.name}-v{version}.{ENDINGS[format_]}"
-        headers["Content-Disposition"] = f'attachment; filename="{filename}"'
-    kind = MEDIA_TYPES[format_] + ("; charset=utf-8" if format_ == "csv" else "")
-    done = BackgroundTask(shutil.rmtree, folder, ignore_errors=True)
-    return FileResponse(path, 200, headers, kind, done)
-
-
-def _check_kind(request: Request) -> None:
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if kind and kind not in _TAKEN:
-        raise HttpProblemError(
-            415,
-            "media-type",
-            "Not a form of table this call takes",
-            f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
-            "application/octet-stream, each gzipped if you like: the content tells which it is.",
-        )
-
-
-def _refused(reply: dict[str, Any]) -> HttpProblemError:
-    errors = reply["errors"]
-    first = errors[0]
-    return HttpProblemError(
-        422,
-        "bad-rows",
-        "The table has mistakes",
-        f"Nothing was loaded. {len(errors)} mistake(s); the first is in row {first['row']}, "
-        f"{first['field']}: {first['message']}. Mend them and send the whole file again, or "
-        "say partial=true (--partial) to load the good rows.",
-        **{
-            **reply,
-            "errors": [
-                {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
-                for error in errors
-            ],
-        },
-    )

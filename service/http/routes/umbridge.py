@@ -14,21 +14,30 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
 from fastapi import APIRouter, Request
-from fastapi.routing import APIRoute
 from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
-from wrenchbook.service.http import bodies
-from wrenchbook.service.http.bodies import Body, Flag, Seconds, ToleranceBody
-from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.bodies import (
+    Body,
+    Flag,
+    InputVector,
+    Method,
+    OutputVector,
+    Seconds,
+    ToleranceBody,
+)
+from wrenchbook.service.http.body import (
+    parsed_json,
+    read_limited,
+    tolerance_of,
+)
 from wrenchbook.service.http.openapi import answers, takes
-from wrenchbook.service.http.parsing import known_method, parsed_json, tolerance_of
 from wrenchbook.service.http.problems import problem_of
-from wrenchbook.service.http.replies import json_reply
-from wrenchbook.service.query import Floats, Outcome, Query, answer_or_submit
+from wrenchbook.service.http.routes import DirectRoute, json_reply
+from wrenchbook.service.query import Outcome, Query, answer_or_submit
 from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import Space
@@ -54,14 +63,14 @@ class UmBridgeError(Exception):
 
 
 class Failure(TypedDict):
-    """The protocol's own form of an error."""
+    """An error in the protocol's form."""
 
     type: Kind
     message: str
 
 
 class Named(BaseModel):
-    """The body of a call about one component."""
+    """The body of a call of one component."""
 
     name: str
 
@@ -69,7 +78,7 @@ class Named(BaseModel):
 class Config(Body):
     """Options of a call."""
 
-    method: str | None = None
+    method: Method = None
     tolerance: ToleranceBody | None = None
     on_thin: Literal["wait", "estimate", "reject"] = "wait"
     wait_s: Seconds = DEFAULT_WAIT_S
@@ -80,7 +89,7 @@ class EvaluateBody(Named):
     """One wrench, and options."""
 
     input: Annotated[
-        list[bodies.InputVector],
+        list[InputVector],
         Field(min_length=1, max_length=1, description="all inputs: N, N·m, ..."),
     ]
     config: Config | None = None
@@ -96,27 +105,28 @@ class ProductBody(EvaluateBody):
 class GradientBody(ProductBody):
     """What J^T is multiplied by: weights of the outputs, per m and rad."""
 
-    sens: bodies.OutputVector
+    sens: OutputVector
 
 
 class JacobianBody(ProductBody):
     """What J is multiplied by: loads, N and N·m."""
 
-    vec: bodies.InputVector
+    vec: InputVector
 
 
-_Kind = TypeVar("_Kind", bound=EvaluateBody)
+_Kind = TypeVar("_Kind", bound=Named)
 
 
-class UmBridgeRoute(APIRoute):
-    """A call that reads its own body, and whose errors have the protocol's form."""
+class UmBridgeRoute(DirectRoute):
+    """A call whose errors have the protocol's form."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the endpoint, called with the request; its errors are answered."""
+        call = super().get_route_handler()
 
         async def handle(request: Request) -> Response:
             try:
-                return await self.endpoint(request)
+                return await call(request)
             except ClientDisconnect:
                 raise
             except Exception as error:
@@ -155,19 +165,19 @@ async def info(request: Request) -> Response:
 
 @_post("/ModelInfo", "which calls a component supports", dict[Literal["support"], dict[str, bool]])
 async def model_info(request: Request) -> Response:
-    await _fields(request)
+    await _read(request, Named)
     return json_reply({"support": SUPPORT})
 
 
 @_post("/InputSizes", "one vector in, the wrench and further inputs, SI", _Sizes)
 async def input_sizes(request: Request) -> Response:
-    space = _space(request, await _fields(request))
+    _, space = await _read(request, Named)
     return json_reply({"inputSizes": [len(space.inputs)]})
 
 
 @_post("/OutputSizes", "one vector out, the displacement of each interface, m and rad", _Sizes)
 async def output_sizes(request: Request) -> Response:
-    space = _space(request, await _fields(request))
+    _, space = await _read(request, Named)
     return json_reply({"outputSizes": [len(space.outputs)]})
 
 
@@ -178,7 +188,7 @@ async def output_sizes(request: Request) -> Response:
     EvaluateBody,
 )
 async def evaluate(request: Request) -> Response:
-    body, space = await _checked(request, EvaluateBody)
+    body, space = await _read(request, EvaluateBody)
     outcome = await _outcome(request, body)
     names, reply = space.output_names, outcome.reply
     values = np.array(reply.outputs or (None,) * len(names), dtype=float)
@@ -191,47 +201,37 @@ async def evaluate(request: Request) -> Response:
 
 @_post("/Gradient", "J^T sens, J being du/dw", _Vector, GradientBody)
 async def gradient(request: Request) -> Response:
-    body, _ = await _checked(request, GradientBody)
-    outcome = await _outcome(request, body, derivatives=True)
-    return _product(outcome, _jacobian(outcome).T, body.sens, "sens")
+    body, _ = await _read(request, GradientBody)
+    return await _product(request, body, body.sens, "sens")
 
 
 @_post("/ApplyJacobian", "J vec, J being du/dw", _Vector, JacobianBody)
 async def apply_jacobian(request: Request) -> Response:
-    body, _ = await _checked(request, JacobianBody)
-    outcome = await _outcome(request, body, derivatives=True)
-    return _product(outcome, _jacobian(outcome), body.vec, "vec")
+    body, _ = await _read(request, JacobianBody)
+    return await _product(request, body, body.vec, "vec")
 
 
 @_post("/ApplyHessian", "not offered; answers UnsupportedFeature", _Error)
 async def apply_hessian(request: Request) -> Response:
-    await _fields(request)
+    await _read(request, Named)
     message = "ApplyHessian is not supported: tables have first derivatives only"
     raise UmBridgeError("UnsupportedFeature", message)
 
 
-async def _fields(request: Request) -> dict[str, Any]:
-    """Return a body's fields; the component that they name exists."""
+async def _read(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
+    """Return a body whose component exists, with vectors as its space has them, and that space."""
     fields = parsed_json(await read_limited(request.receive))
     if not isinstance(fields, dict):
         raise UmBridgeError("InvalidInput", "the body must be a JSON object")
     workspace: Workspace = request.app.state.workspace
     name = fields.get("name")
-    if isinstance(name, str) and name in workspace.library:
-        return fields
-    names = ", ".join(await run_in_threadpool(workspace.library.names))
-    mistake = f"there is no component {name!r}" if "name" in fields else "the body has no 'name'"
-    raise UmBridgeError("ModelNotFound", f"{mistake}; there are: {names}")
-
-
-def _space(request: Request, fields: dict[str, Any]) -> Space:
-    return request.app.state.workspace.library[fields["name"]].space
-
-
-async def _checked(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
-    """Return a body whose vectors are as long as the component's space has it, and that space."""
-    fields = await _fields(request)
-    space = _space(request, fields)
+    if not isinstance(name, str) or name not in workspace.library:
+        names = ", ".join(await run_in_threadpool(workspace.library.names))
+        mistake = (
+            f"there is no component {name!r}" if "name" in fields else "the body has no 'name'"
+        )
+        raise UmBridgeError("ModelNotFound", f"{mistake}; there are: {names}")
+    space = workspace.library[name].space
     return kind.model_validate(fields, context={"space": space}), space
 
 
@@ -244,7 +244,7 @@ async def _outcome(request: Request, body: EvaluateBody, *, derivatives: bool = 
         on_thin=config.on_thin,
         wait_s=config.wait_s,
         tolerance=tolerance_of(config.tolerance),
-        method=known_method(config.method, "config.method"),
+        method=config.method,
         beyond_range=config.beyond_range,
         derivatives=derivatives,
     )
@@ -265,22 +265,20 @@ async def _outcome(request: Request, body: EvaluateBody, *, derivatives: bool = 
     )
 
 
-def _jacobian(outcome: Outcome) -> Floats:
-    """Return du/dw (m, n), m and rad over N, N·m and the units of further inputs."""
+async def _product(
+    request: Request, body: EvaluateBody, vector: list[float], name: str
+) -> Response:
+    """Answer with J^T sens, per N and N·m, or J vec, m and rad; J is du/dw (m, n), SI."""
+    outcome = await _outcome(request, body, derivatives=True)
     derivative = outcome.details["derivative"]
     if derivative is None or not np.isfinite(derivative).all():
         message = "the derivative is not known here: the row that answers brings no tangent"
         raise UmBridgeError("InvalidOutput", message)
-    return derivative
-
-
-def _product(outcome: Outcome, matrix: Floats, vector: list[float], name: str) -> Response:
-    """Answer with J^T sens, per N and N·m, or J vec, m and rad."""
-    product = matrix @ np.array(vector)
-    if np.isfinite(product).all():
-        return _reply(outcome, product.tolist())
-    message = f"{name} is too large: the product with the derivative overflows"
-    raise UmBridgeError("InvalidInput", message)
+    product = (derivative.T if name == "sens" else derivative) @ np.array(vector)
+    if not np.isfinite(product).all():
+        message = f"{name} is too large: the product with the derivative overflows"
+        raise UmBridgeError("InvalidInput", message)
+    return _reply(outcome, product.tolist())
 
 
 def _reply(outcome: Outcome, output: Any) -> Response:

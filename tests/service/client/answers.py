@@ -28,6 +28,7 @@ def bar_compliance() -> np.ndarray:
 def answer(vector, wrench=None, coverage="covered", derivative=None, reason="") -> Displacement:
     """An answer with error bars of 1 µm and 1 µrad."""
     body = {
+        "component": "plate",
         "translation": None if vector is None else list(vector[:3]),
         "rotation": None if vector is None else list(vector[3:]),
         "error": {"translation": [1e-6] * 3, "rotation": [1e-6] * 3},
@@ -35,7 +36,7 @@ def answer(vector, wrench=None, coverage="covered", derivative=None, reason="") 
         "derivative": derivative,
         "reason": reason,
     }
-    return Displacement.read("plate", np.zeros(6) if wrench is None else wrench, body)
+    return Displacement.read(body, np.zeros(6) if wrench is None else wrench)
 
 
 class LinearTable:
