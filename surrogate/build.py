@@ -158,12 +158,8 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
         if len(some):
             own = np.isin(every, outputs)
             moved = np.where(own, some.displacement, 0.0)
-            slopes = np.where(
-                own[:, None]
-                | ~np.asarray(np.isfinite(some.compliance).all(axis=(1, 2), keepdims=True)),
-                some.compliance,
-                0.0,
-            )
+            partly = ~np.isfinite(some.compliance).all(axis=(1, 2), keepdims=True)
+            slopes = np.where(own[:, None] | partly, some.compliance, 0.0)
             changed = {
                 "displacement": moved,
                 "compliance": slopes,

@@ -295,7 +295,6 @@ class _Refinement:
             losses = own[:, self.outputs].max(axis=1)
         left = losses * self._left(pending, candidates)
         before, start = len(self.surrogate.used) + len(pending), len(pending)
-        sample = spread_wrenches(self.span, SAMPLE)
         now = self._losses(sample)
         while (count := len(pending) - start) < min(budget, len(candidates)):
             if (

@@ -188,9 +188,8 @@ class Composition:
             # step along what the points span is in the outputs already, by the slope there. Off
             # it, where a table of fewer dimensions knows no slope, the fitted compliance tells
             # one; the bar grows by as much as the step moves the answer.
-            rows = outside
-            step = (x - reading.at)[outside]
-            basis, inputs = table.triangulation.basis, list(table.axis.inputs)
+            rows, step = outside, (x - reading.at)[outside]
+            basis = table.triangulation.basis
             off = step - step @ basis.T @ basis
             part.rest[rows] += np.abs(
                 np.einsum("kqi,ki->kq", part.slopes[rows] * table.scale, step)

@@ -84,7 +84,7 @@ def folds(triangulation: Triangulation) -> list[tuple[Indices, NDArray[np.bool_]
         return []
     # One point of each cell of a grid, (k,), in an order that no pattern of rows follows. By a
     # hash of each point alone: every fourth row of a grid would be one of its faces.
-    order = np.argsort(hashes(np.round(points, DECIMALS)), kind="stable")
+    order = np.argsort(hashes(points.round(DECIMALS)), kind="stable")
     cells = np.floor(points[order] / radius + ASIDE)
     place = np.lexsort(cells.T)  # stable: the first of a cell is the first of the order
     new = np.ones(len(order), dtype=bool)

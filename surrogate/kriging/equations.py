@@ -334,11 +334,12 @@ def equations_of(
     kept = np.sort(first)
     out = whole.take(kept)
     # rows by group, in their own order within each
-    rows, sizes = np.argsort(group, kind="stable"), np.bincount(group)
+    by_group, sizes = np.argsort(group, kind="stable"), np.bincount(group)
     ends = np.cumsum(sizes)
     for place in np.flatnonzero(sizes[group[kept]] > 1):
         own = group[kept[place]]
-        _merge(out, int(place), whole.take(rows[ends[own] - sizes[own] : ends[own]]), settings)
+        merged = whole.take(by_group[ends[own] - sizes[own] : ends[own]])
+        _merge(out, int(place), merged, settings)
     return out
 
 

@@ -66,8 +66,8 @@ def shares_of(
     shares = []
     for group in groups:
         rows = np.flatnonzero(equations.measured[:, group[0]])
-        mean_noise = noise[np.ix_(rows, group)].mean(axis=1)
-        shares.append(Share(np.array(group, dtype=np.intp), rows, mean_noise))
+        outputs = np.array(group, dtype=np.intp)
+        shares.append(Share(outputs, rows, noise[np.ix_(rows, outputs)].mean(axis=1)))
     return shares
 
 

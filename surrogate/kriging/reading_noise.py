@@ -36,15 +36,11 @@ def reading_noise(
     count = max(min(int(ends), len(equations)), 1)
     chosen = equations.take(np.linspace(0, len(equations) - 1, count).round().astype(np.intp))
     ratios = np.arange(*settings.ratio_bounds, settings.ratio_step)
-    kernels = [
-        hyperparameters,
-        *(
-            Hyperparameters.of_logarithms(
-                np.array([theta] * equations.groups.shape[1] + [weight]), equations.groups
-            )
-            for theta in settings.noise_thetas
-            for weight in settings.noise_weights
-        ),
+    groups = equations.groups
+    kernels = [hyperparameters] + [  # and kernels of one length in all loads
+        Hyperparameters.of_logarithms(np.array([theta] * groups.shape[1] + [weight]), groups)
+        for theta in settings.noise_thetas
+        for weight in settings.noise_weights
     ]
     curves = [_curves(chosen, kernel, before, ratios, settings) for kernel in kernels]
     if not chosen.known[:, 1:].any():
