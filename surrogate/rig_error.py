@@ -72,7 +72,9 @@ def branches(rows: Rows, load_range: LoadRange) -> Floats:
     groups, found = repeated(rows, load_range), np.zeros(outputs)
     for output in range(outputs):
         moved = rows.displacement[:, output]
-        several = [own for places in groups if len(own := _known(moved[places])) > 1]
+        measured = np.isfinite(moved)
+        readings = [moved[places][measured[places]] for places in groups]
+        several = [own for own in readings if len(own) > 1]
         deviations = np.concatenate([np.empty(0), *(own - own.mean() for own in several)])
         square = float((deviations**2).mean()) if several else 0.0
         if square <= 0:
@@ -81,7 +83,3 @@ def branches(rows: Rows, load_range: LoadRange) -> Floats:
         if kurtosis + 2 * math.sqrt(24 / (len(deviations) - len(several))) < NORMAL:
             found[output] = math.sqrt(square)
     return found
-
-
-def _known(moved: Floats) -> Floats:
-    return moved[np.isfinite(moved)]

@@ -49,7 +49,11 @@ def over_tolerance(
             # Edges and corners where supports end make displacements converge with about the
             # square. Rounded up to a tenth: a cell "1 times smaller" would help nobody.
             finer = float(np.ceil(np.round(10.0 * np.sqrt(worst), 6)) / 10.0)
-            sized = "" if cell_size is None else f", about {_length(cell_size / finer)} each"
+            sized = ""
+            if cell_size is not None:
+                size = cell_size / finer
+                sized = f", about {1e3 * size:.2g} mm" if size < 1.0 else f", about {size:.2g} m"
+                sized += " each"
             remedy = f"make cells about {finer:.2g} times smaller{sized}"
             if finer > _WORTH_A_MESH:
                 remedy = "make cells much smaller"
@@ -98,7 +102,3 @@ def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
         f"{errors[output]:.2g} {unit} in {_OUTPUTS[freedom]}{where}, {float(f'{worst:.2g}'):g} "
         "times the tolerance"
     )
-
-
-def _length(metres: float) -> str:
-    return f"{1e3 * metres:.2g} mm" if metres < 1.0 else f"{metres:.2g} m"

@@ -18,7 +18,6 @@ from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     TEMPERATURE,
     Analysis,
-    Bushing,
     Deck,
     Interface,
     Material,
@@ -140,12 +139,11 @@ def _supports(supports: Supports | None) -> object:
         "sliding": sorted(
             [support.group, support.directions.tolist()] for support in supports.sliding
         ),
-        "bushings": sorted(map(_bushing, supports.bushings), key=json.dumps),
+        "bushings": sorted(
+            ([_interface(item.hold), item.stiffness.tolist()] for item in supports.bushings),
+            key=json.dumps,
+        ),
     }
-
-
-def _bushing(bushing: Bushing) -> list[object]:
-    return [_interface(bushing.hold), bushing.stiffness.tolist()]
 
 
 def _interface(interface: Interface | None) -> object:

@@ -32,6 +32,12 @@ ORDER, FAILURE = "order.json", "failure.json"
 
 def main(folder: Path) -> int:
     """Make the report of ``order.json``; return the exit status."""
+
+    def note(fraction: float, message: str) -> None:
+        if (folder / CANCEL).exists():
+            sys.exit(1)
+        write_whole(folder / PROGRESS, asdict(Progress(fraction, message)))
+
     (folder / FAILURE).unlink(missing_ok=True)
     try:
         order = json.loads((folder / ORDER).read_bytes())
@@ -42,7 +48,7 @@ def main(folder: Path) -> int:
             meta.load_range,
             order["wrenches"],
             order["seed"],
-            lambda fraction, message: _note(folder, Progress(fraction, message)),
+            note,
         )
         report |= {"summary": summary_of(report), "advice": advice_of(report)}
         report["sections"] = [asdict(section) for section in sections_of(report)]
@@ -56,13 +62,6 @@ def main(folder: Path) -> int:
         write_whole(folder / FAILURE, {"message": f"{type(error).__name__}: {error}"})
         return 1
     return 0
-
-
-def _note(folder: Path, progress: Progress) -> None:
-    """Write the progress; end the process if the report was cancelled."""
-    if (folder / CANCEL).exists():
-        sys.exit(1)
-    write_whole(folder / PROGRESS, asdict(progress))
 
 
 if __name__ == "__main__":

@@ -37,11 +37,17 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
         The scene plan that the file carries, JSON-able.
     """
     arrays = {name: array for name, array in whole.arrays.items() if name[0] != "g"}
-    read = [_is_read(whole, group, need) for group in range(len(whole.words["groups"]))]
+    outputs = list(need.outputs)
+    read = [
+        bool(whole.arrays[f"g{group}/outputs"][outputs].any())
+        for group in range(len(whole.words["groups"]))
+    ]
     groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
     slopes = np.ones(whole.inputs, dtype=bool)
+    # The solver's error needs the derivative by all loads: all axes stay then.
+    has_solver_error = bool(whole.arrays["solver/flags"][0])
     for number, group in enumerate(groups):
-        own = _cut_group(_named(whole, f"g{group}/"), need, _asks_tangent(whole), slopes)
+        own = _cut_group(_named(whole, f"g{group}/"), need, has_solver_error, slopes)
         arrays |= {f"g{number}/{name}": array for name, array in own.items()}
     arrays |= _scene_arrays(whole, need, len(groups), slopes)
     words = {
@@ -55,15 +61,6 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
 def _named(whole: PackedTable, prefix: str) -> Arrays:
     size = len(prefix)
     return {name[size:]: one for name, one in whole.arrays.items() if name.startswith(prefix)}
-
-
-def _is_read(whole: PackedTable, group: int, need: Need) -> bool:
-    return bool(whole.arrays[f"g{group}/outputs"][list(need.outputs)].any())
-
-
-def _asks_tangent(whole: PackedTable) -> bool:
-    """Return whether the solver's error needs the derivative by all loads: all axes stay then."""
-    return bool(whole.arrays["solver/flags"][0])
 
 
 def _scene_arrays(whole: PackedTable, need: Need, groups: int, slopes: Mask) -> Arrays:

@@ -73,7 +73,9 @@ def write_table(
             _write_meta(file, meta)
             _write_rows(file, rows)
             if any(notes):
-                _write_notes(file, notes)
+                # Of their own lengths: one long note must not make every other as long.
+                kind = h5py.string_dtype("utf-8")
+                file.create_dataset("rows/note", data=list(notes), dtype=kind)
         write_digest(draft)
         draft.chmod(0o644)  # a temporary file is private, a table is for other programs too
         sync(draft)
@@ -170,11 +172,6 @@ def _write_rows(file: h5py.File, rows: Rows) -> None:
         words = np.char.encode(getattr(rows, name).astype(str), "utf-8")
         kind = h5py.string_dtype("utf-8", max(words.dtype.itemsize, 1))
         _write_column(group, name, words.astype(kind))
-
-
-def _write_notes(file: h5py.File, notes: Sequence[str]) -> None:
-    # Of their own lengths: one long note must not make every other as long.
-    file.create_dataset("rows/note", data=list(notes), dtype=h5py.string_dtype("utf-8"))
 
 
 def _write_column(group: h5py.Group, name: str, column: np.ndarray) -> h5py.Dataset:
