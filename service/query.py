@@ -127,7 +127,7 @@ class BatchOutcome:
     """The kernel's replies to wrenches; `jobs` of those not covered by their place.
 
     `derivatives` (k, outputs, inputs) has NaN where du/dw is not known; `tolerance` is that of the
-    error bars.
+    error bars; `began` as in `Outcome`.
     """
 
     component: str
@@ -135,6 +135,7 @@ class BatchOutcome:
     replies: Replies
     elapsed_us: float
     method: str
+    began: float
     jobs: dict[int, Placement] = field(default_factory=dict)
     derivatives: Floats | None = None
     tolerance: Tolerance | None = None
@@ -358,12 +359,12 @@ def fields_of(outcome: Outcome) -> dict[str, Any]:
 
 def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -> BatchOutcome:
     """Return the table's replies to wrenches (k, inputs), with the options of a query."""
-    started = perf_counter_ns()
+    began, started = time.time(), perf_counter_ns()
     options = table.limits(query.tolerance), query.method
     replies = table.packed.batch(wrenches, *options)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     method = table.packed.answers_by(query.method)
-    outcome = BatchOutcome(name, table, replies, elapsed_us, method)
+    outcome = BatchOutcome(name, table, replies, elapsed_us, method, began)
     if table.bars_are_whole:
         outcome.tolerance = query.tolerance or table.tolerance
     if query.derivatives:

@@ -82,7 +82,8 @@ def read_bundle(folder: str | Path) -> Bundle:
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES + 1)
     except OSError as error:
-        message = f"cannot be read ({error.strerror}); a bundle is a folder with this file"
+        folder_is = f"{folder} is no folder" if not folder.is_dir() else f"not in {folder}"
+        message = f"cannot be read ({error.strerror}: {folder_is}); name a folder with this file"
         raise BundleError([BundleProblem(FILE_NAME, message)]) from None
     if len(content) > _MOST_BYTES:
         message = f"is longer than {_MOST_BYTES} bytes; a component.toml names its files by name"

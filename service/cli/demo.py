@@ -17,7 +17,7 @@ from rich.table import Table
 
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli import progress
-from wrenchbook.service.cli.render import UNITS, answer_table
+from wrenchbook.service.cli.render import UNITS, answer_shown
 from wrenchbook.service.client import Client, Displacement, Job
 
 COMPONENT = "plate_thin"
@@ -58,7 +58,7 @@ def _ask_an_empty_table(out: Console, client: Client) -> str | None:
     component = client.component(COMPONENT)
     out.print(f"{component['title']}: {component['rows']} rows.")
     answer = client.displacement(COMPONENT, *WRENCH)
-    out.print(answer_table(answer))
+    out.print(answer_shown(answer))
     if answer.job is None or answer.coverage == "covered":
         return "an empty table should have queued a solve"
     return None
@@ -70,7 +70,7 @@ def _solve_it(out: Console, client: Client) -> str | None:
     if job is not None:
         progress.follow(out, client, [job], SOLVE_S)
     answer = client.displacement(COMPONENT, *WRENCH, on_thin="wait", wait_s=SOLVE_S)
-    out.print(answer_table(answer))
+    out.print(answer_shown(answer))
     return None if answer.source == "fea" else f"expected source fea, got {answer.source}"
 
 
@@ -87,7 +87,7 @@ def _refine(out: Console, client: Client) -> str | None:
     """Ask a wrench that no solve was made for, and solve it on a finer mesh."""
     force, moment = [0.9 * load for load in WRENCH[0]], WRENCH[1]
     answer = client.displacement(COMPONENT, force, moment)
-    out.print(answer_table(answer))
+    out.print(answer_shown(answer))
     if answer.coverage != "covered":
         return f"not covered: {answer.reason}"
     with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:

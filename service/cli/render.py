@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
@@ -51,7 +51,7 @@ def plain(out: Console, text: str, style: str | None = None) -> None:
     out.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
-def show(reply: Any, as_json: bool, shown: str | Callable[[], Iterable[Table | str]]) -> None:
+def show(reply: Any, as_json: bool, shown: str | Callable[[], Iterable[RenderableType]]) -> None:
     """Print a reply as JSON, or the text, or tables and lines, that show it."""
     if as_json:
         print_json(reply)
@@ -60,7 +60,7 @@ def show(reply: Any, as_json: bool, shown: str | Callable[[], Iterable[Table | s
         plain(Screen(), part) if isinstance(part, str) else Screen().print(part)
 
 
-def answer_table(answer: Displacement, interface: str = "") -> Table:
+def answer_shown(answer: Displacement, interface: str = "") -> Group:
     """Lay out one answer with its error bar, at a named interface where there are several."""
     title = [f"{answer.component} {interface}".strip(), answer.coverage]
     title += [f"source: {answer.source}"] if answer.source else []
@@ -69,7 +69,7 @@ def answer_table(answer: Displacement, interface: str = "") -> Table:
     title += [f"job {answer.job.id}: {answer.job.status}"] if answer.job is not None else []
     over = [_OVER] if answer.covered and answer.within_tolerance is False else []
     notes = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
-    table = Table(title=" · ".join(title), title_justify="left", caption=escape(notes) or None)
+    table = Table()
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
     for place, (name, unit) in enumerate(UNITS.items()):
@@ -78,7 +78,9 @@ def answer_table(answer: Displacement, interface: str = "") -> Table:
             for values in (answer.vector, answer.error_vector)
         )
         table.add_row(name, *numbers, unit)
-    return table
+    # Not the table's own title and caption, which are wrapped to its width.
+    lines = [Text(line) for line in (" · ".join(title), notes)]
+    return Group(lines[0], table, *lines[1:] if notes else ())
 
 
 def print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None:
@@ -87,7 +89,7 @@ def print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None
     `data` is the data directory whose private server has ended, if one had been started.
     """
     interfaces = answer.interfaces or {"": answer}
-    shown: list[Table | str] = [answer_table(at, name) for name, at in interfaces.items()]
+    shown: list[RenderableType] = [answer_shown(at, name) for name, at in interfaces.items()]
     if answer.job is not None and not answer.job.ended:
         value = "No estimate yet" if answer.vector is None else "The values are an estimate"
         state = f"Its state: wrenchbook jobs --component {answer.component}"

@@ -48,6 +48,11 @@ class Job(JobLink):
         job.__dict__["component"] = job.component or component
         return job
 
+    @classmethod
+    def read_all(cls, body: Mapping[str, Json], component: str) -> tuple[Self, ...]:
+        """Make the jobs of a reply about one component."""
+        return tuple(cls.read(job, component) for job in body["jobs"])
+
     @property
     def ended(self) -> bool:
         """Whether it is done, failed or cancelled."""
@@ -237,7 +242,8 @@ class JobCalls(Connection):
         part = {"range": dict(range) if range else None, "outputs": outputs and list(outputs)}
         body = options(tolerance=tolerance, budget=budget, for_joint=for_joint or None, **part)
         path = component_path(name, "fill")
-        return Round.read(self.call_json("POST", path, body, repeatable=False))
+        reply = self.call_json("POST", path, body, repeatable=False)
+        return Round.read(reply, jobs=Job.read_all(reply, name))
 
     def fill_until(
         self,

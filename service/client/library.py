@@ -14,7 +14,7 @@ import numpy as np
 from .errors import Document, InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
 from .transport import BINARY, Connection, component_path
 
-_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "mat", "packed")
+_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "packed")
 _TEXTS = ("csv", "json")
 _ENDINGS = {
     ".csv": "csv",

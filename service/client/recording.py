@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from .. import messages
 from ..contract import MAX_BLOCK
 from ..messages import Envelope, Recording
-from .errors import Document
+from .errors import Document, Json
 from .job import Job
 from .transport import BINARY, Connection, component_path
 from .wrenches import Tolerance, many_wrenches, options, tolerance_body
@@ -80,7 +80,7 @@ class RecordingCalls(Connection):
             If the component is a table only and cannot be solved (409).
         """
         body = options(budget=budget, beyond_range=beyond_range or None)
-        return Started.read(self.call_json("POST", component_path(name, "recording/start"), body))
+        return self._start(component_path(name, "recording/start"), name, body)
 
     def widen_envelope(self, name: str, wrenches: ArrayLike) -> Document:
         """LM_max: widen a component's envelope by wrenches, shape (n, inputs), N and N·m.
@@ -105,7 +105,7 @@ class RecordingCalls(Connection):
     def start_envelope(self, name: str, *, beyond_range: bool = False) -> Started:
         """Queue the solves of the wrenches at a component's extremes; as `start_recording`."""
         body = options(beyond_range=beyond_range or None)
-        return Started.read(self.call_json("POST", component_path(name, "envelope/start"), body))
+        return self._start(component_path(name, "envelope/start"), name, body)
 
     def resolve(
         self, name: str, budget: int | None = None, *, beyond_range: bool = False
@@ -116,7 +116,11 @@ class RecordingCalls(Connection):
         (``another_setup`` of `component`). Parameters and errors are those of `start_recording`.
         """
         body = options(budget=budget, beyond_range=beyond_range or None)
-        return Started.read(self.call_json("POST", component_path(name, "table/resolve"), body))
+        return self._start(component_path(name, "table/resolve"), name, body)
+
+    def _start(self, path: str, name: str, body: Json) -> Started:
+        reply = self.call_json("POST", path, body)
+        return Started.read(reply, jobs=Job.read_all(reply, name))
 
     def send_block(
         self, name: str, kind: Kind, wrenches: bytes, client: str, sequence: int

@@ -256,7 +256,7 @@ def write_batch(outcome: BatchOutcome) -> Response:
             WrenchJob.of(
                 {"index": place, "id": None, "status": None, "url": None, "reason": placed.reason}
                 if placed.job is None
-                else {"index": place, **job_link(placed.job)}
+                else {"index": place, **job_link(placed.job, outcome.began)}
             )
             for place, placed in outcome.jobs.items()
         ],

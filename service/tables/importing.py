@@ -19,7 +19,7 @@ from wrenchbook.surrogate.findings.find import MOST
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
-_MAX_TRIED = 16  # stored rows of nearly one size that a row is compared with
+_MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
 
 
 def import_files(
@@ -111,15 +111,15 @@ def _with_stored_numbers(
         yield from read.pieces()
         return
     stored = ledger.stored_numbers(component.name, len(space.inputs), len(space.outputs))
-    sizes = _sizes(stored, len(space.inputs))
-    order = np.argsort(sizes, kind="stable")
-    sizes = sizes[order]
+    sums = _sums(stored, len(space.inputs))[0]
+    order = np.argsort(sums, kind="stable")
+    sums = sums[order]
     for piece in read.pieces():
         columns = piece.wrench, piece.displacement, piece.uncertainty
         numbers = np.hstack(columns)
-        size = _sizes(numbers, len(space.inputs))
-        first = np.searchsorted(sizes, size * (1.0 - 2.0 * SAME))
-        end = np.searchsorted(sizes, size * (1.0 + 2.0 * SAME), side="right")
+        own, size = _sums(numbers, len(space.inputs))
+        first = np.searchsorted(sums, own - 2.0 * SAME * size)
+        end = np.searchsorted(sums, own + 2.0 * SAME * size, side="right")
         open_ = np.flatnonzero(first < end)
         for step in range(_MAX_TRIED):
             candidates = stored[order[first[open_] + step]]
@@ -134,13 +134,17 @@ def _with_stored_numbers(
         yield replace(piece, wrench=wrench, displacement=displacement, **known)
 
 
-def _sizes(numbers: np.ndarray, inputs: int) -> np.ndarray:
-    """Return a sum of all numbers' sizes, (n,), as exact as they are, of (n, k), SI.
+def _sums(numbers: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a weighted sum of numbers (n, k), SI, and the same sum of their sizes, (n,) each.
 
-    Displacements count a million times, so that repeated readings of a wrench differ in it.
+    Two rows of one sum are the same but by chance: weights are drawn, so that loads of
+    both signs differ in it, and displacements count a million times, so that repeated readings of
+    a wrench do.
     """
-    weights = np.where(np.arange(numbers.shape[1]) < inputs, 1.0, 1e6)
-    return np.nansum(np.abs(numbers) * weights, axis=1)
+    columns = np.arange(numbers.shape[1])
+    weights = np.random.default_rng(0).uniform(1.0, 2.0, len(columns))
+    parts = numbers * weights * np.where(columns < inputs, 1.0, 1e6)
+    return np.nansum(parts, axis=1), np.nansum(np.abs(parts), axis=1)
 
 
 def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tests.service.stub_server import Answer, Stub, running_stub
 from wrenchbook.service.cli.main import app
-from wrenchbook.service.client import Client, ProblemError
+from wrenchbook.service.client import Client, InvalidArgument, ProblemError
 from wrenchbook.service.client.library import table_format
 
 
@@ -68,6 +68,19 @@ def test_refused_rows_of_one_cause_are_one_line_with_their_count(stub: Stub, cli
     says = r"row 2, ux \[mm\]: 'x' is not a number \(295 mistakes\)$"
     with pytest.raises(ProblemError, match=says):
         client.import_table("bar", "a\nb")
+
+
+def test_queued_jobs_name_their_component(stub: Stub, client: Client):
+    queued = {"component": "bar", "jobs": [{"id": 3, "status": "waiting", "new": True}]}
+    for call in (client.start_recording, client.start_envelope, client.resolve, client.fill):
+        stub.answers(Answer(queued))
+        (job,) = call("bar").jobs
+        assert (job.component, job.new) == ("bar", True)
+
+
+def test_mat_is_no_form_of_an_export(client: Client):
+    with pytest.raises(InvalidArgument, match="there are csv, xlsx, parquet, hdf5, json, packed"):
+        client.export_table("bar", "mat")
 
 
 def test_a_table_is_exported_as_text_in_the_units_asked_for(stub: Stub, client: Client):

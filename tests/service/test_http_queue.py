@@ -160,6 +160,9 @@ def test_a_batch_tells_for_each_thin_wrench_its_job_or_null_and_why(folder, stan
         assert jobs[0]["id"] != jobs[1]["id"] == jobs[2]["id"]
         assert [job["id"] for job in jobs[3:]] == [None, None]
         assert [job["reason"] for job in jobs[3:]] == ["queue-limit", "beyond-range"]
+        assert [job["new"] for job in jobs[:3]] == [True, True, True]
+        again = http.post(f"{CALL}s", json={"wrenches": (wrenches[:1] * scale).tolist()}).json()
+        assert again["jobs"][0]["new"] is False
 
 
 def test_many_waiting_jobs_are_cancelled_by_one_call_that_says_how_many(folder, stand_in):

@@ -8,7 +8,7 @@ import pytest
 
 from tests.service.live import add_table, as_rows, full_wrenches, moved, served
 from tests.service.test_runjob_evidence import BUNDLE
-from wrenchbook.service.cli.render import answer_table
+from wrenchbook.service.cli.render import answer_shown
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome
 from wrenchbook.service.ledger import Ledger, LedgerFullError
@@ -272,8 +272,8 @@ def test_the_component_warns_once_of_what_more_rows_cannot_mend(client):
 
 
 def test_an_answer_whose_bar_is_over_the_tolerance_is_shown_with_a_word_of_it(client):
-    caption = str(answer_table(client.displacement("bar", WRENCH, on_thin="estimate")).caption)
-    assert "over the tolerance by the solver's own error" in caption
+    *_, notes = answer_shown(client.displacement("bar", WRENCH, on_thin="estimate")).renderables
+    assert "over the tolerance by the solver's own error" in str(notes)
 
 
 def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_tolerance(

@@ -1,6 +1,7 @@
 import asyncio
 import csv
 import io
+import itertools
 import threading
 
 import numpy as np
@@ -202,6 +203,21 @@ def test_an_export_in_lbf_and_mm_into_the_same_table_doubles_no_row(rig):
         text = rig.get(CALL, params={"format": kind, **units_of(kind)}).content
         body = send(rig, CALL, text, kind).json()
         assert (body["inserted"], body["existing"]) == (0, 500), body["errors"]
+
+
+def test_loads_of_both_signs_exported_in_other_units_come_back_as_known_rows(rig):
+    signs = np.array(list(itertools.product([1.0, -1.0], repeat=6)))
+    loads = signs * [300, 200, 700, 30, 20, 10]
+    moved = 7e-7 * loads * [1, 1, 1, 10, 10, 10]
+    rows = [
+        {"wrench": wrench, "displacement": displacement}
+        for wrench, displacement in zip(loads.tolist(), moved.tolist(), strict=True)
+    ]
+    assert rig.post(CALL, json={"rows": rows}).json()["inserted"] == 64
+    for units in ({"force": "lbf", "translation": "mm"}, {"translation": "um"}):
+        text = rig.get(CALL, params={"format": "csv", **units}).text
+        body = load(rig, text).json()
+        assert (body["inserted"], body["existing"]) == (0, 64)
 
 
 @pytest.mark.parametrize("kind", KINDS)

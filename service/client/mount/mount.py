@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wrenchbook.surrogate.table.space import DEFAULT
+
 from ...contract import OUTPUTS
 from ..errors import (
     DisplacementUnknown,
@@ -499,6 +501,12 @@ def from_table(
     name = getattr(table, "name", component)
     if name != component:
         raise InvalidArgument(f"the table is of component {name!r}, not of {component!r}")
+    space = getattr(table, "space", DEFAULT)
+    if space.several or len(space.inputs) != len(DEFAULT.inputs):
+        raise InvalidArgument(
+            f"a mount has one interface and no further inputs; {component} has the inputs "
+            f"{', '.join(space.input_names)}: call table.answer in the loop instead"
+        )
     if method is not None:  # an unknown one is refused here, not in the loop
         table.answer(np.zeros(6), tolerance=tolerance, method=method)
 

@@ -13,6 +13,7 @@ from tests.acceptance.test_simulators import script
 from tests.surrogate import test_space
 from tests.surrogate.kernel.kinds import KINDS, asked_of, packed_of, size_of, table_of
 from wrenchbook.service.client import InvalidArgument, MissingPackage, Table, arrays
+from wrenchbook.service.client.mount import Mount
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.packing import packed_of as pack
 from wrenchbook.surrogate.table.rows import Tolerance
@@ -157,6 +158,8 @@ def test_tables_of_several_interfaces_and_further_inputs_answer_as_the_kernel_do
     assert_same(on, Table(packed, "link"), asked, "kriging")
     with pytest.raises(InvalidArgument, match="for one wrench at one interface"):
         on.evaluator(Table(packed, "link"), "griddata")
+    with pytest.raises(InvalidArgument, match="a mount has one interface and no further inputs"):
+        Mount(Table(packed, "link"), "link", np.eye(3), np.zeros(3))
 
 
 def each_of(on: Any, own: Any) -> Any:
