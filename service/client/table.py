@@ -481,7 +481,7 @@ class DownloadCalls(Connection):
         name : str
             The component.
         scene : Scene, optional
-            The needs of a simulation: the same answers to its wrenches from no larger a table.
+            The needs of a simulation: the same answers to its wrenches, from a table of these alone.
 
         Raises
         ------
