@@ -481,7 +481,7 @@ class DownloadCalls(Connection):
         name : str
             The component.
         scene : Scene, optional
-            The needs of a simulation: the same answers to its wrenches from a smaller table.
+            The needs of a simulation: the same answers to its wrenches from a table cut to them.
 
         Raises
         ------

@@ -5,16 +5,20 @@ returned, it survives a power cut.
 """
 
 import errno
+import logging
 import os
 import sqlite3
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import earlier
-from wrenchbook.service.ledger.packing import KEY_BYTES, key_hashes
+from wrenchbook.service.ledger.packing import KEY_BYTES, Record, key_hashes
 from wrenchbook.service.ledger.records import (
     JobRecord,
     LedgerDamagedError,
@@ -23,6 +27,8 @@ from wrenchbook.service.ledger.records import (
     LedgerUnavailableError,
 )
 from wrenchbook.service.ledger.schema import APPLICATION_ID, STEPS, TABLES, VERSION
+
+_log = logging.getLogger(__name__)
 
 # Errors of a file in use; damaged text need not be UTF-8.
 USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
@@ -207,36 +213,74 @@ def check_whole(connection: Connection, path: Path) -> None:
     """Refuse a damaged file: what is written into one may be gone at the next start.
 
     Of 300 ledgers with one to six random bytes changed, ``quick_check`` let 11 pass that lost what
-    they had accepted, this one none: it compares indices with their tables too, and `row_keys`
-    with the keys of the rows, by sums: a row that is not found would come twice.
+    they had accepted, this one none: it compares indices with their tables too. Keys of rows follow
+    from the rows: those that do not are written anew.
     """
     answer = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
     if answer != "ok":
         raise damaged_file(path, answer)
-    connection.execute("BEGIN")
     try:
-        # Rows of an import that has not ended have no entries yet.
-        hidden = "SELECT 1 FROM import_parts WHERE hidden = 1"
-        version = connection.execute("PRAGMA user_version").fetchone()[0]
-        if version != VERSION or connection.execute(hidden).fetchone():
+        connection.execute("BEGIN")
+        if _keys_fit(connection):
             return
-        sums = "count(*), sum(hash >> 32), sum(hash & 4294967295), sum(seq)"
-        entered = connection.execute(f"SELECT {sums} FROM row_keys").fetchone()
-        present = [0, 0, 0, 0]
-        rows = connection.execute("SELECT seq, count, key FROM rows")
-        while records := rows.fetchmany(1000):
-            hashes = key_hashes(b"".join(key for *_, key in records))
-            seqs = sum(count * seq + count * (count - 1) // 2 for seq, count, _ in records)
-            of_hashes = (int(part.sum()) for part in (hashes >> 32, hashes & 4294967295))
-            parts = len(hashes), *of_hashes, seqs
-            present = [total + part for total, part in zip(present, parts, strict=True)]
-        if [number or 0 for number in entered] != present:
-            raise damaged_file(path, "the table row_keys is not of the rows")
-    except (TypeError, ValueError) as error:
-        raise damaged_file(path, f"keys of rows: {error}") from error
+        connection.execute("ROLLBACK")
+        connection.execute("BEGIN IMMEDIATE")
+        if not _keys_fit(connection):  # no other process has written them meanwhile
+            _log.error("%s: keys of rows are damaged; they are written anew from the rows", path)
+            _write_keys(connection)
+            connection.execute("COMMIT")
+    except (TypeError, ValueError) as error:  # numbers that are none
+        raise damaged_file(path, f"rows: {error}") from error
     finally:
         if connection.in_transaction:
             connection.execute("ROLLBACK")
+
+
+def _keys_fit(connection: Connection) -> bool:
+    """Whether `row_keys` has the keys of the rows, by sums: a row not found would come twice."""
+    # Rows of an import that has not ended have no entries yet.
+    hidden = "SELECT 1 FROM import_parts WHERE hidden = 1"
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if version != VERSION or connection.execute(hidden).fetchone():
+        return True
+    sums = "count(*), sum(hash >> 32), sum(hash & 4294967295), sum(seq)"
+    entered = connection.execute(f"SELECT {sums} FROM row_keys").fetchone()
+    present = [0, 0, 0, 0]
+    for hashes, seqs in _entries(connection):
+        of_hashes = (int(part.sum()) for part in (hashes >> 32, hashes & 4294967295))
+        parts = len(hashes), *of_hashes, int(seqs.sum())
+        present = [total + part for total, part in zip(present, parts, strict=True)]
+    return [number or 0 for number in entered] == present
+
+
+def _entries(connection: Connection) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield what `row_keys` should have, some records at a time: hashes and numbers.
+
+    Nothing of a record whose keys are not as many as its rows.
+    """
+    records = connection.execute("SELECT seq, count, key FROM rows")
+    while some := records.fetchmany(1000):
+        sound = [
+            (seq, count, key)
+            for seq, count, key in some
+            if isinstance(key, bytes) and len(key) == KEY_BYTES * count
+        ]
+        seqs = [np.empty(0, np.int64), *(np.arange(seq, seq + count) for seq, count, _ in sound)]
+        yield key_hashes(b"".join(key for *_, key in sound)), np.concatenate(seqs)
+
+
+def _write_keys(connection: Connection) -> None:
+    """Write the keys of damaged records, where the seal tells them, and `row_keys` anew."""
+    records = map(Record._make, connection.execute(f"SELECT {', '.join(Record._fields)} FROM rows"))
+    pairs = ((record, record.rekeyed()) for record in records)
+    damaged = [(sound.key, sound.seq) for record, sound in pairs if sound is not record]
+    connection.executemany("UPDATE rows SET key = ? WHERE seq = ?", damaged)
+    connection.execute("DELETE FROM row_keys")
+    none = np.empty(0, np.int64)
+    hashes, seqs = map(np.concatenate, zip((none, none), *_entries(connection), strict=True))
+    order = np.argsort(hashes)
+    entries = zip(hashes[order].tolist(), seqs[order].tolist(), strict=True)
+    connection.executemany("INSERT INTO row_keys VALUES (?, ?)", entries)
 
 
 def damaged_file(path: Path, why: str) -> LedgerDamagedError:

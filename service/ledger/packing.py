@@ -112,6 +112,20 @@ class Record(NamedTuple):
         except (ValueError, TypeError, AttributeError):  # of another type
             return False
 
+    def rekeyed(self) -> Record:
+        """Return the record with the keys of its numbers, if the seal is of these: only then."""
+        if self.is_sealed():
+            return self
+        try:
+            record = self._replace(key=b"".join(self._own_keys()))
+        except (ValueError, TypeError, AttributeError, ArithmeticError):  # of another type, length
+            return self
+        return record if record.is_sealed() else self
+
+    def _own_keys(self) -> list[bytes]:
+        texts = [(self.fingerprint, self.source)] * self.count
+        return _keys(self.component, texts, self.wrench, self.displacement, self.uncertainty)
+
     def keys(self) -> list[bytes]:
         """Return the stored key of each row."""
         return [self.key[at : at + KEY_BYTES] for at in range(0, len(self.key), KEY_BYTES)]
@@ -120,9 +134,7 @@ class Record(NamedTuple):
         """Return for each row whether it is as it was written."""
         try:
             if self.is_sealed():
-                texts = [(self.fingerprint, self.source)] * self.count
-                numbers = self.wrench, self.displacement, self.uncertainty
-                pairs = zip(_keys(self.component, texts, *numbers), self.keys(), strict=True)
+                pairs = zip(self._own_keys(), self.keys(), strict=True)
                 return [present == written for present, written in pairs]
         except (ValueError, TypeError, AttributeError):
             pass  # of another type or length

@@ -480,17 +480,17 @@ def first_hidden(db: Connection, component: str | None) -> int | None:
 def last_seq(db: Connection, component: str | None = None) -> int:
     """Return the number of the newest row, withdrawal or restoring (of one component), or 0.
 
-    During an import of a component the numbers end before the first hidden row, so that readers
-    have not passed its rows when they are shown.
+    During an import of a component, the newest before the first hidden row: readers have then not
+    passed the import's rows when they are shown, and a version is always one that the table had.
     """
-    where = "" if component is None else "WHERE component = :component"
+    where = "seq < :end" if component is None else "component = :component AND seq < :end"
     newest = ", ".join(
-        f"coalesce((SELECT {last} FROM {table} {where} ORDER BY seq DESC LIMIT 1), 0)"
+        f"coalesce((SELECT {last} FROM {table} WHERE {where} ORDER BY seq DESC LIMIT 1), 0)"
         for table, last in (("rows", "seq + count - 1"), ("edits", "seq"))
     )
-    last = db.execute(f"SELECT max({newest})", {"component": component}).fetchone()[0]
-    hidden = first_hidden(db, component)
-    return last if hidden is None else min(last, hidden - 1)
+    end = first_hidden(db, component)
+    values = {"component": component, "end": _EVER if end is None else end}
+    return db.execute(f"SELECT max({newest})", values).fetchone()[0]
 
 
 def count_new(db: Connection, component: str, fingerprint: str, after: int) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,6 +116,8 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
         )
         for entry in by_error
     )
+    failed = "".join(map(_failures_in, meshes))
+    unsolved = " Failed solves: see Finite elements." if failed else ""
     of_tables = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB")
     measured = [(entry, entry["lookup_error"]) for entry in complete]
     measured += [(entry, entry["error"]) for entry in meshes[:-1]]
@@ -149,7 +152,7 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
         ReportSection(
             "Finite elements",
             f"Direct solves, one thread; processor times.{STAR}: no other entry is both better and "
-            "faster.",
+            f"faster.{failed}",
             ("mesh", "unknowns", "set-up, s", "solve p50, s", "p95, s", *outputs),
             fea,
         ),
@@ -164,7 +167,7 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
             "Absolute errors against the tolerance",
             "m and rad; a table's against its own mesh, a mesh's against the finest. An output "
             "whose range is below a thousandth of the largest of its kind counts as near zero: its "
-            "relative error is taken over that floor.",
+            f"relative error is taken over that floor.{unsolved}",
             ("", *outputs),
             (tolerance, *absolute) if tolerance else absolute,
         ),
@@ -176,6 +179,19 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
             inside,
         ),
     ]
+
+
+def _failures_in(level: dict[str, Any]) -> str:
+    """Say how many solves on a mesh failed, and why; "" if none did."""
+    failures = level["failures"]
+    kinds = Counter(failure["kind"] for failure in failures)
+    first = {failure["kind"]: failure for failure in reversed(failures)}
+    reasons = "; ".join(
+        f"{count} x {kind} ({first[kind]['message']} {first[kind]['remedy']})"
+        for kind, count in kinds.items()
+    )
+    failed = f"On the {level['level']} mesh {len(failures)} of {level['solves']} solves failed"
+    return f" {failed}: {reasons}." if failures else ""
 
 
 def _each(values: Iterable[float | None], form: str) -> tuple[str, ...]:

@@ -120,7 +120,14 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
             try:
                 displacement[place] = solver.solve(wrench).displacement
             except SolveFailed as failure:
-                failures.append({"wrench": wrench.tolist(), "kind": failure.kind})
+                failures.append(
+                    {
+                        "wrench": wrench.tolist(),
+                        "kind": failure.kind,
+                        "message": failure.message,
+                        "remedy": failure.remedy,
+                    }
+                )
                 continue
             seconds.append(time.process_time() - started)
         levels.append(
@@ -130,6 +137,7 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
                 "setup_s": setup,
                 "seconds_p50": float(np.median(seconds)) if seconds else None,
                 "seconds_p95": float(np.quantile(seconds, 0.95)) if seconds else None,
+                "solves": len(wrenches),
                 "failures": failures,
                 "displacement": displacement,
             }

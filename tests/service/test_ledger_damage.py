@@ -3,13 +3,14 @@
 import errno
 import os
 import random
+import sqlite3
 
 import pytest
 from starlette.testclient import TestClient
 
-from tests.service.ledger_rows import NewRow, insert, stored
+from tests.service.ledger_rows import NewRow, insert, noted, stored
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.ledger import About, Ledger, LedgerUnavailableError
 from wrenchbook.service.workspace import Settings
 
 PAGE = 4096  # bytes, SQLite's
@@ -57,6 +58,71 @@ def test_rows_accepted_by_a_ledger_with_damaged_bytes_are_there_after_a_restart(
         finally:
             ledger.close()
     assert refused > 10
+
+
+def changed(path, *statements):
+    db = sqlite3.connect(path)
+    for statement in statements:
+        db.execute(statement)
+    db.commit()
+    db.close()
+
+
+_LAST_KEY = "CAST(substr(key, 1, 16 * count - 16) || zeroblob(16) AS BLOB)"
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "DELETE FROM row_keys WHERE seq = (SELECT max(seq) FROM row_keys)",
+        "DELETE FROM row_keys",
+        "UPDATE row_keys SET hash = hash + 1 WHERE seq = 41",
+        "INSERT INTO row_keys VALUES (5, 4711)",
+        f"UPDATE rows SET key = {_LAST_KEY} WHERE seq = 41",
+        "UPDATE rows SET key = zeroblob(16 * count)",
+    ],
+)
+def test_damaged_keys_are_written_anew_from_the_rows(path, statement):
+    ledger = Ledger(path)
+    job = ledger.claim("me")
+    ledger.commit(job.id, 1, (0.5,) * 6)
+    before, digest = stored(ledger, "rig"), ledger.digest("rig", 10**9)
+    assert len(before) == 481
+    ledger.close()
+    changed(path, statement)
+    ledger = Ledger(path)
+    assert stored(ledger, "rig") == before
+    assert (ledger.digest("rig", 10**9), ledger.damaged_rows()) == (digest, {})
+    assert insert(ledger, "rig", "", new_rows(0, 490)) == (10, 480)
+    assert ledger.job(job.id).row == 481
+    ledger.close()
+
+
+def test_keys_of_a_damaged_record_take_no_other_record_along(path):
+    changed(path, f"UPDATE rows SET key = {_LAST_KEY}, origin = 'x' WHERE seq = 41")
+    for _ in range(2):
+        ledger = Ledger(path)
+        assert ledger.trouble() is None
+        assert ledger.damaged_rows() == dict.fromkeys(range(41, 81), "rig")
+        assert len(stored(ledger, "rig")) == 440
+        ledger.close()
+
+
+def test_keys_are_left_to_an_import_that_runs(path):
+    """Its rows get theirs at its end."""
+    ledger = Ledger(path)
+
+    def blocks():
+        yield noted(new_rows(1000, 1010))
+        Ledger(path).close()
+        changed(path, "DELETE FROM row_keys WHERE seq = 3")
+        Ledger(path).close()
+
+    assert ledger.import_rows("rig", blocks(), About())[:2] == (10, 0)
+    ledger.close()
+    ledger = Ledger(path)
+    assert insert(ledger, "rig", "", [*new_rows(0, 480), *new_rows(1000, 1010)]) == (0, 490)
+    ledger.close()
 
 
 def test_a_ledger_seen_to_be_damaged_while_it_is_open_takes_no_more_rows(path):

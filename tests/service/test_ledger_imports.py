@@ -144,6 +144,63 @@ def test_a_follower_misses_no_row_that_came_during_an_import(ledger):
     assert ledger.digest("rig", after) == ledger.digest("rig", 10**9)
 
 
+@pytest.mark.parametrize("killed", [False, True])
+def test_each_version_during_an_import_is_one_that_the_table_had(ledger, monkeypatch, killed):
+    """Rows of another component lie between; after each transaction a reader and a file agree."""
+    insert(ledger, "rig", "", [NewRow((at + 1.0,) * 6, (0.0,) * 6) for at in range(4)])
+    ledger.withdraw("rig", 2)
+    insert(ledger, "bar", "", [NewRow((at + 1.0,) * 6, (0.0,) * 6) for at in range(3)])
+    assert (ledger.last_seq("rig"), ledger.last_seq("bar")) == (5, 8)
+    live, versions, shown, after = {1, 3, 4}, [], set(), 0
+
+    def look():
+        nonlocal after
+        version = ledger.last_seq("rig")
+        with ledger.table_at("rig", version) as table:
+            assert {seq for lot in table.lots for seq in lot.rows.seq} == live
+        changes = ledger.row_changes("rig", after)
+        shown.difference_update(changes.gone)
+        assert shown.isdisjoint(changes.rows.seq.tolist())
+        shown.update(changes.rows.seq.tolist())
+        assert (shown, changes.last_seq) == (live, version)
+        after = version
+        versions.append(version)
+
+    def blocks_and_others():
+        for lot, block in enumerate(blocks(20)):
+            yield block
+            look()
+            insert(ledger, "bar", "", [NewRow((lot + 9.0,) * 6, (0.0,) * 6)])
+            look()
+            insert(ledger, "rig", "", [NewRow((lot + 9.0,) * 6, (0.0,) * 6)])
+            ledger.withdraw("bar", 6 + lot)
+            look()
+        if killed:
+            raise KilledError
+
+    drop = rows.delete
+
+    def delete(*arguments):
+        versions.append(rows.last_seq(arguments[0], "rig"))
+        return drop(*arguments)
+
+    monkeypatch.setattr(rows, "delete", delete)
+    look()
+    if killed:
+        monkeypatch.setattr(imports, "RECORDS_DELETED", 1)
+        with pytest.raises(KilledError):
+            ledger.import_rows("rig", blocks_and_others(), About())
+    else:
+        ledger.import_rows("rig", blocks_and_others(), About())
+    assert len(versions) > 9
+    assert set(versions) == {5}
+    live = {row.seq for row in stored(ledger, "rig")}
+    assert len(live) == 3 + 3 + 60 * (not killed)
+    look()
+    assert versions[-1] == max(live)
+    assert ledger.digest("rig", after) == ledger.digest("rig", 10**9)
+
+
 @pytest.mark.parametrize("lots", [0, 1, 2])
 def test_an_import_that_is_broken_off_leaves_nothing(ledger, lots):
     def broken():

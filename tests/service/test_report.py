@@ -9,6 +9,7 @@ import pytest
 
 from tests.until import until
 from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.failure import mechanism
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.library.library import SHIPPED
@@ -103,6 +104,36 @@ def test_tables_and_meshes_are_compared_with_one_reference(report):
     table = next(e for e in report["tables"] if e["method"] == "linear" and e["rows"] == 13)
     assert table["largest_error"] == max(table["error"]["rms_relative"])
     assert table["largest_error"] == pytest.approx(report["mesh_error"], rel=1e-6)  # rows are exact
+
+
+def test_a_report_says_which_solves_failed_and_why(bar, monkeypatch):
+    """A mesh that is a mechanism left three rows of dashes, and no reason."""
+
+    class Coarse(Solver):
+        def solve(self, wrench):
+            if self.unknowns < own:
+                raise mechanism("The interface can move without any resistance.")
+            return super().solve(wrench)
+
+    own = Solver(bar).unknowns
+    monkeypatch.setattr("wrenchbook.service.report.measure.Solver", Coarse)
+    load_range = LoadRange(bar.range.low, bar.range.high)
+    wrenches = np.diag(load_range.scale)
+    rows = Rows.of(wrenches, wrenches @ Solver(bar).compliance.T)
+    figures = measure(bar, rows, load_range, 3, 3, lambda *_: None)
+    figures |= {"summary": summary_of(figures), "advice": advice_of(figures)}
+    reason = "On the coarse mesh 3 of 3 solves failed: 3 x mechanism (The interface can move"
+    notes = {section.title: section.note for section in sections_of(figures)}
+    assert reason in notes["Finite elements"]
+    assert "Fix more of the part" in notes["Finite elements"]
+    assert "own mesh" not in notes["Finite elements"]
+    assert notes["Absolute errors against the tolerance"].endswith("see Finite elements.")
+    assert reason in as_markdown(figures)
+    assert reason in as_page(figures)
+
+
+def test_a_report_without_failures_names_none(report):
+    assert not any("failed" in section.note.lower() for section in sections_of(report))
 
 
 def test_the_page_of_a_report_fits_a_telephone_and_a_mail(report):

@@ -448,7 +448,7 @@ async def import_table(
             "The table has mistakes",
             f"Nothing was loaded. {len(errors)} mistake(s); the first is in row {first['row']}, "
             f"{first['field']}: {first['message']}. Correct them and send the complete file again, "
-            "or say partial=true (--partial) to load the good rows.",
+            "or say --partial (over HTTP partial=true) to load the good rows.",
             **reply,
         )
     wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
