@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -246,7 +246,7 @@ class _CholeskyFront:
 
     def products(self, boundary: int) -> Condensed:
         """Return by how much the boundary is less stiff for what is eliminated here."""
-        return products(self.W, self.W, _square)
+        return products(self.W, self.W, partial(_syrk, 1.0, trans=1, lower=1))
 
     def forward(self, x: Array, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
@@ -261,10 +261,6 @@ class _CholeskyFront:
         if part.boundary.size:
             y = y - self.W @ x[part.boundary]
         x[rows] = _tfsm(1.0, self.L, y, uplo="L", trans="T")
-
-
-def _square(columns: Array) -> Array:
-    return _syrk(1.0, columns, trans=1, lower=1)
 
 
 class _LUFront:

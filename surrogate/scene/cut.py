@@ -47,7 +47,13 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     # The solver's error needs the derivative by all loads: all axes stay then.
     has_solver_error = bool(whole.arrays["solver/flags"][0])
     for number, group in enumerate(groups):
-        own = _cut_group(_named(whole, f"g{group}/"), need, has_solver_error, slopes)
+        prefix = f"g{group}/"
+        own = {
+            name.removeprefix(prefix): array
+            for name, array in whole.arrays.items()
+            if name.startswith(prefix)
+        }
+        own = _cut_group(own, need, has_solver_error, slopes)
         arrays |= {f"g{number}/{name}": array for name, array in own.items()}
     arrays |= _scene_arrays(whole, need, len(groups), slopes)
     words = {
@@ -56,11 +62,6 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
         "scene": {"outputs": need.output_names(), "plan": plan or {}},
     }
     return pieces(arrays, words)
-
-
-def _named(whole: PackedTable, prefix: str) -> Arrays:
-    size = len(prefix)
-    return {name[size:]: one for name, one in whole.arrays.items() if name.startswith(prefix)}
 
 
 def _scene_arrays(whole: PackedTable, need: Need, groups: int, slopes: Mask) -> Arrays:
