@@ -226,6 +226,14 @@ def check_whole(connection: Connection, path: Path) -> None:
         connection.execute("ROLLBACK")
         connection.execute("BEGIN IMMEDIATE")
         if not _keys_fit(connection):  # no other process has written them meanwhile
+            entered = np.array(connection.execute("SELECT seq FROM row_keys").fetchall(), np.int64)
+            spans = [
+                np.arange(seq, seq + count)
+                for seq, count in connection.execute("SELECT seq, count FROM rows")
+            ]
+            gone = ~np.isin(entered, np.concatenate([np.empty(0, np.int64), *spans]))
+            if gone.any():
+                raise damaged_file(path, f"{int(gone.sum())} rows that have keys are not there")
             _log.error("%s: keys of rows are damaged; they are written anew from the rows", path)
             _write_keys(connection)
             connection.execute("COMMIT")

@@ -143,17 +143,7 @@ class Supervisor:
         for number in (*_ENDS, signal.SIGHUP):
             signal.signal(number, lambda number, _: self._signals.append(number))
         while not self.failed and _ENDS.isdisjoint(self._signals):
-            children = self._builder, *self._web
-            if not self._ready:
-                self._retired = [child for child in self._retired if child.process.is_alive()]
-                self._builder = self._living(self._builder, BUILDER)
-                self._web = [self._living(child, WEB_WORKER) for child in self._web]
-                self._replace()
-            elif not all(child.is_healthy() for child in children):
-                self.failed = "a process of the server did not start; its log says why"
-            elif all(child.started for child in children):
-                print(self._ready, flush=True)
-                self._ready = ""
+            self.look()
             wait([child.process.sentinel for child in (self._builder, *self._web)], LOOK_S)
         for number in _ENDS:
             signal.signal(number, lambda number, _: os._exit(128 + number))
@@ -167,6 +157,20 @@ class Supervisor:
             child.join()
         self._builder.send(signal.SIGTERM)
         self._builder.join()
+
+    def look(self) -> None:
+        """Say once that all processes are ready; from then on replace those that ended."""
+        children = self._builder, *self._web
+        if not self._ready:
+            self._retired = [child for child in self._retired if child.process.is_alive()]
+            self._builder = self._living(self._builder, BUILDER)
+            self._web = [self._living(child, WEB_WORKER) for child in self._web]
+            self._replace()
+        elif not all(child.is_healthy() for child in children):
+            self.failed = "a process of the server did not start; its log says why"
+        elif all(child.started for child in children):
+            print(self._ready, flush=True)
+            self._ready = ""
 
     def _start(self, kind: tuple[str, str]) -> Child:
         sockets = () if kind == BUILDER else (self._bound,)

@@ -75,7 +75,7 @@ def prepare(folder: Path) -> None:
     short[GUIDED, GUIDED], stiffer[GUIDED, GUIDED] = 1e-2 * SOFTNESS, 1e-2 / SOFTNESS
     guided = {"mesh": short.tolist(), "mesh_stiffness": stiffer.tolist(), "loads": loads["spring"]}
     for name, error in (("bar", linear), ("spring", guided), ("softening", SOFT)):
-        workspace.errors.settle(name, workspace.library[name].fingerprint, error)
+        workspace.errors.record(name, workspace.library[name].fingerprint, error)
     workspace.close()
 
 

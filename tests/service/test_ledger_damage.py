@@ -10,7 +10,12 @@ from starlette.testclient import TestClient
 
 from tests.service.ledger_rows import NewRow, insert, noted, stored
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.ledger import About, Ledger, LedgerUnavailableError
+from wrenchbook.service.ledger import (
+    About,
+    Ledger,
+    LedgerDamagedError,
+    LedgerUnavailableError,
+)
 from wrenchbook.service.workspace import Settings
 
 PAGE = 4096  # bytes, SQLite's
@@ -77,7 +82,6 @@ _LAST_KEY = "CAST(substr(key, 1, 16 * count - 16) || zeroblob(16) AS BLOB)"
         "DELETE FROM row_keys WHERE seq = (SELECT max(seq) FROM row_keys)",
         "DELETE FROM row_keys",
         "UPDATE row_keys SET hash = hash + 1 WHERE seq = 41",
-        "INSERT INTO row_keys VALUES (5, 4711)",
         f"UPDATE rows SET key = {_LAST_KEY} WHERE seq = 41",
         "UPDATE rows SET key = zeroblob(16 * count)",
     ],
@@ -96,6 +100,12 @@ def test_damaged_keys_are_written_anew_from_the_rows(path, statement):
     assert insert(ledger, "rig", "", new_rows(0, 490)) == (10, 480)
     assert ledger.job(job.id).row == 481
     ledger.close()
+
+
+def test_rows_that_have_keys_and_are_gone_are_damage(path):
+    changed(path, "DELETE FROM rows WHERE seq = 41")
+    with pytest.raises(LedgerDamagedError, match="40 rows that have keys are not there"):
+        Ledger(path)
 
 
 def test_keys_of_a_damaged_record_take_no_other_record_along(path):

@@ -263,7 +263,8 @@ def test_a_row_that_somebody_else_brings_meanwhile_stays_though_the_import_ends(
 
 @pytest.mark.parametrize("when", ["before its keys", "after its keys"])
 def test_a_row_that_another_writer_brings_during_an_import_is_there_once(ledger, monkeypatch, when):
-    wrench, moved, *_ = columns(10, 100)
+    made = next(blocks(10)).rows
+    wrench, moved = made.wrench, made.displacement
     same = NewRow(wrench[4].tolist(), moved[4].tolist(), "measured", origin="note")
     enter = rows.enter
 
@@ -284,7 +285,7 @@ def test_a_row_that_another_writer_brings_during_an_import_is_there_once(ledger,
     new, known, number = ledger.import_rows("rig", watched(), About())
     assert (new, known, ledger.imports("rig")[0].rows) == (9, 1, 9)
     present = stored(ledger, "rig")
-    assert sorted(row.wrench for row in present) == sorted(map(tuple, wrench))
+    assert sorted(row.wrench for row in present) == sorted(map(tuple, wrench.tolist()))
     assert ledger.import_rows("rig", blocks(10, lots=1), About()) == (0, 10, None)
     assert ledger.count_rows("rig") == 10
     assert ledger.edit_import("rig", number, withdrawn=True) == 9
@@ -294,6 +295,7 @@ def test_a_row_that_another_writer_brings_during_an_import_is_there_once(ledger,
 def test_numbers_of_rows_follow_the_file_and_no_number_is_used_by_known_rows(ledger):
     wrench, moved, *_ = columns(2500)
     block = NotedRows(Rows.of(wrench, moved, source=["measured"] * 2500), ["note"] * 2500)
+    wrench, moved = block.rows.wrench, block.rows.displacement
     ledger.import_rows("rig", [block], About())
     present = stored(ledger, "rig")
     assert [row.seq for row in present] == list(range(1, 2501))

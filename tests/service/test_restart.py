@@ -249,12 +249,11 @@ def supervisor(monkeypatch):
 
 
 def _looking(made):
-    made._announce()
+    made.look()
 
     def look(*signals):
         made._signals.extend(signals)
-        made._keep_alive()
-        made._replace()
+        made.look()
         return made
 
     yield look

@@ -86,7 +86,7 @@ def test_the_total_is_the_sum_of_the_parts_and_names_its_sources():
     found = parts(told(linearity=[1e-7] * 6, linearity_basis="bent"))
     assert list(found.shares) == ["table", "mesh", "linearity"]
     np.testing.assert_allclose(found.total, sum(found.shares.values()))
-    assert found.words == {"mesh_basis": "words", "linearity_basis": "bent"}
+    assert found.bases == {"mesh_basis": "words", "linearity_basis": "bent"}
     assert found.largest()["mesh"] == found.shares["mesh"].max()
 
 
