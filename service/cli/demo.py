@@ -133,7 +133,8 @@ def _compare(out: Console, client: Client) -> str | None:
         for answer, plain_answer, job in zip(answers, plain, queued, strict=True)
         if job
         and by_id[job.id].status == "done"
-        and None not in (answer.vector, plain_answer.vector)
+        and answer.vector is not None
+        and plain_answer.vector is not None
     ]
     failed = sum(job.status == "failed" for job in jobs)
     if failed:
