@@ -28,7 +28,7 @@ from wrenchbook.service.client import (
     SceneError,
     Table,
 )
-from wrenchbook.service.client.mount import DisplacementUnknown, Mount
+from wrenchbook.service.client.mount import DisplacementUnknown, Mount, MountWarning
 
 CALL = "/v1/scenes/plan"
 NONE = [[0.0, 0.0]] * 3
@@ -274,8 +274,11 @@ def test_a_mount_on_a_scenes_table_takes_what_is_not_read_as_zero_only_if_told(c
     wrench = np.array([20.0, 0.0, -50.0, 0.0, 4.0, 0.0])
     with pytest.raises(DisplacementUnknown, match=r"uy, rx, rz.*scene's outputs.*unmeasured"):
         Mount(table, "rig", np.eye(3), np.zeros(3)).step(wrench)
-    mount = Mount(table, "rig", np.eye(3), np.zeros(3), tolerance=(1e-4, 1e-5), unmeasured="rigid")
-    mount.step(wrench)
+    mount = Mount(table, "rig", np.eye(3), np.zeros(3), unmeasured="rigid")
+    # Its rows are too few for the tolerance: ry may be off by 2.1e-6 rad, 1.7e-6 are covered.
+    with pytest.warns(MountWarning, match="ry"):
+        mount.step(wrench)
+    assert mount.coverage.thin == 1
     read = [0, 2, 4]
     assert np.array_equal(mount.displacement[read], table.answer(wrench).vector[read])
     assert mount.displacement[[0, 2, 4]].all()
