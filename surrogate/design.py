@@ -25,9 +25,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .answer import allowed_by
-from .build import AnyTable, build
+from .build import Group, Table, build
 from .limits import is_too_far
-from .surrogate import Surrogate
 from .table.axes import AXES
 from .table.definite import sample_of, weakest
 from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
@@ -139,7 +138,7 @@ class Design:
 
 
 def next_wrenches(
-    table: AnyTable,
+    table: Table,
     budget: int,
     *,
     pending: ArrayLike | None = None,
@@ -170,7 +169,7 @@ def next_wrenches(
     span, outputs = span or table.load_range, outputs or range(table.rows.displacement.shape[1])
     known = Known(table.load_range, wrenches, waiting.reshape(-1, wrenches.shape[1]))
     # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
-    _, surrogate = table.groups[0]
+    surrogate = table.groups[0]
     if surrogate.linear:
         # One wrench, since any solve of a linear component brings the whole compliance. Where
         # solves bring none (an expert's deck), the single loads, of those that the span has if it
@@ -235,7 +234,7 @@ class _Refinement:
 
     def __init__(
         self,
-        surrogate: Surrogate,
+        surrogate: Group,
         known: Known,
         tolerance: Tolerance | None,
         span: LoadRange,
@@ -318,7 +317,7 @@ class _Refinement:
         within = float((losses <= 1.0).mean()) >= ENOUGH
         return self.ends and within and not len(self.indefinite)
 
-    def _worst_of(self, surrogate: Surrogate) -> float:
+    def _worst_of(self, surrogate: Group) -> float:
         """Return the error over what is allowed that 95 % of a sample have by another table."""
         assert surrogate.kriging is not None
         sample = spread_wrenches(self.span, SAMPLE)
@@ -363,7 +362,7 @@ class _Refinement:
         return np.divide(later, now, out=np.ones_like(now), where=now > 0)
 
 
-def _candidates(surrogate: Surrogate, span: LoadRange) -> Floats:
+def _candidates(surrogate: Group, span: LoadRange) -> Floats:
     """Return wrenches to choose from, shape (k, 6): evenly spread, moved on with each row.
 
     Where rows bring no tangents, wrenches of one axis are worth as much as full ones.
@@ -382,7 +381,7 @@ def _candidates(surrogate: Surrogate, span: LoadRange) -> Floats:
 
 
 def estimate_of_solves(
-    surrogate: Surrogate, worst: float, worst_of: Callable[[Surrogate], float], budget: int
+    surrogate: Group, worst: float, worst_of: Callable[[Group], float], budget: int
 ) -> str:
     """Return in words how many solves the tolerance takes, empty where the budget has as many.
 
@@ -400,7 +399,7 @@ def estimate_of_solves(
     """
     rows = surrogate.rows
     count, some = len(rows), len(rows) // 2
-    half = build(rows.take(np.arange(some)), surrogate.load_range).groups[0][1]
+    half = build(rows.take(np.arange(some)), surrogate.load_range).groups[0]
     before = worst_of(half) if half.kriging is not None else np.nan
     if not (np.isfinite(before) and before > worst > 1.0):
         return "; its rows do not show yet how many solves the tolerance takes"

@@ -24,14 +24,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from ..table.axes import AXES, CLEAN, AxisRows, LoadAxis, OffAxis, axis_rows, clean_rows
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats, LoadRange, Rows
+from ..table.space import LOADS, OUTPUTS
 from ..table.thinning import evenly_chosen
 from .axis_table import SOUND, WEAK, AxisTable, axis_table
 from .triangulation import Indices, Triangulation
@@ -44,19 +47,22 @@ HOLE = 9  # the state of a stretch that no simplex holds: worse than any simplex
 # point off the hull, and an axis that has no rows at all.
 OFF_HULL, NO_ROWS = HOLE, HOLE + 1
 
+MOST_SPOTS = 5
+MOST_VERTICES = 200
 
-def build_composition(
+
+def build_axes(
     rows: Rows,
     load_range: LoadRange,
     fit: ComplianceFit,
     off_axis: OffAxis,
-    before: Composition | None = None,
-) -> Composition:
+    before: Axes | None = None,
+) -> Axes:
     """Build the three axes over rows within the load range.
 
     Parameters
     ----------
-    before : Composition, optional
+    before : Axes, optional
         Of another version of the table: an axis whose points have not changed is taken from it, as
         it would be made again to the last bit.
     """
@@ -66,7 +72,7 @@ def build_composition(
         for axis, own in zip(AXES, kept, strict=True)
     ]
     at_rest = answer_at_rest(rows, load_range, tables)
-    return Composition(tables, at_rest, fit, load_range.scale, before)
+    return Axes(tables, at_rest, fit, load_range.scale, before)
 
 
 def _axis_table(
@@ -175,7 +181,7 @@ class Composed:
         return self.states.max(axis=1)
 
 
-class Composition:
+class Axes:
     """Three axis tables (None where there are no rows) and the answer at no load.
 
     Attributes
@@ -192,7 +198,7 @@ class Composition:
         at_rest: AtRest,
         fit: ComplianceFit,
         scale: Floats,
-        before: Composition | None = None,
+        before: Axes | None = None,
     ) -> None:
         """Compose; cuts of axes that another composition has too are taken from it."""
         self.tables = tuple(tables)
@@ -211,6 +217,14 @@ class Composition:
             if table is not None and table.given > len(table.values)
         ]
         return f"an even choice is triangulated: {', '.join(found)}" if found else ""
+
+    def summary(self) -> list[dict[str, Any]]:
+        """Return, per axis, rows, spans, covered part of the range and error bars, JSON-able."""
+        return [_axis_summary(*each) for each in zip(AXES, self.tables, strict=True)]
+
+    def gaps(self, load_range: LoadRange) -> list[dict[str, Any]]:
+        """Return, per axis, hull, corners of the range outside it and worst spots, JSON-able."""
+        return [_gaps(*each, load_range) for each in zip(AXES, self.tables, strict=True)]
 
     def evaluate(self, wrenches: Floats) -> Composed:
         """Compose the answers to wrenches, shape (n, 6), N and N·m."""
@@ -416,6 +430,103 @@ def _cuts(
         same = [cut for cut in known if cut.column == column and cut.table.is_made_like(table)]
         cuts.append(same[0].of(table) if same else PureMomentCut(table, column))
     return tuple(cuts)
+
+
+def _gaps(axis: LoadAxis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:
+    # The low and high ends, (3,) each, of an axis' loads, stretched to hold zero.
+    inputs = list(axis.inputs)
+    low, high = np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
+    ends = [sorted({float(a), float(b)}) for a, b in zip(low, high, strict=True)]
+    corners = np.array(list(product(*ends)))
+    if table is None:
+        return {"axis": axis.name, "hull": [], "outside": _loads(axis, corners), "worst": []}
+    scale = table.scale
+    outside = table.triangulation.locate(corners / scale) < 0
+    # The middles of the simplices with the largest error bars, for their outputs' range. Of the
+    # largest simplices, where errors are unknown.
+    middle, bars = table.in_middles()
+    bars = bars[:, list(axis.outputs)]
+    size = np.maximum(np.abs(table.values[:, list(axis.outputs)]).max(axis=0), np.finfo(float).tiny)
+    fractions, thin = table.fractions(), table.state != SOUND
+    spots = []
+    worst = (bars / size).max(axis=1) if table.law.known else fractions
+    for place in np.argsort(-worst)[:MOST_SPOTS].tolist():
+        loads = middle[place : place + 1] * table.scale
+        names = [OUTPUTS[output] for output in axis.outputs]
+        spots.append(
+            {
+                "loads": _loads(axis, loads)[0],
+                "error": dict(zip(names, bars[place].tolist(), strict=True))
+                if table.law.known
+                else None,
+                "part_of_range": float(fractions[place]),
+                "thin": bool(thin[place]),
+            }
+        )
+    return {
+        "axis": axis.name,
+        "hull": _loads(axis, _hull(table) * scale),
+        "outside": _loads(axis, corners[outside]),
+        "worst": spots,
+    }
+
+
+def _loads(axis: LoadAxis, points: Floats) -> list[dict[str, float]]:
+    names = [LOADS[load] for load in axis.inputs]
+    return [dict(zip(names, point, strict=True)) for point in points.tolist()]
+
+
+def _hull(table: AxisTable) -> Floats:
+    """Return the vertices of the rows' hull, scaled, shape (k, 3); of a flat table its ends."""
+    points, dimension = table.triangulation.points, table.triangulation.dimension
+    flat = (points - table.triangulation.origin) @ table.triangulation.basis.T
+    if dimension == 0:
+        return points[:1]
+    if dimension == 1:
+        return points[[int(flat[:, 0].argmin()), int(flat[:, 0].argmax())]]
+    try:
+        return points[ConvexHull(flat).vertices][:MOST_VERTICES]
+    except QhullError:
+        return points[:MOST_VERTICES]
+
+
+def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
+    """Return one axis' rows, spans (N, N·m), covered part of the range and median error bars."""
+    inputs = [LOADS[load] for load in axis.inputs]
+    if table is None:
+        return {
+            "axis": axis.name,
+            "inputs": inputs,
+            "rows": 0,
+            "corrected": 0,
+            "dimensions": None,
+            "spans": {},
+            "coverage": "outside",
+            "part_of_range": 0.0,
+            "thin_part_of_range": 0.0,
+            "error": None,
+        }
+    shape, points = table.triangulation, table.rows.points * table.scale
+    fractions, weak = table.fractions(), table.state != SOUND
+    _, bars = table.in_middles()
+    typical = np.average(bars, axis=0, weights=np.maximum(fractions, np.finfo(float).tiny))
+    return {
+        "axis": axis.name,
+        "inputs": inputs,
+        "rows": len(points),
+        "corrected": int((~table.rows.clean).sum()),
+        "dimensions": shape.dimension,
+        "spans": {
+            load: [float(points[:, column].min()), float(points[:, column].max())]
+            for column, load in enumerate(inputs)
+        },
+        "coverage": "thin" if weak.all() else "covered",
+        "part_of_range": float(fractions.sum()),
+        "thin_part_of_range": float(fractions[weak].sum()),
+        "error": {OUTPUTS[output]: float(typical[output]) for output in axis.outputs}
+        if table.law.known
+        else None,
+    }
 
 
 class CutReading(NamedTuple):

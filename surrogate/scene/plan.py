@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..answer import allowed_by
-from ..build import AnyTable
+from ..build import Table
 from ..design import Design, Known, first_count, first_design, next_wrenches
 from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
@@ -63,7 +63,7 @@ class ScenePlan:
     solves: tuple[int, int]
 
 
-def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
+def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
     """Return the plan of a scene's need of a component, from the rows there are, if any.
 
     Parameters
@@ -75,14 +75,16 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
     limit = need.tolerance or table.tolerance
     need = replace(need, tolerance=limit)
     count, allowed = len(need.span.space.outputs), _allowed(need)
-    hangs = any(group.fit.offset.any() for _, group in table.groups)
+    hangs = any(group.fit.offset.any() for group in table.groups)
     if solved and not need.occurring.any() and not hangs:
         return ScenePlan(need, "rigid", NO_LOAD, np.zeros(count), None, (solves[0], 0))
     bound, why = _bound(table, need)
     if table.linear:
         decision: Decision = "linear"
-        reason, matrix = _linear_reason(table), _restricted(table.fit.matrix, need)
-        known = table.fit.known[need.occurring].all() and not hangs  # C w alone is no answer
+        reason, matrix = _linear_reason(table), _restricted(table.groups[0].fit.matrix, need)
+        known = (
+            table.groups[0].fit.known[need.occurring].all() and not hangs
+        )  # C w alone is no answer
         compliance = matrix if known else None
     elif not need.span.space.is_default:
         decision, reason, compliance = "table", LOOKED_UP, None
@@ -98,7 +100,7 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
 
 
 def design_of(
-    table: AnyTable, plan: ScenePlan, budget: int, pending: ArrayLike | None = None
+    table: Table, plan: ScenePlan, budget: int, pending: ArrayLike | None = None
 ) -> Design:
     """Return at most `budget` wrenches to solve next for a scene, none where it needs none.
 
@@ -119,7 +121,7 @@ def design_of(
     )
 
 
-def first_solves(table: AnyTable, span: LoadRange) -> int:
+def first_solves(table: Table, span: LoadRange) -> int:
     """Return how many solves the first design of a span has, from an empty table.
 
     A solve of a linear component brings its whole compliance.
@@ -131,7 +133,7 @@ def first_solves(table: AnyTable, span: LoadRange) -> int:
     return len(first_design(span, known, first_count(span, table.rows)))
 
 
-def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
+def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     """Return what the displacement does not exceed, (m,), m and rad, and why it is not known.
 
     The larger of two: the answers with their errors at corners and wrenches of the scene; and the
@@ -147,8 +149,8 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
     if not table.linear and not need.span.space.is_default:
         return bound, LOOKED_UP  # corners of many inputs are too many to look at
     found = None if table.linear else packed_of(table).batch(_sample(need))
-    for outputs, surrogate in table.groups:
-        own, fit = list(outputs), surrogate.fit
+    for surrogate in table.groups:
+        own, fit = list(surrogate.outputs), surrogate.fit
         unknown = need.occurring & ~fit.known
         if not len(surrogate.used) or unknown.any():
             names = [need.span.space.input_names[load] for load in np.flatnonzero(unknown)]
@@ -191,13 +193,13 @@ def _restricted(matrix: Floats, need: Need) -> Floats:
     return np.where(need.occurring, matrix, 0.0)
 
 
-def _linear_reason(table: AnyTable) -> str:
-    if table.fit.complete:
+def _linear_reason(table: Table) -> str:
+    if table.groups[0].fit.complete:
         return "the component is linear: one compliance answers, and it is known"
     return "the component is linear: one compliance answers, and one solve tells it"
 
 
-def _one_compliance(table: AnyTable, need: Need) -> tuple[Floats | None, str]:
+def _one_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
     """Return the compliance (6, 6), SI, that answers within the tolerance, if one does, and why.
 
     The least-squares one through the answers at wrenches of the scene; it must miss each of them,

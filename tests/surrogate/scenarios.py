@@ -16,7 +16,7 @@ from tests.surrogate.calibrating import TABLES
 from tests.surrogate.kriging.responses import Response, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
@@ -120,7 +120,7 @@ def corner(count: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0, 1, (count, 6))
 
 
-def _table(truth: Truth, parts: np.ndarray) -> AnyTable:
+def _table(truth: Truth, parts: np.ndarray) -> Table:
     rows = truth.rows(truth.at(parts))
     return build(rows, truth.load_range, tolerance=truth.tolerance)
 

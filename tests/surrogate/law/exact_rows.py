@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from tests.surrogate.law.answer import Answer, Batch, within
 from wrenchbook.surrogate.answer import COVERED
-from wrenchbook.surrogate.exact_rows import STEEPER, ExactRows
-from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, acting, acting_one
+from wrenchbook.surrogate.build import STEEPER, Group
+from wrenchbook.surrogate.table.rows import Floats, Rows, acting, acting_one
 
 
 class Beside(NamedTuple):
@@ -34,17 +34,15 @@ class RowLaw:
 
     Parameters
     ----------
-    exact : ExactRows
-    load_range : LoadRange
-        A row within it answers for no wrench beyond it, nor the other way round.
-    locked : sequence of int
+    group : Group
+        A row within its load range answers for no wrench beyond it, nor the other way round.
     """
 
-    def __init__(self, exact: ExactRows, load_range: LoadRange, locked: Sequence[int]) -> None:
-        self.index, self.steepest, self._locked = exact.index, exact.steepest, tuple(locked)
-        self.wrenches, self.told, self.owner = exact.wrenches, exact.merged, exact.owner
-        self.uncertainty = exact.uncertainty
-        self._range, self.tangent = load_range, exact.tangent
+    def __init__(self, group: Group) -> None:
+        self.index, self.steepest, self._locked = group.row_index, group.steepest, group.locked
+        self.wrenches, self.told = group.rows.wrench, group.merged.rows
+        self.owner, self.uncertainty = group.merged.owner, group.row_uncertainty
+        self._range, self.tangent = group.load_range, group.row_tangent
 
     def instead_of(
         self, wrench: Sequence[float], found: Answer, allowed: Sequence[float]
@@ -127,7 +125,7 @@ def beside(
     scale : ndarray, shape (6,), N and N·m
         Of the load range.
     steepest : ndarray, shape (6,), m and rad
-        See `ExactRows`.
+        See `Group`.
     """
     displacement = rows.displacement[place]
     unread = np.isnan(displacement)  # of a table cut to a scene
