@@ -12,7 +12,7 @@ from .composition.axis_table import SOUND, AxisTable
 from .composition.composition import Composition
 from .table.axes import AXES, LoadAxis
 from .table.compliance import ComplianceFit
-from .table.conflicts import row_conflicts
+from .table.merging import row_conflicts
 from .table.rows import Floats, LoadRange, Rows
 from .table.space import LOADS, OUTPUTS
 
