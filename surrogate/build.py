@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .composition.composition import Composition
+from .axes.axes import Composition
 from .rig_error import rig_error
 from .solver_error import SolverError, bars_are_whole
 from .surrogate import Surrogate

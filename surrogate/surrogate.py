@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from .answer import Allowed, allowed_of
-from .composition.build import build_composition
-from .composition.composition import Composition
+from .axes.axes import Composition, build_composition
 from .describe import summarise
 from .exact_rows import ExactRows
 from .kriging import (

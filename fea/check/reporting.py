@@ -1,11 +1,8 @@
-"""The report on a bundle, and the program that prints it."""
+"""The report on a bundle."""
 
 from __future__ import annotations
 
-import argparse
-import json
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +13,6 @@ from wrenchbook.fea.check import findings
 from wrenchbook.fea.check.cost import estimate
 from wrenchbook.fea.check.deck_comparison import contradictions, listing
 from wrenchbook.fea.check.strength import strength
-from wrenchbook.fea.check.text import as_text
 from wrenchbook.fea.check.trial import (
     deflection_warnings,
     frequency,
@@ -235,44 +231,3 @@ def _warn(summary: dict[str, Any], warnings: list[BundleProblem]) -> None:
 
 def _entry(problem: BundleProblem) -> dict[str, str]:
     return {"where": problem.where, "message": problem.message}
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the report on a folder, as one line of JSON or as text; return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="wrenchbook check",
-        description="Check a component bundle: mesh, groups, supports, cost of a solve.",
-        exit_on_error=False,
-    )
-    add = parser.add_argument
-    add("--json", action="store_true", help="one line of JSON instead of text")
-    add("--mass", type=float, help="mass at the interface, kg, for the natural frequency")
-    add("--inertia", type=_numbers, help="its inertia about its centre, kg·m^2: xx,yy,zz or six")
-    add("--centre", type=_numbers, help="its centre from the interface point, m: x,y,z")
-    add("--nonlinear", action="store_true", help="nonlinear solves for the stresses over the range")
-    add("folder", type=Path, metavar="FOLDER", help="folder of the component bundle")
-    try:
-        options = parser.parse_args(arguments)
-        # The mass of the arguments; None without any.
-        if options.mass is None and options.inertia is None and options.centre is None:
-            riding = None
-        else:
-            if options.mass is None:
-                raise ValueError("--inertia and --centre need --mass")
-            riding = Riding.of(options.mass, options.inertia, options.centre)
-    except SystemExit as error:
-        return int(error.code or 0)
-    except (argparse.ArgumentError, ValueError) as error:
-        print(f"{parser.format_usage()}{error}")
-        return 2
-    summary = report(options.folder, riding, options.nonlinear)
-    print(json.dumps(summary) if options.json else as_text(summary))
-    return 0 if summary["ok"] else 1
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(word) for word in text.split(",")]
-    except ValueError:
-        message = f'"{text}" must be numbers with commas between them, such as 1,1,0.5'
-        raise argparse.ArgumentTypeError(message) from None

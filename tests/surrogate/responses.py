@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tests.surrogate.law.methods import AxesReference, StraightDirection
-from wrenchbook.surrogate.composition.build import build_composition
+from wrenchbook.surrogate.axes.axes import build_composition
 from wrenchbook.surrogate.methods import interaction_of
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.compliance import fit_compliance

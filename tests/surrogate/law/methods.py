@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.surrogate.answer import COVERED, METHODS, OUTSIDE, THIN, UnknownMethodError
-from wrenchbook.surrogate.composition.composition import OFF_HULL, Composed, Composition
+from wrenchbook.surrogate.axes.axes import OFF_HULL, Composed, Composition
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.axes import CLEAN
