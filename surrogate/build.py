@@ -31,7 +31,6 @@ from .kriging import (
     TooFewRowsError,
     equation_count,
     fits_one_factor,
-    readings_of,
     too_large_in_words,
 )
 from .methods import (
@@ -47,8 +46,7 @@ from .rig_error import rig_error
 from .solver_error import SolverError, bars_are_whole
 from .table.axes import OffAxis, count_full
 from .table.compliance import ComplianceFit, fit_compliance
-from .table.conflicts import row_conflicts
-from .table.merging import merge
+from .table.merging import merge, row_conflicts
 from .table.row_index import RowIndex
 from .table.rows import Floats, LoadRange, Rows, Tolerance, acting_one, without_locked
 
@@ -115,7 +113,7 @@ class Group:
         self.linear, self.locked = linear, tuple(locked)
         self.off_axis: OffAxis = off_axis
         self.merged = merge(rows, load_range)
-        self.used, self.members = self.merged.usable()
+        self.used, self.members, self._readings = self.merged.usable()
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
         try:
             self.equations = 0 if linear else equation_count(self.used, load_range)
@@ -190,13 +188,7 @@ class Group:
         if self.linear or not self.one_factor:
             return None
         try:
-            # What was measured behind each of `used`, for the noise that nobody stated.
-            inside = np.flatnonzero(self.merged.within)
-            return Kriging.build(
-                self.used,
-                self.load_range,
-                readings=readings_of(self.rows, self.merged.owner).take(inside),
-            )
+            return Kriging.build(self.used, self.load_range, readings=self._readings)
         except (TooFewRowsError, SingularCovarianceError):
             return None
 

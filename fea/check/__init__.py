@@ -4,7 +4,6 @@
 bundle, as a dictionary; `as_text` writes it out for people. It meshes and looks; it solves nothing.
 """
 
-from wrenchbook.fea.check.reporting import report
-from wrenchbook.fea.check.text import as_text
+from wrenchbook.fea.check.reporting import as_text, report
 
 __all__ = ["as_text", "report"]

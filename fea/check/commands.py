@@ -17,8 +17,7 @@ import numpy as np
 from wrenchbook.fea.accuracy.convergence import studied, write
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check.proposal import propose
-from wrenchbook.fea.check.reporting import report
-from wrenchbook.fea.check.text import as_text
+from wrenchbook.fea.check.reporting import as_text, report
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
@@ -33,8 +32,8 @@ Reply = tuple[int, Mapping[str, Any], str]
 
 def check(options: argparse.Namespace) -> Reply:
     """Report on a bundle's mesh, groups, supports and the cost of a solve."""
+    riding = None
     try:
-        riding = None
         if options.mass is not None:
             riding = Riding.of(options.mass, options.inertia, options.centre)
         elif options.inertia is not None or options.centre is not None:

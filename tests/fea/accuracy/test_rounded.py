@@ -8,7 +8,7 @@ import pytest
 
 from tests.fea.boxes import box
 from wrenchbook.fea.accuracy.estimate import accuracy_of
-from wrenchbook.fea.accuracy.rounded import bows_of, roundness
+from wrenchbook.fea.accuracy.mesh_error import bows_of, roundness
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
