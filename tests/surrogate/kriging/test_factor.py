@@ -13,8 +13,8 @@ from wrenchbook.surrogate.kriging.factor import (
     diagonal_added,
     factorise,
     inverse_factor,
+    left_out,
 )
-from wrenchbook.surrogate.kriging.left_out import left_out
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
 
 HELD = Hyperparameters.of_logarithms(np.array([0.4, 0.6, 0.5, 0.3, 0.7, 0.2, -1.0]))
