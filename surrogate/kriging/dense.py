@@ -82,14 +82,6 @@ class Dense:
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
         return values, errors, known
 
-    def slopes(self, x: Floats) -> Floats:
-        """Return the derivatives of the values by the loads at places (m, 6), shape (m, 6, 6)."""
-        places = 1 + self.equations.loads, self.equations.places
-        across = block(x, self.equations.x, self.hyperparameters, *places)[:, 1:]
-        weights = self.weights.reshape(-1, self.weights.shape[2])
-        found = across.reshape(*x.shape, -1) @ weights + self.coefficients[1:]
-        return found.transpose(0, 2, 1)
-
     def sigmas_with(self, pending: Floats, x: Floats) -> Floats:
         """Return sigma at places (m, 6) over what it will be once others are solved, (m,).
 

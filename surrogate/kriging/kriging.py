@@ -150,20 +150,6 @@ class Kriging:
                 displacement[part] = values * spread + offset
         return displacement, bars
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        Exact of the interpolant. By a load that takes no part it is the rows' mean tangent.
-        """
-        x = self.scaling.loads(wrenches)
-        rate = self.scaling.spread[:, None]
-        out = np.empty((len(x), len(rate), x.shape[1]))
-        with one_thread():
-            for part in self._chunks(len(x)):
-                by_load = self.inside.slopes(x[part]) * rate / self.scaling.half
-                out[part] = np.where(self.scaling.active, by_load, self.tangent)
-        return out
-
     def _chunks(self, count: int) -> Iterator[slice]:
         """Yield the parts of so many wrenches that are answered at once."""
         size = self.settings.chunk
