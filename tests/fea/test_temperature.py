@@ -11,7 +11,8 @@ from tests.fea.supports import PLANES, TABLE, largest
 from tests.validation import calculix
 from tests.validation.second_opinion import difference
 from wrenchbook.fea.bundle.read import bundle_of
-from wrenchbook.fea.check import as_text, check
+from wrenchbook.fea.check import as_text
+from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.failure import SolveFailed
