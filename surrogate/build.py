@@ -18,7 +18,7 @@ from .solver_error import SolverError, bars_are_whole
 from .surrogate import Surrogate
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit
-from .table.conflicts import row_conflicts
+from .table.merging import row_conflicts
 from .table.rows import LoadRange, Rows, Tolerance
 
 

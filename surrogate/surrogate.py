@@ -20,7 +20,6 @@ from .kriging import (
     TooFewRowsError,
     equation_count,
     fits_one_factor,
-    readings_of,
     too_large_in_words,
 )
 from .methods import (
@@ -102,8 +101,7 @@ class Surrogate:
         self.off_axis: OffAxis = off_axis
         self.locked = tuple(locked)
         merged = merge(rows, load_range)
-        self._merged = merged
-        self.used, self.members = merged.usable()
+        self.used, self.members, self._readings = merged.usable()
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
         self.equations = self._equations()
         self.one_factor = fits_one_factor(self.equations)
@@ -170,13 +168,7 @@ class Surrogate:
         if self.linear or not self.one_factor:
             return None
         try:
-            # What was measured behind each of `used`, for the noise that nobody stated.
-            inside = np.flatnonzero(self._merged.within)
-            return Kriging.build(
-                self.used,
-                self.load_range,
-                readings=readings_of(self.rows, self._merged.owner).take(inside),
-            )
+            return Kriging.build(self.used, self.load_range, readings=self._readings)
         except (TooFewRowsError, SingularCovarianceError):
             return None
 

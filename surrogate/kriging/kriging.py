@@ -8,17 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..table.merging import Readings, merge
 from ..table.rows import Floats, LoadRange, Rows
 from .correlation import Hyperparameters
 from .dense import Dense, dense
 from .equations import (
-    Readings,
     Scaling,
     TooFewRowsError,
     TooManyRowsError,
     equations_of,
     places_within,
-    readings_of,
     scaling_of,
     within,
 )
@@ -72,7 +71,7 @@ class Kriging:
         Parameters
         ----------
         readings : Readings, optional
-            What is behind each row where several were merged to one; else each stands for itself.
+            Behind each row, of rows of distinct wrenches; else rows at one wrench are merged.
 
         Raises
         ------
@@ -83,8 +82,10 @@ class Kriging:
         SingularCovarianceError
             If rows contradict each other so that no nugget makes the covariance regular.
         """
+        if readings is None:
+            rows, _, readings = merge(rows, load_range).usable()
         with one_thread():
-            return cls._build(rows, load_range, settings, readings or readings_of(rows))
+            return cls._build(rows, load_range, settings, readings)
 
     @classmethod
     def _build(
@@ -97,7 +98,7 @@ class Kriging:
         places = places_within(rows, load_range, settings)
         used, behind = rows.take(places), readings.take(places)
         scaling = scaling_of(used, load_range, settings)
-        equations = equations_of(used, scaling, settings, behind)
+        equations = equations_of(used, scaling, behind, settings)
         equations = within_one_factor(equations, settings)
         if len(equations) < settings.least_rows:
             raise TooFewRowsError(
