@@ -22,7 +22,7 @@ from wrenchbook.surrogate.kriging import (
     TooFewRowsError,
     TooManyRowsError,
 )
-from wrenchbook.surrogate.kriging.dense import Dense
+from wrenchbook.surrogate.kriging.kriging import Dense
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 COUPLED = RESPONSES["strongly_coupled"]
