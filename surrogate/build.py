@@ -48,7 +48,7 @@ from .table.axes import OffAxis, count_full
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import merge, row_conflicts
 from .table.row_index import RowIndex
-from .table.rows import Floats, LoadRange, Rows, Tolerance, acting_one, without_locked
+from .table.rows import Floats, LoadRange, Rows, Tolerance
 
 SOLVED = "fea"  # the source of rows that a solver gave
 STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there are
@@ -213,14 +213,6 @@ class Group:
         """Whether there are rows to answer from, and a method that does."""
         by_axes_or_kriging = self.has_axes or self.by_kriging
         return len(self.used) > 0 and (by_axes_or_kriging or self.is_exact)
-
-    def row_tangent(self, wrench: Sequence[float]) -> Floats:
-        """Return the tangent (6, 6), SI, of the row at or near a wrench (6,); NaN if none has."""
-        place = self.row_index.place(acting_one(wrench, self.locked))
-        tangents = self.merged.rows.compliance
-        if place < 0:
-            return np.full(tangents.shape[1:], np.nan)
-        return without_locked(tangents[self.merged.owner[place]], self.locked)
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the rows cover the load range, as JSON-able values; seconds for 100,000."""
@@ -409,46 +401,3 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
             }
             parts.append((tuple(outputs), replace(some, **changed)))
     return parts
-
-
-def tangent_at_zero(table: Table) -> tuple[Floats, str]:
-    """Return the compliance at zero load, and what tells it.
-
-    It is the tangent of the row at zero load, else du/dw of the table's default method there. The
-    fitted compliance (`Group.fit`) is another one: the mean over the load range.
-
-    Returns
-    -------
-    matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
-        NaN where unknown: for a load that no row tells, and an output that no row holds.
-    origin : str
-        ``row``, a method, or ``none``.
-    """
-    space = table.load_range.space
-    found, row = np.full((2, len(space.outputs), len(space.inputs)), np.nan)
-    for group in table.groups:
-        own = list(group.outputs)
-        row[own] = group.row_tangent([0.0] * len(space.inputs))[own]
-        found[own] = _slopes_at_zero(group)[own]
-    known = np.isfinite(row)
-    if known.any():
-        return np.where(known, row, found), "row"
-    return found, table.groups[0].default if np.isfinite(found).any() else "none"
-
-
-def _slopes_at_zero(group: Group) -> Floats:
-    """Return du/dw (6, 6), SI, of a group's default method; NaN by loads that no row tells."""
-    shape = group.fit.matrix.shape
-    if not group.can_answer:
-        return np.full(shape, np.nan)
-    zero, name = np.zeros((1, shape[1])), group.default
-    if name == "linear":
-        found = group.fit.matrix[None]
-    elif group.by_kriging and group.kriging is not None:
-        found = group.kriging.derivatives(zero)
-    else:
-        found = group.axes.derivatives(zero, name)
-    found = without_locked(found, group.locked)[0]
-    unknown = ~group.fit.known
-    unknown[list(group.locked)] = False  # no output depends on them: zero
-    return np.where(unknown, np.nan, found)

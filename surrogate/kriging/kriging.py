@@ -163,20 +163,6 @@ class Kriging:
                 displacement[part] = values * spread + offset
         return displacement, bars
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        Exact of the interpolant. By a load that takes no part it is the rows' mean tangent.
-        """
-        x = self.scaling.loads(wrenches)
-        rate = self.scaling.spread[:, None]
-        out = np.empty((len(x), len(rate), x.shape[1]))
-        with one_thread():
-            for part in self._chunks(len(x)):
-                by_load = self.inside.slopes(x[part]) * rate / self.scaling.half
-                out[part] = np.where(self.scaling.active, by_load, self.tangent)
-        return out
-
     def _chunks(self, count: int) -> Iterator[slice]:
         """Yield the parts of so many wrenches that are answered at once."""
         size = self.settings.chunk
@@ -303,14 +289,6 @@ class Dense:
             known[:, own] = (sigma <= found.reach)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
         return values, errors, known
-
-    def slopes(self, x: Floats) -> Floats:
-        """Return the derivatives of the values by the loads at places (m, 6), shape (m, 6, 6)."""
-        places = 1 + self.equations.loads, self.equations.places
-        across = block(x, self.equations.x, self.hyperparameters, *places)[:, 1:]
-        weights = self.weights.reshape(-1, self.weights.shape[2])
-        found = across.reshape(*x.shape, -1) @ weights + self.coefficients[1:]
-        return found.transpose(0, 2, 1)
 
     def sigmas_with(self, pending: Floats, x: Floats) -> Floats:
         """Return sigma at places (m, 6) over what it will be once others are solved, (m,).

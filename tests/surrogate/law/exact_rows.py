@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.surrogate.law.answer import Answer, Batch, within
 from wrenchbook.surrogate.answer import COVERED
 from wrenchbook.surrogate.build import STEEPER, Group
-from wrenchbook.surrogate.table.rows import Floats, Rows, acting, acting_one
+from wrenchbook.surrogate.table.rows import Floats, Rows, acting, acting_one, without_locked
 
 
 class Beside(NamedTuple):
@@ -42,7 +42,7 @@ class RowLaw:
         self.index, self.steepest, self._locked = group.row_index, group.steepest, group.locked
         self.wrenches, self.told = group.rows.wrench, group.merged.rows
         self.owner, self.uncertainty = group.merged.owner, group.row_uncertainty
-        self._range, self.tangent = group.load_range, group.row_tangent
+        self._range = group.load_range
 
     def instead_of(
         self, wrench: Sequence[float], found: Answer, allowed: Sequence[float]
@@ -87,6 +87,13 @@ class RowLaw:
         """Return the wrench (6,), N and N·m, of the row at or beside one, if there is one."""
         place = self.index.place(acting_one(wrench, self._locked))
         return None if place < 0 else self.wrenches[place]
+
+    def tangent(self, wrench: Sequence[float]) -> Floats:
+        """Return the tangent (6, 6), SI, of the row at or near a wrench (6,); NaN if none has."""
+        place = self.index.place(acting_one(wrench, self._locked))
+        if place < 0:
+            return np.full(self.told.compliance.shape[1:], np.nan)
+        return without_locked(self.told.compliance[self.owner[place]], self._locked)
 
     def has(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
