@@ -221,26 +221,6 @@ class Kriging:
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
         return values, errors, known
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        Exact of the interpolant. By a load that takes no part it is the rows' mean tangent.
-        """
-        x, own = self.scaling.loads(wrenches), self.equations
-        rate, weights = (
-            self.scaling.spread[:, None],
-            self.weights.reshape(-1, self.weights.shape[2]),
-        )
-        out = np.empty((len(x), len(rate), x.shape[1]))
-        with one_thread():
-            for part in self._chunks(len(x)):
-                places = 1 + own.loads, own.places
-                across = block(x[part], own.x, self.hyperparameters, *places)[:, 1:]
-                found = across.reshape(*x[part].shape, -1) @ weights + self.coefficients[1:]
-                by_load = found.transpose(0, 2, 1) * rate / self.scaling.half
-                out[part] = np.where(self.scaling.active, by_load, self.tangent)
-        return out
-
     def _chunks(self, count: int) -> Iterator[slice]:
         """Yield the parts of so many wrenches that are answered at once."""
         size = self.settings.chunk
