@@ -16,14 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wrenchbook.service.formats.columns import Columns, columns_of
-from wrenchbook.surrogate.findings.finding import RigFinding
-from wrenchbook.surrogate.limits import (
+from wrenchbook.surrogate.findings.response import RigFinding
+from wrenchbook.surrogate.table.rows import (
     ROTATION_LIMIT,
     TRANSLATION_LIMIT,
+    LoadRange,
+    Rows,
     is_too_far,
     rotation_angles,
+    unknown_column,
 )
-from wrenchbook.surrogate.table.rows import LoadRange, Rows, unknown_column
 from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
 
 Array = np.ndarray

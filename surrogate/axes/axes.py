@@ -29,10 +29,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.axes import AXES, CLEAN, AxisRows, LoadAxis, OffAxis, axis_rows, clean_rows
+from ..table.axes import (
+    AXES,
+    CLEAN,
+    AxisRows,
+    LoadAxis,
+    OffAxis,
+    axis_rows,
+    clean_rows,
+    evenly_chosen,
+)
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats, LoadRange, Rows
-from ..table.thinning import evenly_chosen
 from .axis_table import SOUND, WEAK, AxisTable, axis_table
 from .triangulation import Indices, Triangulation
 

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ..error_law import FEWEST, ErrorLaw, LeftOutErrors, error_law
-from ..table.axes import APART, AxisRows, has_levels
+from ..table.axes import APART, AxisRows, has_levels, hashes
 from ..table.rows import Floats, LoadRange
-from ..table.thinning import hashes
 from .triangulation import Indices, Triangulation, recovered_slopes
 
 # The largest fraction of the load range, by dimension, that one simplex may take before it is

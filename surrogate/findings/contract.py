@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
-from .finding import RigFinding
-from .response import RobustFit
+from .response import RigFinding, RobustFit
 
 SIGNIFICANT = 0.05  # of the largest entry of its block, in moved distance: smaller ones are unsure
 DEVIATIONS = 6.0  # of a fitted entry: surely not zero

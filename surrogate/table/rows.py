@@ -6,6 +6,7 @@ its m outputs: of the default space six numbers, force then moment, translation 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +19,24 @@ from .space import DEFAULT, Floats, Space
 
 CLEAN = 1e-9  # of the range: a load below it counts as none (rounding)
 ON_END = 1e-9  # of the range: what a load may lie beyond its end and still be on it (rounding)
+
+# Limits of every displacement: what no row of a table may exceed, and no estimate is given beyond.
+# An estimate off the rows goes on linearly, so it may be any number; beyond these limits the
+# small-deformation contract has ended.
+
+ROTATION_LIMIT = math.radians(20.0)
+"""Longest rotation vector a table may hold, rad: beyond it the small-deformation contract ends."""
+
+TRANSLATION_LIMIT = 10.0
+"""Largest translation a table may hold, m.
+
+A cantilever's tip moves by 2/3 of its length times its rotation (u = P L^3 / 3EI, r = P L^2 /
+2EI), so within 20 degrees a part has to be 43 m long to move by 10 m: no part of a machine is
+refused. A millimetre taken for a metre is noticed from 10 mm on, a micrometre from 10 um on.
+"""
+
+LONGEST = ROTATION_LIMIT * (1.0 + 1e-12)
+"""rad: the last bits of a conversion from degrees must not refuse exactly 20 degrees."""
 
 
 class RowError(ValueError):
@@ -302,6 +321,17 @@ class Rows:
             source=[str(record.get("source") or "") for record in found],
             fingerprint=[str(record.get("fingerprint") or "") for record in found],
         )
+
+
+def rotation_angles(displacements: Floats) -> Floats:
+    """Return the rotation angles of displacements (n, 6), m and rad: (n,), rad; NaN counts as 0."""
+    with np.errstate(over="ignore"):
+        return np.sqrt(np.nansum(displacements[:, 3:] ** 2, axis=1))
+
+
+def is_too_far(angles: Floats) -> NDArray[np.bool_]:
+    """Return which rotations, shape (n,), rad, are beyond the limit."""
+    return np.asarray(angles > LONGEST)
 
 
 _COLUMNS = (
