@@ -20,8 +20,7 @@ from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.fea.mesh.refine import refined
-from wrenchbook.fea.mesh.split import halved
+from wrenchbook.fea.mesh.refine import halved, refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import Bundle

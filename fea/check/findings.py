@@ -23,10 +23,9 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.inspection.bodies import Bodies, gap
-from wrenchbook.fea.inspection.warnings import place_in_words
+from wrenchbook.fea.inspection import Bodies, gap, place_in_words
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, HeldGroup, in_si
-from wrenchbook.fea.mesh.groups import group_nodes
+from wrenchbook.fea.mesh.facets import group_nodes
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
@@ -55,7 +54,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
 
     component, bodies: what is looked at, and the bodies it falls into.
     pairs: shape (k, 2), int64: indices of nodes in one place
-    (`fea.inspection.bodies.coincident_nodes`).
+    (`fea.inspection.coincident_nodes`).
     """
     if bodies.count > _MOST_BODIES:
         message = (

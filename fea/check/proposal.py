@@ -15,7 +15,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.check.reporting import report
-from wrenchbook.fea.inspection.bodies import stacked_singly
+from wrenchbook.fea.inspection import stacked_singly
 from wrenchbook.fea.mesh.deck_content import (
     CoupledGroup,
     DeckContent,
@@ -27,9 +27,8 @@ from wrenchbook.fea.mesh.deck_content import (
 from wrenchbook.fea.mesh.element_order import SECOND, second_order
 from wrenchbook.fea.mesh.io.ansys import read_ansys
 from wrenchbook.fea.mesh.io.nastran import read_nastran
-from wrenchbook.fea.mesh.io.raw import MeshFileError
+from wrenchbook.fea.mesh.io.raw import MeshFileError, Translated
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.fea.mesh.io.translated import Translated
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS, UNITS

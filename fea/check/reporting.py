@@ -25,9 +25,16 @@ from wrenchbook.fea.check.trial import (
 )
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of
 from wrenchbook.fea.deck.running import deck_report
-from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
-from wrenchbook.fea.inspection.cells import quality, quality_warnings
-from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings, stack_problems
+from wrenchbook.fea.inspection import (
+    Bodies,
+    bodies_of,
+    coincidence_warnings,
+    coincident_nodes,
+    quality,
+    quality_warnings,
+    set_up_warnings,
+    stack_problems,
+)
 from wrenchbook.fea.mesh.cad.meshing import list_shape
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solver.vibration import Riding
@@ -60,7 +67,7 @@ def report(
         Always ``ok``, ``problems`` (what stops a solve) and ``warnings`` (what may make it wrong),
         each a list of ``{"where", "message"}``. As far as it gets: ``name``, ``fingerprint``,
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
-        ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
+        ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection`), ``parts``,
         ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.findings`);
         ``materials``, ``section`` (of several interfaces ``sections``, with
         their names), ``supports``, ``temperature`` and ``acceleration`` where they are inputs, and

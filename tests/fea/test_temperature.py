@@ -16,7 +16,7 @@ from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.inspection.warnings import warnings_of
+from wrenchbook.fea.inspection import warnings_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 

@@ -17,8 +17,7 @@ from wrenchbook.fea.accuracy.mesh_error import recovered_error
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import mesh_of
-from wrenchbook.fea.mesh.refine import refined
-from wrenchbook.fea.mesh.split import halved
+from wrenchbook.fea.mesh.refine import halved, refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import DeclaredRange
 from wrenchbook.surrogate.solver_error import SolverError

@@ -14,7 +14,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.fea.mesh.quality import folded_cells, volumes
+from wrenchbook.fea.mesh.mapping import folded_cells, volumes
 from wrenchbook.fea.solve import Solver
 
 LOAD = np.array([50.0, 0, 0, 0, 0, 0.8])
