@@ -45,7 +45,6 @@ from .axis_table import SOUND, WEAK, AxisTable, axis_table
 from .triangulation import Indices, Triangulation
 
 APART = 1e-12  # stations closer than this, in scaled units, are one
-ON_HULL = 1e-9  # of the range: a moment that far beyond the last station counts as on it
 HOLE = 9  # the state of a stretch that no simplex holds: worse than any simplex'
 
 # What an axis' part of an answer rests on, from the best to the worst: see `axis_table`; then a
@@ -498,7 +497,7 @@ class PureMomentCut:
         y = (along - self.stations[found])[:, None]
         outputs, stated, unit = self.outputs[found], self.stated[found], self.unit_errors[found]
         unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
-        beyond = (along < self.stations[0] - ON_HULL) | (along > self.stations[-1] + ON_HULL)
+        beyond = (along < self.stations[0] - CLEAN) | (along > self.stations[-1] + CLEAN)
         return CutReading(
             outputs[:, 0] + y * outputs[:, 1],
             self.table.law.bars(unit) + stated[:, 0] + y * stated[:, 1],

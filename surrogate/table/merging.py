@@ -18,18 +18,17 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from .rows import CLEAN, Floats, LoadRange, Rows
+from .rows import CLEAN, NEAR, Floats, LoadRange, Rows
 
-NEAR = 1e-6  # of the range: rows closer than this, in each load, are one
 DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
-ROUNDING = 1e-6  # of the distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
+ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
 EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured
 SOLVED = "fea"  # the source of a row that repeats exactly
 # Wrenches that are near each other are so along any direction; of those apart few are. The parts
 # are roots of primes, of which no two loads' steps cancel, and their sum is 1, so that what is
 # within `NEAR` in each load is so along it.
 _PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
-WINDOW = NEAR * (1 + ROUNDING)
+WINDOW = NEAR * ALONG
 
 AGREE = 1e-6  # of an output's range: what rounding in a file may do
 MOST_LISTED = 50
@@ -275,7 +274,7 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     for direction in directions:
         along = distinct[left] @ direction
         order = np.argsort(along)
-        close = np.diff(along[order]) <= NEAR * direction.sum() * (1 + ROUNDING)
+        close = np.diff(along[order]) <= NEAR * direction.sum() * ALONG
         kept = np.zeros(len(left), dtype=bool)
         kept[order[1:][close]] = True
         kept[order[:-1][close]] = True
