@@ -251,27 +251,6 @@ class Composition:
             total.mark_base(rows, moment, part.state)
         return total.composed()
 
-    def derivatives(self, wrenches: Floats, method: str) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        Of the law with all axes and moments in it, so that a load that is zero has its slope too.
-
-        Parameters
-        ----------
-        method : {"griddata", "additive"}
-        """
-        found = np.zeros((len(wrenches), 6, 6))
-        composed = slice(None) if method == "additive" else slice(3, None)
-        for axis in AXES:
-            slopes, inputs = self._read(axis, wrenches).slopes, list(axis.inputs)
-            if method != "additive":
-                found[:, axis.outputs[0], inputs] = slopes[:, axis.outputs[0]]
-            found[:, composed, inputs] += slopes[:, composed]
-        for moment in range(3):
-            slopes = self._alone(moment, wrenches[:, moment + 3]).slopes
-            found[:, composed, moment + 3] -= slopes[:, composed, 0]
-        return found
-
     def _read(self, axis: LoadAxis, wrenches: Floats) -> _Part:
         """Return one axis' part at wrenches (k, 6) that load it."""
         table, inputs = self.tables[AXES.index(axis)], list(axis.inputs)
@@ -283,7 +262,7 @@ class Composition:
         if not table.shows_together:
             several = (np.abs(x) > CLEAN).sum(axis=1) > 1
             state = np.where(several, np.maximum(state, WEAK), state)
-        part = _Part(reading.outputs, reading.rest, reading.slopes / table.scale, state)
+        part = _Part(reading.outputs, reading.rest + np.abs(reading.stepped), state)
         outside = np.flatnonzero(~reading.inside)
         if len(outside):
             # Account for steps (k, 3), scaled, from the hull's nearest point to the query. The
@@ -293,9 +272,6 @@ class Composition:
             rows, step = outside, (x - reading.at)[outside]
             basis = table.triangulation.basis
             off = step - step @ basis.T @ basis
-            part.rest[rows] += np.abs(
-                np.einsum("kqi,ki->kq", part.slopes[rows] * table.scale, step)
-            )
             # Of each wrench by itself: batches change nothing.
             leaves = np.abs(off).max(axis=1) > CLEAN
             if leaves.any():
@@ -307,30 +283,15 @@ class Composition:
                 )
                 unknown = (np.abs(off) > CLEAN) & ~self.fit.known[inputs]
                 part.rest[rows[unknown.any(axis=1)]] = np.nan
-        part.slopes += self._off_span(table)
         return part
-
-    def _off_span(self, table: AxisTable) -> Floats:
-        """Return the slopes (6, 3), SI, off the span of an axis' points.
-
-        Those of the fitted compliance; NaN by loads whose influence no row tells.
-        """
-        basis, inputs = table.triangulation.basis, list(table.axis.inputs)
-        if len(basis) == 3:
-            return np.zeros((6, 3))
-        off = np.eye(3) - basis.T @ basis
-        off[np.abs(off) <= CLEAN] = 0.0
-        slopes = (self.fit.matrix[:, inputs] * table.scale) @ off / table.scale
-        unknown = (off != 0.0)[~self.fit.known[inputs]].any(axis=0)
-        return np.where(unknown, np.nan, slopes)
 
     def _guess(self, loads: Floats, inputs: Sequence[int]) -> _Part:
         """Return the fitted compliance's part, for an axis or moment that has no rows."""
-        matrix, count = self.fit.matrix[:, inputs], len(loads)
+        matrix = self.fit.matrix[:, inputs]
         moved = self.at_rest.displacement + loads @ matrix.T
         rest = np.abs(loads) @ np.abs(matrix).T + self.fit.error
         rest[((loads != 0) & ~self.fit.known[inputs]).any(axis=1)] = np.nan
-        return _Part(moved, rest, np.tile(matrix, (count, 1, 1)), np.full(count, NO_ROWS))
+        return _Part(moved, rest, np.full(len(loads), NO_ROWS))
 
     def _alone(self, moment: int, amounts: Floats) -> _Part:
         """Return the answers to amounts (k,), N·m, of one moment alone, from whichever axis tells.
@@ -344,19 +305,16 @@ class Composition:
                 continue
             reading = cut.read(amounts)
             better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
-            outputs, rest = reading.outputs[better], reading.rest[better]
-            slopes, state = reading.slopes[better], reading.state[better]
-            part.put(better, _Part(outputs, rest, slopes[..., None], state))
+            part.put(better, _Part(*(column[better] for column in reading)))
         return part
 
 
 @dataclass
 class _Part:
-    """What an axis or a moment alone answers at k wrenches, its slopes by its own loads."""
+    """What an axis or a moment alone answers at k wrenches."""
 
     outputs: Floats
     rest: Floats
-    slopes: Floats
     state: NDArray[np.int_]
 
     def take(self, rows: Indices) -> _Part:
@@ -367,7 +325,7 @@ class _Part:
             column[rows] = new
 
     def _columns(self) -> tuple[NDArray, ...]:
-        return self.outputs, self.rest, self.slopes, self.state
+        return self.outputs, self.rest, self.state
 
 
 class _Total:
@@ -426,14 +384,10 @@ def _cuts(
 
 
 class CutReading(NamedTuple):
-    """What a cut answers at k moments: (k, 6) each, m and rad, and how sound it is, (k,).
-
-    `slopes` are derivatives by the moment, m/(N·m) and rad/(N·m).
-    """
+    """What a cut answers at k moments: (k, 6) each, m and rad, and how sound it is, (k,)."""
 
     outputs: Floats
     rest: Floats
-    slopes: Floats
     state: NDArray[np.int_]
 
 
@@ -486,12 +440,11 @@ class PureMomentCut:
 
     def read(self, moments: Floats) -> CutReading:
         """Read the cut at moments (k,), N·m; beyond its ends along its last stretch."""
-        scale = self.table.scale[self.column]
-        along = moments / scale
+        along = moments / self.table.scale[self.column]
         if not len(self.state):
             none = np.zeros((len(along), 6))
             blank = np.full(len(along), HOLE)
-            return CutReading(none, none, none, blank)
+            return CutReading(none, none, blank)
         found = np.searchsorted(self.stations, along, side="right") - 1
         found = np.clip(found, 0, len(self.state) - 1)
         y = (along - self.stations[found])[:, None]
@@ -501,7 +454,6 @@ class PureMomentCut:
         return CutReading(
             outputs[:, 0] + y * outputs[:, 1],
             self.table.law.bars(unit) + stated[:, 0] + y * stated[:, 1],
-            outputs[:, 1] / scale,
             np.where(beyond, HOLE, self.state[found]),
         )
 

@@ -26,14 +26,7 @@ from ..table.rows import Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
 from .equations import Equations, Scaling
-from .left_out import left_out
-from .neighbourhood import (
-    Neighbourhoods,
-    deviations,
-    local_factor,
-    neighbours_known,
-    noise_of,
-)
+from .factor import Neighbourhoods, deviations, left_out, local_factor, neighbours_known, noise_of
 from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
@@ -91,7 +84,7 @@ class Level(NamedTuple):
         Group of each row left out.
     errors : ndarray, shape (k, q), process deviations
     sizes : ndarray, shape (k, q)
-        See `left_out.LeftOutRows`.
+        See `LeftOutRows`.
     sigma : ndarray, shape (k,), process deviations
         As an answer at the row would have it.
     places : int

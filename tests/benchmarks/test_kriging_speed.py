@@ -12,7 +12,7 @@ from tests.surrogate.kriging.responses import RESPONSES, solved, spread_wrenches
 from tests.surrogate.responses import RANGE
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.kriging.equations import equations_of, scaling_of, within
-from wrenchbook.surrogate.kriging.estimate import estimated
+from wrenchbook.surrogate.kriging.likelihood import estimated
 from wrenchbook.surrogate.kriging.settings import DEFAULTS
 from wrenchbook.surrogate.table.merging import merge
 

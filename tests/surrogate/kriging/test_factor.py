@@ -13,8 +13,8 @@ from wrenchbook.surrogate.kriging.factor import (
     diagonal_added,
     factorise,
     inverse_factor,
+    left_out,
 )
-from wrenchbook.surrogate.kriging.left_out import left_out
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
 from wrenchbook.surrogate.table.merging import merge
 

@@ -8,9 +8,8 @@ from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spr
 from tests.surrogate.responses import RANGE, table
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters
 from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scaling_of, within
-from wrenchbook.surrogate.kriging.estimate import spread_rows
 from wrenchbook.surrogate.kriging.factor import Share, shares_of
-from wrenchbook.surrogate.kriging.likelihood import maximise, negative_log_likelihood
+from wrenchbook.surrogate.kriging.likelihood import maximise, negative_log_likelihood, spread_rows
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
 from wrenchbook.surrogate.table.merging import merge
 from wrenchbook.surrogate.table.rows import Rows
