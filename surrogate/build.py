@@ -25,6 +25,7 @@ import numpy as np
 
 from .answer import Allowed, allowed_of
 from .axes.axes import Axes, build_axes
+from .findings.find import rig_error
 from .kriging import (
     Kriging,
     SingularCovarianceError,
@@ -42,12 +43,10 @@ from .methods import (
     linear_choice,
     without_kriging,
 )
-from .rig_error import rig_error
 from .solver_error import SolverError, bars_are_whole
 from .table.axes import OffAxis, count_full
 from .table.compliance import ComplianceFit, fit_compliance
-from .table.merging import merge, row_conflicts
-from .table.row_index import RowIndex
+from .table.merging import RowIndex, merge, row_conflicts
 from .table.rows import Floats, LoadRange, Rows, Tolerance
 
 SOLVED = "fea"  # the source of rows that a solver gave
@@ -293,7 +292,7 @@ class Table:
 
     @cached_property
     def rig_error(self) -> Floats:
-        """See `rig_error.rig_error`: in no error bar here; shape (6,), m and rad."""
+        """See `findings.find.rig_error`: in no error bar here; shape (6,), m and rad."""
         return rig_error(self.rows, self.load_range)
 
     @cached_property

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from ..answer import METHODS, allowed_by
 from ..build import Group, Table
 from ..kriging import Kriging
-from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods import ENOUGH_FULL
-from ..table.rows import CLEAN, Floats
+from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats
 from .axes_arrays import axes_arrays
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays
