@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .answer import allowed_by
 from .build import AnyTable, build
+from .kernel.packing import packed_of
 from .limits import is_too_far
 from .surrogate import Surrogate
 from .table.axes import AXES
@@ -208,7 +209,7 @@ def next_wrenches(
         return _first(more, "too few rows for error bars: these wrenches are evenly spread")
     limit = tolerance or surrogate.tolerance
     places = np.delete(np.arange(len(outputs)), surrogate.locked) if for_joint else None
-    return _Refinement(surrogate, known, limit, span, list(outputs), places).design(budget)
+    return _Refinement(table, known, limit, span, list(outputs), places).design(budget)
 
 
 def _first(wrenches: Floats, reason: str) -> Design:
@@ -235,7 +236,7 @@ class _Refinement:
 
     def __init__(
         self,
-        surrogate: Surrogate,
+        table: AnyTable,
         known: Known,
         tolerance: Tolerance | None,
         span: LoadRange,
@@ -243,6 +244,7 @@ class _Refinement:
         joint: NDArray[np.intp] | None = None,
     ) -> None:
         """Take, for a joint, also the places of the loads and outputs that its part moves by."""
+        self.table, surrogate = table, table.groups[0][1]
         assert surrogate.kriging is not None
         self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
         self.tolerance, self.span, self.outputs = tolerance, span, outputs
@@ -254,7 +256,7 @@ class _Refinement:
             sample = sample_of(span.ends, span.space.zero, joint)
             turned = self.kriging.answer_many(sample)[0][:, span.space.is_rotation]
             sample = sample[~is_too_far(np.linalg.norm(turned, axis=1))]
-            slopes = self.kriging.derivatives(sample)[:, joint][:, :, joint]
+            slopes = self._slopes(sample)
             self.indefinite = sample[weakest(slopes, span.scale[joint])[0] < 0.0]
 
     def design(self, budget: int) -> Design:
@@ -345,10 +347,16 @@ class _Refinement:
         over = (bars / self.allowed)[:, self.outputs].max(axis=1)
         if self.joint is None or not len(wrenches):
             return over
-        slopes = self.kriging.derivatives(wrenches)[:, self.joint][:, :, self.joint]
+        slopes = self._slopes(wrenches)
         forces = np.sqrt(np.linalg.pinv(slopes) ** 2 @ bars[:, self.joint, None] ** 2)[:, :, 0]
         share = forces / (FORCE_ERROR * self.span.scale[self.joint])
         return np.maximum(over, share.max(axis=1))
+
+    def _slopes(self, wrenches: Floats) -> Floats:
+        """Return the kriging's du/dw (n, k, k), SI, of the part of a joint at wrenches (n, 6)."""
+        packed = packed_of(self.table)
+        found = packed.derivatives(wrenches, method="kriging", without_rows=True)
+        return found[:, self.joint][:, :, self.joint]
 
     def _errors(self, solved: Floats, wrenches: Floats) -> Floats:
         """Return the error bars (n, 6), m and rad, at wrenches (n, 6) once others are solved."""

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .composition.axis_table import AxisTable
-from .composition.composition import Composition
+from .axes.axes import Composition
+from .axes.axis_table import AxisTable
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from .table.axes import AXES, LoadAxis, clean_rows, count_full
 from .table.compliance import ComplianceFit

@@ -14,7 +14,7 @@ from .findings.find import looked_at
 from .findings.response import response_of
 from .findings.sequence import FEWEST, sequence_errors
 from .findings.single_rows import wrong_rows
-from .table.conflicts import repeated
+from .table.merging import repeated
 from .table.rows import Floats, LoadRange, Rows
 
 NORMAL = 3.0  # kurtosis of noise; that of two branches is 1, and 1.8 where their distance varies

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.readers.registry import reader_named, reader_names
+from wrenchbook.fea.readers import reader_named, reader_names
 from wrenchbook.fea.spec.orthotropic import MOST_ISOTROPIC_RATIO, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import (

@@ -24,6 +24,7 @@ from wrenchbook.service.fields.shape import (
 )
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.library.component import Component
+from wrenchbook.surrogate.calibration import LEVEL, conformal_factor
 from wrenchbook.surrogate.field_weights import MIN_LEFT_OUT, FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
@@ -42,9 +43,6 @@ FARTHEST = 2.0
 SAME = 1e-6  # of the load range: a wrench so near to a row's is the one that row was rounded from
 # Of the largest displacement of any row: a vertex's error bar allowed without a tolerance.
 WITHOUT_TOLERANCE = 0.01
-LEVEL = 0.95  # share of a row's vertices, and of rows, that an error bar covers
-# Error bars widen by this over the number of rows left out: few show a tail badly (as tables').
-WIDENING = 5.0
 
 
 class NoFieldsError(Exception):
@@ -340,14 +338,14 @@ class Blend:
         ratios = lengths / sigmas[:, None]
         spread = np.sqrt((ratios**2).mean(axis=0))
         relative = ratios / np.where(spread > 0, spread, 1.0)
-        factor = _conformal(np.quantile(relative, LEVEL, axis=1))
+        factor = float(conformal_factor(np.quantile(relative, LEVEL, axis=1)[:, None])[0])
         stress_factor = None
         if values.shape[2] > moved:
             # Of each row left out the predicted largest is compared with its true one.
             predicted = values[:, 0, moved:] - errors[:, moved:]
             predicted = von_mises(predicted.reshape(len(rows), -1, 6)).max(axis=1)
             true = np.array([row.meta["largest"] for row in rows])
-            stress_factor = _conformal(np.abs(predicted - true) / sigmas)
+            stress_factor = float(conformal_factor((np.abs(predicted - true) / sigmas)[:, None])[0])
         return cls(geometry, weights, values, numbers, largest, spread, factor, stress_factor)
 
     def at(self, wrench: Floats) -> BlendedFields:
@@ -380,10 +378,3 @@ def _columns(row: RowFields) -> Floats:
     fields = (row.displacement, row.displacement_slopes), (row.stress, row.stress_slopes)
     columns = (np.concatenate((field[..., None], slopes), axis=-1) for field, slopes in fields)
     return np.concatenate([np.moveaxis(of, -1, 0).reshape(7, -1) for of in columns], axis=1)
-
-
-def _conformal(ratios: Floats) -> float:
-    """Return the ratio that 95 % of one more row are below, widened for few rows."""
-    rank = int(np.ceil(LEVEL * (len(ratios) + 1)))
-    ratio = float(np.sort(ratios)[min(rank, len(ratios)) - 1])
-    return ratio * (1 + WIDENING / len(ratios))

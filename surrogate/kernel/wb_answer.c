@@ -202,7 +202,7 @@ static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb
         judge_error(t, g, o, a);
     }
     if (a->coverage == WB_COVERED) return;
-    if (wb_answer_by_row(t, g, o, w, a)) {
+    if (!o->without_rows && wb_answer_by_row(t, g, o, w, a)) {
         a->coverage = WB_COVERED, a->method = WB_ROW, a->reasons = 0;
     } else if (with_reasons && g->used && !a->reasons) {
         wb_axes_reasons(t, g, w, a);

@@ -31,7 +31,7 @@ static inline void wb_fetch(const void *at, size_t bytes) {
 #endif
 }
 
-static const wb_options OWN = {WB_DEFAULT, NULL};
+static const wb_options OWN = {WB_DEFAULT, NULL, 0};
 
 typedef struct {
     uint32_t key, place;

@@ -6,7 +6,7 @@
 
 static double larger(double a, double b) { return a > b ? a : b; }
 
-static const wb_options OWN = {WB_DEFAULT, NULL};
+static const wb_options OWN = {WB_DEFAULT, NULL, 0};
 
 static void begin(const wb_table *t, const double *inputs, wb_reply *reply) {
     reply->coverage = WB_COVERED, reply->within = -1, reply->method = WB_ESTIMATE;

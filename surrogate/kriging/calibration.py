@@ -19,21 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
-from scipy.special import gammaincinv
 
+from ..calibration import quantile, widening
 from ..table.axes import CLEAN, has_levels
 from ..table.rows import Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
 from .equations import Equations, Scaling
-from .left_out import left_out
-from .neighbourhood import (
-    Neighbourhoods,
-    deviations,
-    local_factor,
-    neighbours_known,
-    noise_of,
-)
+from .factor import Neighbourhoods, deviations, left_out, local_factor, neighbours_known, noise_of
 from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
@@ -91,7 +84,7 @@ class Level(NamedTuple):
         Group of each row left out.
     errors : ndarray, shape (k, q), process deviations
     sizes : ndarray, shape (k, q)
-        See `left_out.LeftOutRows`.
+        See `LeftOutRows`.
     sigma : ndarray, shape (k,), process deviations
         As an answer at the row would have it.
     places : int
@@ -194,36 +187,22 @@ def _factors(
     # Values and slopes of a row are up to seven independent numbers; rows of one group are alike.
     scatter = np.maximum(scatter, 2 / level.places if count == len(group) else 2.0)
     least = np.maximum(count - coefficients, 1.0)
-    # By how much sizes may be larger than groups show, (q,), at a confidence in all. The factor
-    # of normal tolerance intervals, sqrt(f / chi2_a(f)): with it an interval holds its content at
-    # confidence 1 - a, the centre being known (Krishnamoorthy and Mathew 2009, "Statistical
-    # Tolerance Regions"). a is 1 - confidence over the number of outputs (Bonferroni). f is the
-    # degrees of freedom of a chi square whose variance is that of the mean square (Satterthwaite
-    # 1946): as many as groups where each brings one normal number, up to seven times that where
-    # values and slopes of single rows are alike, and few where a few groups make most of the
-    # size.
-    freedom = 2 * least / scatter
-    widened = np.sqrt(
-        freedom / (2 * gammaincinv(freedom / 2, (1 - settings.confidence) / level.outputs))
-    )
+    # By how much sizes may be larger than groups show, (q,), in any output of the table. The
+    # degrees of freedom are those of a chi square whose variance is that of the mean square
+    # (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven
+    # times that where values and slopes of single rows are alike, and few where a few groups make
+    # most of the size.
+    widened = widening(2 * least / scatter, level.outputs)
     missed = square > 0  # an output of which nothing is missed says nothing of the tail
     columns = missed if missed.any() else np.ones_like(missed)
-    tail = _quantile((ratios / size)[:, columns], weights, settings.level)
+    alike = (ratios / size)[:, columns]
+    tail = quantile(alike.ravel(), np.repeat(weights, alike.shape[1]))
     factors = tail * size * (widened if sure else 1.0)
     inside = (weights[:, None] * (ratios <= factors)).sum(axis=0) / count
     # Below the deviation that the nugget allows errors are rounding, whose size means nothing.
     matter = (np.abs(level.errors) > np.sqrt(settings.nugget)).any(axis=0)
     bad = (widened > settings.most_widened) | (inside < settings.least_inside)
     return None if (matter & bad).any() else factors
-
-
-def _quantile(ratios: Floats, weights: Floats, level: float) -> float:
-    """Return the smallest of ratios (k, q), weighed (k,), that so many of one more are below."""
-    flat, weight = ratios.ravel(), np.repeat(weights, ratios.shape[1])
-    order, total = np.argsort(flat), weight.sum()
-    below = np.cumsum(weight[order]) / total
-    place = int(np.searchsorted(below, level * (total + 1) / total))
-    return float(flat[order][min(place, len(flat) - 1)])
 
 
 def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:

@@ -7,15 +7,19 @@ tr((inv(K) - a a' / s^2) dK) / 2 with a = inv(K) (y - F b).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
 from ..table.rows import Floats
 from .correlation import (
     Hyperparameters,
+    covariance,
     derivatives_of_term,
     indices,
     joins,
@@ -23,8 +27,8 @@ from .correlation import (
     order_of,
     seen_by,
 )
-from .equations import Equations
-from .factor import KrigingFactor, Share, SingularCovarianceError, factorise
+from .equations import Equations, Scaling
+from .factor import KrigingFactor, Share, SingularCovarianceError, factorise, shares_of
 from .settings import DEFAULTS, KrigingSettings
 
 REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
@@ -257,3 +261,190 @@ def _best(
     ]
     # Rounded so that the rounding of another unit does not change them; the likelihood is flat.
     return np.round(min(found, key=lambda run: run.fun).x, settings.decimals)
+
+
+def reading_noise(
+    equations: Equations,
+    scaling: Scaling,
+    hyperparameters: Hyperparameters,
+    before: Floats,
+    settings: KrigingSettings,
+) -> tuple[Floats, Floats]:
+    """Return each output's process variance and that of one of its readings, (6,) each.
+
+    The variance of a reading is the least with which any of several kernels is nearly as likely as
+    the most likely one. What may be response and may be noise is taken for response, whose error
+    bars are wider; one kernel for all outputs would take for noise what an output alone does.
+    Of rows as they lie, near each other too: rows spread widely do not show little noise.
+
+    Parameters
+    ----------
+    before : ndarray, shape (6,), spreads squared
+        Process variances that stated noise is held against.
+    """
+    ends = np.searchsorted(np.cumsum(equations.known.sum(axis=1)), settings.likelihood_equations)
+    count = max(min(int(ends), len(equations)), 1)
+    chosen = equations.take(np.linspace(0, len(equations) - 1, count).round().astype(np.intp))
+    ratios = np.arange(*settings.ratio_bounds, settings.ratio_step)
+    groups = equations.groups
+    kernels = [hyperparameters] + [  # and kernels of one length in all loads
+        Hyperparameters.of_logarithms(np.array([theta] * groups.shape[1] + [weight]), groups)
+        for theta in settings.noise_thetas
+        for weight in settings.noise_weights
+    ]
+    curves = [_curves(chosen, kernel, before, ratios, settings) for kernel in kernels]
+    if not chosen.known[:, 1:].any():
+        curves += [
+            _curves(chosen, hyperparameters, before, ratios, settings, part)
+            for part in settings.noise_rough
+        ]
+    variance, reading = before.copy(), np.zeros_like(before)
+    for output in np.flatnonzero(~scaling.silent):
+        values = np.array([found[:, output] for found, _ in curves])
+        readings = np.array([ratios + found[:, output] for _, found in curves])
+        least = _least(values, readings, ratios, settings)
+        own = np.maximum.accumulate(readings[0])  # it grows with the ratio but for rounding
+        ratio = np.interp(least, own, ratios)
+        reading[output], variance[output] = np.exp(least), np.exp(least - ratio)
+    return variance, reading
+
+
+def _curves(
+    equations: Equations,
+    hyperparameters: Hyperparameters,
+    before: Floats,
+    ratios: Floats,
+    settings: KrigingSettings,
+    rough: float = 0.0,
+) -> tuple[Floats, Floats]:
+    """Return half the negative log likelihood and the log process variance, (r, 6) each.
+
+    By the logarithms (r,) of a reading's variance over the process variance.
+    """
+    x, known = equations.x, equations.known
+    table = covariance(x, known, x, known, hyperparameters)
+    if rough:
+        table = table + rough * sum(np.exp(-np.abs(one[:, None] - one)) for one in x.T)
+    values, variances = np.full((2, len(ratios), len(before)), REFUSED)
+    for share in shares_of(equations, before, settings):
+        if not len(share.rows):
+            continue
+        for place, ratio in enumerate(np.exp(ratios).tolist()):
+            try:
+                found = profile(equations, hyperparameters, share, ratio, settings, table)
+            except SingularCovarianceError:
+                continue
+            values[place, share.outputs] = found.values
+            variances[place, share.outputs] = np.log(found.variance)
+    return values, variances
+
+
+def _least(values: Floats, readings: Floats, ratios: Floats, settings: KrigingSettings) -> float:
+    """Return the logarithm of the least variance of a reading that is nearly as likely as any.
+
+    Parameters
+    ----------
+    values, readings : ndarray, shape (k, r)
+        Half the negative log likelihood and the logarithm of a reading's variance, of k kernels.
+    """
+    fine = np.arange(ratios[0], ratios[-1], settings.ratio_accuracy)
+    known = (values < REFUSED).all(axis=1)
+    curves = np.array([CubicSpline(ratios, one)(fine) for one in values[known]])
+    likely = curves <= curves.min() + settings.ratio_caution
+    at = np.array([np.interp(fine, ratios, one) for one in readings[known]])
+    return float(at[likely].min())
+
+
+DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
+
+
+class Estimate(NamedTuple):
+    """What the likelihood settles, in dimensionless numbers.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+        Common to all outputs.
+    noise_scale : ndarray, shape (6,), spreads squared
+        Process variances that noise is held against.
+    reading_variance : ndarray, shape (6,), spreads squared
+        Of one reading whose uncertainty nobody stated; 0 where all is stated or solved.
+    """
+
+    hyperparameters: Hyperparameters
+    noise_scale: Floats
+    reading_variance: Floats
+
+
+def estimated(
+    equations: Equations,
+    scaling: Scaling,
+    settings: KrigingSettings,
+) -> Estimate:
+    """Return the hyperparameters, and how noisy the rows are.
+
+    Noise counts relative to the process variance, which the hyperparameters decide: with noise the
+    likelihood is maximised a second time, with what the first time found. Noise that nobody stated
+    is one more hyperparameter, first of all outputs together, then of each by itself.
+    """
+    chosen = equations.take(spread_rows(equations, settings.likelihood_equations))
+    variance, reading = np.ones_like(scaling.spread), np.zeros_like(scaling.spread)
+    unstated = bool((chosen.readings > 0).any())
+    if unstated:
+        bounds = settings.theta_bounds[0], settings.noise_theta_most
+        settings = replace(settings, theta_bounds=bounds)
+    before: Hyperparameters | None = None
+    noisy = unstated or bool((chosen.noise > settings.nugget).any())
+    for stage in range(1 + noisy):
+        current = chosen.with_reading_noise(reading)
+        # The shares without the outputs that vary by rounding only, and with enough rows.
+        varying = [
+            share._replace(outputs=share.outputs[~scaling.silent[share.outputs]])
+            for share in shares_of(current, variance, settings)
+        ]
+        shares = [share for share in varying if len(share.outputs) and len(share.rows)]
+        search = maximise_with_noise if unstated and not stage else maximise
+        before = search(current, shares, before, settings)
+        if unstated:
+            variance, reading = reading_noise(equations, scaling, before, variance, settings)
+            continue
+        for share in shares:
+            found = factorise(chosen, before, *share, settings)
+            variance[share.outputs] = found.variance
+    assert before is not None
+    return Estimate(before, variance, reading)
+
+
+def within_one_factor(equations: Equations, settings: KrigingSettings) -> Equations:
+    """Return the equations that one factor holds: second derivatives of as many rows as fit.
+
+    These rows are spread farthest: between distant rows a second derivative tells most.
+    """
+    if equations.count <= settings.dense_equations:
+        return equations
+    second = np.zeros_like(equations.known)
+    second[:, 1 + equations.loads :] = equations.known[:, 1 + equations.loads :]
+    room = settings.dense_equations - int((equations.known & ~second).sum())
+    kept = np.zeros((len(equations), 1), dtype=bool)
+    kept[spread_rows(replace(equations, known=second), room)] = True
+    return replace(equations, known=equations.known & (~second | kept))
+
+
+def spread_rows(equations: Equations, most_equations: int) -> NDArray[np.intp]:
+    """Return rows within the limit, each the farthest from those before it, in their own order.
+
+    Shape (k,): indices of the rows.
+    """
+    size = equations.known.sum(axis=1)
+    chosen = [int(np.argmin(np.round((equations.x**2).sum(axis=1), DECIMALS)))]
+    total = size[chosen[0]]
+    distance = np.full(len(equations), np.inf)
+    while len(chosen) < len(equations):
+        apart = ((equations.x - equations.x[chosen[-1]]) ** 2).sum(axis=1)
+        distance = np.minimum(distance, apart)
+        place = int(np.argmax(np.round(distance, DECIMALS)))
+        total += size[place]
+        if total > most_equations:
+            break
+        chosen.append(place)
+    return np.sort(chosen)

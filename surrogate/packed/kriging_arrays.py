@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
-from ..kriging.neighbourhood import Neighbourhoods
+from ..kriging.factor import Neighbourhoods
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 

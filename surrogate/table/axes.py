@@ -5,14 +5,14 @@ Axis i of a cyclic order (i, j, k) has the inputs (F_i, M_j, M_k) and the output
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .compliance import ComplianceFit
-from .merging import close_groups
+from .merging import close_groups, merge
 from .rows import CLEAN, Floats, LoadRange, Rows
 
 OffAxis = Literal["correct", "ignore", "exclude"]
@@ -155,41 +155,34 @@ def axis_rows(
         loads = np.where(np.isin(np.arange(6), axis.others), rows.wrench, 0.0)
         joining &= ~((np.abs(loads) > CLEAN * load_range.scale) & ~fit.known).any(axis=1)
         displacement[joining] -= loads[joining] @ fit.matrix.T
-    # Merge the used rows whose points are one, in an order that the rows' order cannot change.
-    inputs = list(axis.inputs)
-    scaled = rows.wrench[:, inputs] / load_range.scale[inputs]
-    places = np.flatnonzero(mine | joining)
-    group = close_groups(scaled[places])
-    # A group's point is that of a clean row, if it has one, and the outermost: the hull stays.
-    far = -(scaled[places] ** 2).sum(axis=1)
-    order = places[np.lexsort((rows.seq[places], far, ~mine[places], group))]
-    bounds = np.searchsorted(np.sort(group), np.arange(int(group.max(initial=-1)) + 2))
-    order_of = np.lexsort(scaled[order[bounds[:-1]]].T[::-1])
-    first = order[bounds[:-1]][order_of]
-    stored = np.nan_to_num(rows.uncertainty)
-    means, spreads = displacement[first], stored[first]
-    tangent = rows.compliance[first][:, :, inputs] * load_range.scale[inputs]
-    tangent[~mine[first]] = np.nan  # a full wrench's is not that of its axis' loads alone
-    members = list(zip(first.tolist(), strict=True))
-    for point in np.flatnonzero(np.diff(bounds)[order_of] > 1).tolist():
-        group_of = order_of[point]
-        # The clean rows of one point, or all of them if none is clean.
-        places = order[bounds[group_of] : bounds[group_of + 1]]
-        best = places[mine[places]] if mine[places].any() else places
-        chosen = best.tolist()
-        means[point] = displacement[chosen].mean(axis=0)
-        if mine[first[point]]:
-            slopes = rows.compliance[chosen][:, :, inputs] * load_range.scale[inputs]
-            tangent[point] = slopes.mean(axis=0)
-        spread = np.ptp(displacement[chosen], axis=0) / 2
-        spreads[point] = np.maximum(spread, stored[chosen].max(axis=0))
-        members[point] = tuple(sorted(chosen))
+    # At the points of clean rows these alone count.
+    inputs, places = list(axis.inputs), np.flatnonzero(mine | joining)
+    if joining.any():
+        group = close_groups((rows.wrench[places] / load_range.scale)[:, inputs])
+        places = places[mine[places] | ~np.isin(group, group[mine[places]])]
+    # Full wrenches may have one point; a row's number is its place, so that these are the members.
+    merged = merge(
+        replace(
+            rows.take(places),
+            seq=places,
+            wrench=np.where(np.isin(np.arange(6), inputs), rows.wrench[places], 0.0),
+            displacement=displacement[places],
+            curvature=np.empty((len(places), 0)),
+        ),
+        load_range,
+    )
+    # In an order that the rows' order cannot change.
+    points = merged.rows.wrench[:, inputs] / load_range.scale[inputs] + 0.0
+    order = np.lexsort(points.T[::-1])
+    found = merged.rows.take(order)
+    tangent = found.compliance[:, :, inputs] * load_range.scale[inputs]
+    tangent[~mine[found.seq]] = np.nan  # a full wrench's is not that of its axis' loads alone
     return AxisRows(
         axis=axis,
-        points=scaled[first].reshape(-1, 3) + 0.0,
-        displacement=means.reshape(-1, 6),
-        uncertainty=spreads.reshape(-1, 6),
-        members=tuple(members),
-        clean=mine[first],
-        tangent=tangent.reshape(-1, 6, 3),
+        points=points[order],
+        displacement=found.displacement,
+        uncertainty=np.nan_to_num(found.uncertainty),
+        members=tuple(merged.members[place] for place in order),
+        clean=mine[found.seq],
+        tangent=tangent,
     )

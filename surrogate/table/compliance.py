@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..error_law import conformal_factor
+from ..calibration import conformal_factor
 from .rows import Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not tell a load
@@ -124,7 +124,7 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
         alone = spare < LONE
         missed = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, spare))
         stored = np.nan_to_num(rows.uncertainty).max(axis=0)
-        error = conformal_factor(np.abs(missed), np.ones_like(missed)) + stored
+        error = conformal_factor(np.abs(missed)) + stored
     return ComplianceFit(matrix, known, error, "fitted", offset)
 
 

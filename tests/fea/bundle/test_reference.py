@@ -11,7 +11,7 @@ from wrenchbook import fea
 from wrenchbook.fea.bundle import read
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.mesh.generators import GENERATORS
-from wrenchbook.fea.readers.registry import _BUILT_IN
+from wrenchbook.fea.readers import _BUILT_IN
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.toml_table import Keys
 

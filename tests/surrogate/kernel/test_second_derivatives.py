@@ -38,13 +38,6 @@ def test_error_bars_of_several_interfaces_and_further_inputs_are_those_of_numpy(
     np.testing.assert_allclose(found, expected, rtol=SIGMA)
 
 
-def test_derivatives_of_several_interfaces_and_further_inputs_are_those_of_numpy(made):
-    table, packed, asked = made
-    expected = table.thinnest.kriging.derivatives(asked)
-    found = packed.derivatives(asked, None, "kriging")
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
-
-
 def assert_differences(packed, asked, scale):
     """Compare derivatives with differences of values over 1e-5 of half the load range."""
     steps = 1e-5 * np.diag(scale)

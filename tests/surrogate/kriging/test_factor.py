@@ -13,9 +13,10 @@ from wrenchbook.surrogate.kriging.factor import (
     diagonal_added,
     factorise,
     inverse_factor,
+    left_out,
 )
-from wrenchbook.surrogate.kriging.left_out import left_out
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
+from wrenchbook.surrogate.table.merging import merge
 
 HELD = Hyperparameters.of_logarithms(np.array([0.4, 0.6, 0.5, 0.3, 0.7, 0.2, -1.0]))
 SETTINGS = KrigingSettings(nugget=1e-8)
@@ -25,8 +26,8 @@ OUTPUTS = np.arange(6)
 def _equations(per_axis: int, full: int, measured: bool = False) -> Equations:
     x, response = spread_wrenches(per_axis, full, 5), RESPONSES["strongly_coupled"]
     rows = noisy_rows(response, x, 5, told=True) if measured else solved(response, x)
-    inside = within(rows, RANGE)
-    return equations_of(inside, scaling_of(inside, RANGE))
+    inside, _, readings = merge(within(rows, RANGE), RANGE).usable()
+    return equations_of(inside, scaling_of(inside, RANGE), readings)
 
 
 def _factor(equations: Equations, rows: np.ndarray) -> KrigingFactor:

@@ -6,7 +6,7 @@ import pytest
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 from wrenchbook.surrogate.kriging import Kriging
-from wrenchbook.surrogate.kriging.neighbourhood import Finder
+from wrenchbook.surrogate.kriging.factor import Finder
 from wrenchbook.surrogate.table.rows import Rows
 
 

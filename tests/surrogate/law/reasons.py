@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
-from wrenchbook.surrogate.composition.composition import NO_ROWS, OFF_HULL, Composed, Composition
-from wrenchbook.surrogate.composition.pure_moment import ON_HULL
+from wrenchbook.surrogate.axes.axes import NO_ROWS, OFF_HULL, ON_HULL, Composed, Composition
+from wrenchbook.surrogate.axes.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
 from wrenchbook.surrogate.error_law import FEWEST
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.rows import CLEAN, Floats
