@@ -269,7 +269,7 @@ int wb_answer(const wb_table *t, const wb_options *options, const double *inputs
 void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
                       double *derivative) {
     wb_reply reply;
-    int near = 1;
+    int near = !o->without_rows;
     begin(t, inputs, &reply);
     for (int i = 0; near && i < t->groups; i++)
         near = wb_find_row(t, &t->group[i], reply.inputs) >= 0;
