@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .axes.axes import Composition
-from .rig_error import rig_error
+from .findings.find import rig_error
 from .solver_error import SolverError, bars_are_whole
 from .surrogate import Surrogate
 from .table.axes import OffAxis

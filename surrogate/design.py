@@ -27,11 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 from .answer import allowed_by
 from .build import AnyTable, build
 from .kernel.packing import packed_of
-from .limits import is_too_far
 from .table.axes import AXES
-from .table.definite import sample_of, weakest
-from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
-from .table.spread import spread_wrenches
+from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance, is_too_far
+from .table.spread import sample_of, spread_wrenches, weakest
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors

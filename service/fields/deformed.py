@@ -28,7 +28,7 @@ from wrenchbook.surrogate.calibration import LEVEL, conformal_factor
 from wrenchbook.surrogate.field_weights import MIN_LEFT_OUT, FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import Rows, why_beyond
+from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +40,6 @@ MAX_BLENDS = 2  # components whose interpolation is in memory at once
 THREADS = 2  # surfaces at once: each may take a processor
 # Half ranges beyond an end of the load range: further out rows do not determine a surface.
 FARTHEST = 2.0
-SAME = 1e-6  # of the load range: a wrench so near to a row's is the one that row was rounded from
 # Of the largest displacement of any row: a vertex's error bar allowed without a tolerance.
 WITHOUT_TOLERANCE = 0.01
 
@@ -157,7 +156,7 @@ class DeformedSurfaces:
     def _own(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
         """Return the surface of this wrench's own solve; None if there is none with fields."""
         apart = np.abs(rows.wrench - wrench) / component.load_range.scale
-        near = apart.max(axis=1, initial=0.0) <= SAME
+        near = apart.max(axis=1, initial=0.0) <= NEAR
         for place in np.flatnonzero(near & (rows.fingerprint == component.fingerprint)).tolist():
             for row in self._readable(component, rows.wrench[place : place + 1]):
                 try:
@@ -203,7 +202,7 @@ class DeformedSurfaces:
         if not having:
             why = f"none of its {len(rows)} rows has one; they were imported or solved before"
             raise NoFieldsError(component, why)
-        cells = np.rint(wrenches[having] / (2 * SAME * component.load_range.scale))
+        cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
         places = solved[having][np.sort(first)]
         with self._lock:  # one at a time: a new interpolation takes a processor and its memory

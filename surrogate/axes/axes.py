@@ -29,15 +29,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.axes import AXES, CLEAN, AxisRows, LoadAxis, OffAxis, axis_rows, clean_rows
+from ..table.axes import (
+    AXES,
+    CLEAN,
+    AxisRows,
+    LoadAxis,
+    OffAxis,
+    axis_rows,
+    clean_rows,
+    evenly_chosen,
+)
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats, LoadRange, Rows
-from ..table.thinning import evenly_chosen
 from .axis_table import SOUND, WEAK, AxisTable, axis_table
 from .triangulation import Indices, Triangulation
 
 APART = 1e-12  # stations closer than this, in scaled units, are one
-ON_HULL = 1e-9  # of the range: a moment that far beyond the last station counts as on it
 HOLE = 9  # the state of a stretch that no simplex holds: worse than any simplex'
 
 # What an axis' part of an answer rests on, from the best to the worst: see `axis_table`; then a
@@ -443,7 +450,7 @@ class PureMomentCut:
         y = (along - self.stations[found])[:, None]
         outputs, stated, unit = self.outputs[found], self.stated[found], self.unit_errors[found]
         unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
-        beyond = (along < self.stations[0] - ON_HULL) | (along > self.stations[-1] + ON_HULL)
+        beyond = (along < self.stations[0] - CLEAN) | (along > self.stations[-1] + CLEAN)
         return CutReading(
             outputs[:, 0] + y * outputs[:, 1],
             self.table.law.bars(unit) + stated[:, 0] + y * stated[:, 1],

@@ -22,20 +22,17 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ..error_law import FEWEST, ErrorLaw, LeftOutErrors, error_law
-from ..table.axes import APART, AxisRows, has_levels
-from ..table.rows import Floats, LoadRange
-from ..table.thinning import hashes
+from ..table.axes import APART, AxisRows, has_levels, hashes
+from ..table.rows import ROUNDING, SMALLEST, Floats, LoadRange
 from .triangulation import Indices, Triangulation, recovered_slopes
 
 # The largest fraction of the load range, by dimension, that one simplex may take before it is
 # `thin`: half a range along a line, a fifth of a rectangle, a tenth of a box is no table.
 LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
 
-ROUNDING = 1e-12  # of an output's size: no error bar is smaller, since no number is righter
 # Largest over smallest unit error (80 % of them) below which left-out errors do not tell noise from
 # curvature, which grows by the square: rows of regular sweeps have one unit error.
 ALIKE = 4.0
-SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
 SOUND, WEAK, DEGENERATE = 0, 1, 2  # a simplex without volume is degenerate
 

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..answer import NAMES
 from ..packed.format import CHECKSUM, Packed, PackedTableError, map_file, read
 from ..packed.reasons import Reason, text_of
-from ..table.definite import sample_of, weakest
 from ..table.space import Space
+from ..table.spread import sample_of, weakest
 from .library import Work, kernel
 from .replies import AXIS, NO_METHOD, AxisPart, Floats, Replies, Reply, ReplyReader, mistake
 

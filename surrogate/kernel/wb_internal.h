@@ -9,6 +9,14 @@
 
 #include "wrenchbook.h"
 
+/* Of the range, in each load: a smaller load is none, and one so little beyond an end is on it;
+ * wrenches closer than this are one. Of an answer's size: what its computation loses. And how much
+ * more than in proportion a response may move. As in Python (tests/surrogate/kernel). */
+#define WB_CLEAN 1e-9
+#define WB_NEAR 1e-6
+#define WB_ROUNDING 1e-12
+#define WB_STEEPER 2.0
+
 enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
 enum { WB_AXES = 3, WB_AXIS_OUTPUTS = 6, WB_AXIS_INPUTS = 3 };
 /* What an axis' part of an answer rests on, from the best to the worst. */

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..table.merging import Readings, close_groups
-from ..table.rows import Floats, LoadRange, RowError, Rows
+from ..table.rows import CLEAN, Floats, LoadRange, RowError, Rows
 from ..table.second_derivatives import second_derivatives
 from ..table.space import Space
 from .correlation import SECOND_SMOOTHNESS, SLOPES_SMOOTHNESS, Mask, indices, places_of
@@ -156,7 +156,7 @@ def places_within(
     rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS
 ) -> NDArray[np.intp]:
     """Return the indices of the rows inside the load range, shape (k,), sorted by wrench."""
-    room = settings.edge * load_range.scale
+    room = CLEAN * load_range.scale
     inside = (rows.wrench >= load_range.low - room) & (rows.wrench <= load_range.high + room)
     kept = np.flatnonzero(inside.all(axis=1))
     columns = np.concatenate((rows.wrench[kept], rows.displacement[kept]), axis=1)

@@ -20,8 +20,6 @@ class KrigingSettings:
     nugget_limit: float = 1e-4
     # Rows nearer than this, of the range in each load, are one row: their difference is rounding.
     same: float = 1e-6
-    # A load beyond the range by no more than this of it counts as on its end.
-    edge: float = 1e-9
     # Fewer rows than this leave nothing to calibrate a bar on once one is left out.
     least_rows: int = 4
     # The mean's coefficients have this variance: so wide that rows decide, but finite, so that

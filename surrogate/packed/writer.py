@@ -20,10 +20,9 @@ from ..answer import METHODS, allowed_by
 from ..build import AnyTable
 from ..describe import axis_gaps
 from ..kriging import Kriging
-from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods import ENOUGH_FULL
 from ..surrogate import Surrogate
-from ..table.rows import CLEAN, Floats
+from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats
 from .axes_arrays import axes_arrays
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays

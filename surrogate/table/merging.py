@@ -8,6 +8,7 @@ they differ by is its uncertainty.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -17,13 +18,17 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from .rows import CLEAN, Floats, LoadRange, Rows
+from .rows import CLEAN, NEAR, Floats, LoadRange, Rows
 
-NEAR = 1e-6  # of the range: rows closer than this, in each load, are one
 DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
-ROUNDING = 1e-6  # of the distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
+ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
 EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured
 SOLVED = "fea"  # the source of a row that repeats exactly
+# Wrenches that are near each other are so along any direction; of those apart few are. The parts
+# are roots of primes, of which no two loads' steps cancel, and their sum is 1, so that what is
+# within `NEAR` in each load is so along it.
+_PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
+WINDOW = NEAR * ALONG
 
 AGREE = 1e-6  # of an output's range: what rounding in a file may do
 MOST_LISTED = 50
@@ -133,6 +138,73 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     return Merged(kept, tuple(members), within[first], owner, readings)
 
 
+class RowIndex:
+    """The nearest row of each wrench, if that is within 1e-6 of the range in each load.
+
+    Rows as near as that are one (`merging`): a rounding error beside a row is the row's own place.
+    Of several rows of one wrench the first counts.
+
+    Parameters
+    ----------
+    wrenches : ndarray, shape (n, 6), N and N·m
+    scale : ndarray, shape (6,), N and N·m
+        Of the load range.
+
+    Attributes
+    ----------
+    keys : ndarray, shape (m,)
+        Each distinct wrench along the direction, ascending, dimensionless.
+    order : ndarray of int, shape (m,)
+        Its row.
+    rates : ndarray, shape (6,), 1/N and 1/(N·m)
+        What a wrench's loads add to its key.
+    """
+
+    def __init__(self, wrenches: Floats, scale: Floats) -> None:
+        self._wrenches, self._scale = wrenches, scale
+        # A direction whose parts have no common measure, shape (n,).
+        roots = np.sqrt(np.array(_PRIMES[: len(scale)], dtype=float))
+        self.rates = (roots / roots.sum()) / scale
+        self._one_over: list[float] = self.rates.tolist()
+        keys = wrenches @ self.rates
+        order = np.argsort(keys, kind="stable")
+        placed = wrenches[order]
+        first = np.ones(len(order), dtype=bool)
+        first[1:] = (placed[1:] != placed[:-1]).any(axis=1)
+        self.order: NDArray[np.intp] = order[first]
+        self.keys: Floats = keys[self.order]
+
+    def places(self, wrenches: Floats) -> NDArray[np.intp]:
+        """Return the row of each wrench (k, 6), N and N·m, shape (k,); -1 where none is near."""
+        found = np.full(len(wrenches), -1, dtype=np.intp)
+        with np.errstate(over="ignore", invalid="ignore"):  # a load may be 1e300
+            keys = wrenches @ self.rates
+            first = np.searchsorted(self.keys, keys - WINDOW)
+            last = np.searchsorted(self.keys, keys + WINDOW, side="right")
+        for place in np.flatnonzero(first < last).tolist():
+            found[place] = self._nearest(wrenches[place].tolist(), first[place], last[place])
+        return found
+
+    def place(self, wrench: Sequence[float]) -> int:
+        """Return the row of one wrench (6,), N and N·m, or -1: `places` without arrays."""
+        key = 0.0
+        for load, rate in zip(wrench, self._one_over, strict=True):
+            key += load * rate
+        first = int(self.keys.searchsorted(key - WINDOW))
+        if first == len(self.keys) or not self.keys[first] <= key + WINDOW:
+            return -1
+        last = int(self.keys.searchsorted(key + WINDOW, side="right"))
+        return self._nearest(wrench, first, last)
+
+    def _nearest(self, wrench: Sequence[float], first: int, last: int) -> int:
+        """Return the nearest row of a part of the order, or -1; of equally near ones the first."""
+        rows = np.sort(self.order[first:last])
+        steps = np.abs(self._wrenches[rows] - wrench) / self._scale
+        apart = steps.max(axis=1)
+        nearest = int(np.argmin(apart))
+        return int(rows[nearest]) if apart[nearest] <= NEAR else -1
+
+
 def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:
     """Return the rows of each wrench that several have, as indices, shape (k,), ascending."""
     order, starts = _several(_groups(rows, load_range)[1])
@@ -202,7 +274,7 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     for direction in directions:
         along = distinct[left] @ direction
         order = np.argsort(along)
-        close = np.diff(along[order]) <= NEAR * direction.sum() * (1 + ROUNDING)
+        close = np.diff(along[order]) <= NEAR * direction.sum() * ALONG
         kept = np.zeros(len(left), dtype=bool)
         kept[order[1:][close]] = True
         kept[order[:-1][close]] = True

@@ -19,8 +19,8 @@ from wrenchbook.surrogate.design import (
     spread_wrenches,
 )
 from wrenchbook.surrogate.table.axes import clean_rows
-from wrenchbook.surrogate.table.definite import sample_of, weakest
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.spread import sample_of, weakest
 
 EMPTY = build(Rows.empty(), RANGE)
 FIRST = first_design(RANGE, Known(RANGE, np.empty((0, 6)), np.empty((0, 6))), 15)

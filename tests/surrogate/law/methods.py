@@ -11,9 +11,8 @@ from wrenchbook.surrogate.answer import COVERED, METHODS, OUTSIDE, THIN, Unknown
 from wrenchbook.surrogate.axes.axes import OFF_HULL, Composed, Composition
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.surrogate import Surrogate
-from wrenchbook.surrogate.table.axes import CLEAN
 from wrenchbook.surrogate.table.compliance import ComplianceFit
-from wrenchbook.surrogate.table.rows import Floats, LoadRange, why_beyond
+from wrenchbook.surrogate.table.rows import CLEAN, ROUNDING, Floats, LoadRange, why_beyond
 from wrenchbook.surrogate.table.space import LOADS
 
 from .reasons import why_not
@@ -167,9 +166,6 @@ class GaussianProcess(Method):
     def reason(self, wrench: Floats) -> str:
         """Return which load of a wrench (6,), N and N·m, lies outside the load range."""
         return why_beyond(self.load_range, wrench)
-
-
-ROUNDING = 1e-12  # of the answer's size: what the solver's own arithmetic leaves
 
 
 class Linear(Method):
