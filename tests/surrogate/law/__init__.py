@@ -300,10 +300,10 @@ class GroupLaw:
         kriging = self.kriging
         if not kriging.knows_errors:
             return ERRORS_UNKNOWN
-        x = kriging.scaling.loads(np.asarray(wrench, dtype=float).reshape(1, 6))
-        if kriging.inside.answers(x)[2].all():
+        bars = kriging.answer_many(np.asarray(wrench, dtype=float).reshape(1, 6))[1]
+        if np.isfinite(bars).all():
             return UNKNOWN_ERROR
-        low, high = kriging.scaling.wrenches(kriging.inside.span)
+        low, high = kriging.scaling.wrenches(kriging.span)
         found = [
             f"{LOADS[load]} = {wrench[load]:.6g} {LOAD_UNITS[load]} is further from the rows, "
             f"which tell errors from {low[load]:.6g} to {high[load]:.6g} {LOAD_UNITS[load]}"
