@@ -25,7 +25,7 @@ from wrenchbook.service.fields.shape import (
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.calibration import LEVEL, conformal_factor
-from wrenchbook.surrogate.field_weights import MIN_LEFT_OUT, FieldWeights, nearest_rows
+from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
@@ -35,6 +35,7 @@ Floats = NDArray[np.float64]
 # Rows that a field is interpolated of: with slopes as good as all, and a factor of 0.02 s.
 MAX_ROWS = 60
 BLEND_BYTES = 128 << 20  # of one component's interpolation; larger surfaces take fewer rows
+MIN_LEFT_OUT = 4  # rows with a surface below which they show nothing of an error's size
 MIN_ROWS = 8  # however large their fields are: fewer give neither an answer nor an error
 MAX_BLENDS = 2  # components whose interpolation is in memory at once
 THREADS = 2  # surfaces at once: each may take a processor
@@ -332,7 +333,7 @@ class Blend:
         blank = cls(geometry, weights, values, numbers, largest, None, 0.0, None)
         if len(rows) < MIN_LEFT_OUT:
             return blank
-        errors, sigmas = weights.left_out(values.__getitem__, values.shape[2])
+        errors, sigmas = weights.left_out(values)
         lengths = np.linalg.norm(errors[:, :moved].reshape(len(rows), -1, 3), axis=2)
         ratios = lengths / sigmas[:, None]
         spread = np.sqrt((ratios**2).mean(axis=0))

@@ -26,7 +26,7 @@ from ..table.rows import NEAR, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
 from .equations import Equations, Scaling
-from .factor import Neighbourhoods, deviations, left_out, local_factor, neighbours_known, noise_of
+from .factor import Neighbourhoods, left_out
 from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
@@ -222,7 +222,7 @@ def calibrated(
     settings: KrigingSettings,
 ) -> Calibration:
     """Return by how much a share's deviations are multiplied for its error bars."""
-    own, outputs = equations.take(spread.factor.rows), len(spread.factor.outputs)
+    own, outputs = spread.factor.equations, len(spread.factor.outputs)
     if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
     full = full_rows(own, scaling)
@@ -234,7 +234,7 @@ def calibrated(
     levels = (
         level
         for labels in groupings(own.x * np.sqrt(hyperparameters.inverse_squares), settings)
-        if (level := _level(equations, spread, table, labels, rows, settings)) is not None
+        if (level := _level(equations, spread, table, labels, rows)) is not None
     )
     # Places like those of queries: spread over the span of rows, (m, 6), half ranges. Where
     # nearly all rows load one axis each, so do these.
@@ -248,7 +248,7 @@ def calibrated(
         groups = scaling.space.kriging_groups[:-1]
         queries = queries * groups[np.arange(QUERIES) % len(groups)]
     across = block(queries, equations.x, hyperparameters, 1, equations.places)
-    sigma = deviations(queries, across.reshape(len(queries), -1), spread)
+    sigma = spread.deviations(queries, across.reshape(len(queries), -1))
     # The mean's coefficients, which all rows settle: these in proportion.
     coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
     return calibrate(levels, outputs, sigma, coefficients, settings)
@@ -260,37 +260,30 @@ def _level(
     table: Floats,
     labels: NDArray[np.intp],
     rows: NDArray[np.intp],
-    settings: KrigingSettings,
 ) -> Level | None:
     """Return what some of a factor's rows show, left out in groups; None if they show nothing.
 
     Errors are of the whole factor; sigma, as in answers, of the nearest row's neighbourhood.
     """
-    factor, prior = spread.factor, float(spread.factor.hyperparameters.prior(1)[0])
+    factor, own = spread.factor, spread.factor.equations
     if len(np.unique(labels)) < 2:
         return None
-    out = left_out(equations, factor, labels)
-    anchors = spread.finder.nearest_others(rows, equations.x, labels)
-    noise, number = noise_of(equations, factor), numbers(equations.known)
-    squared = np.full(len(rows), np.nan)
-    lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
-    for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
-        local = local_factor(equations, factor, members, table, settings)
-        columns = number[members][neighbours_known(equations, members, settings.deviation_bent)]
-        found = local.squared_deviation(
-            table[np.ix_(number[row, :1], columns)],
-            np.append(1.0, equations.x[row])[None],
-            prior,
-            out.mean_covariances[rows[place]],
-        )
-        squared[place] = found[0] + factor.nugget * prior
+    out = left_out(factor, labels)
+    anchors = spread.nearest_others(rows, labels)
+    squared, number = np.full(len(rows), np.nan), numbers(equations.known)[factor.rows, 0]
+    lists = spread.members(own.x[anchors], labels, labels[rows])
+    for place, (row, near) in enumerate(zip(rows, lists, strict=True)):
+        local = spread.local_factor(near, table)
+        across, terms = table[number[row], local.numbers], np.append(1.0, own.x[row])
+        found = local.squared_deviation(across[None], terms[None], out.mean_covariances[row])
+        squared[place] = found[0] + factor.least
     # With hardly more rows than the mean has terms, rounding leaves no variance to speak of.
     finite = np.isfinite(out.errors[rows]).all(axis=1)
     known = np.flatnonzero((squared > 0) & finite)
     if not len(known):
         return None
     sigma, known_rows = np.sqrt(squared[known]), rows[known]
-    own_noise = noise[factor.rows[known_rows]]
+    own_noise = factor.noise[known_rows]
     errors = out.errors[known_rows] / np.sqrt(factor.variance)
     # A reading misses its answer by its own noise besides the error of the mean, and both
     # variances add up to that of its error: variances and noise have shape (k,), process

@@ -32,6 +32,8 @@ from .correlation import Hyperparameters, Mask, covariance, mean_terms, numbers
 from .equations import Equations
 from .settings import DEFAULTS, KrigingSettings
 
+Places = NDArray[np.intp]
+
 ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
 
 
@@ -45,8 +47,8 @@ class Share(NamedTuple):
         Variance of the rows' values over the process variance.
     """
 
-    outputs: NDArray[np.intp]
-    rows: NDArray[np.intp]
+    outputs: Places
+    rows: Places
     noise: Floats
 
 
@@ -88,26 +90,61 @@ class SingularCovarianceError(ArithmeticError):
 
 
 @dataclass(frozen=True)
-class KrigingFactor:
-    """The factor of some rows' equations, for the outputs that these rows tell alike.
-
-    All numbers are dimensionless: loads are in half ranges, outputs in spreads.
+class Factor:
+    """The inverse factor of some equations' covariance, in dimensionless numbers.
 
     Attributes
     ----------
     hyperparameters : Hyperparameters
-    outputs : ndarray of int, shape (k,)
-        The outputs it answers.
-    rows : ndarray of int, shape (r,)
-        Which rows of the table take part.
-    noise : ndarray, shape (r,)
-        Variance of their values over the process variance.
     nugget : float
         What the diagonal was raised by, relative.
     T : ndarray, shape (e, e)
         Inverse of the lower Cholesky factor of the e equations' covariance.
     TF : ndarray, shape (e, 7)
         T times the mean's terms.
+    """
+
+    hyperparameters: Hyperparameters
+    nugget: float
+    T: Floats
+    TF: Floats
+
+    @property
+    def least(self) -> float:
+        """The nugget's part of a value's prior variance: below it sigma squared is rounding."""
+        return self.nugget * float(self.hyperparameters.prior(1)[0])
+
+    def explained(self, across: Floats, terms: Floats) -> tuple[Floats, Floats]:
+        """Return T times the covariance with places, and of the mean's terms what rows leave.
+
+        Shapes (m, e) and (m, 7), of `across` (m, e) and `terms` (m, 7) at the places.
+        """
+        reduced = across @ self.T.T
+        return reduced, terms - reduced @ self.TF
+
+    def variance_of(self, reduced: Floats, left: Floats, mean_covariance: Floats) -> Floats:
+        """Return sigma squared (m,), over the process variance, of what `explained` returns."""
+        spent = np.einsum("me,me->m", reduced, reduced)
+        loose = np.einsum("ma,ab,mb->m", left, mean_covariance, left)
+        return np.maximum(float(self.hyperparameters.prior(1)[0]) - spent, self.least) + loose
+
+
+@dataclass(frozen=True)
+class KrigingFactor(Factor):
+    """The factor of some rows' equations, for the outputs that these rows tell alike.
+
+    All numbers are dimensionless: loads are in half ranges, outputs in spreads.
+
+    Attributes
+    ----------
+    equations : Equations
+        Of the rows that take part.
+    outputs : ndarray of int, shape (k,)
+        The outputs it answers.
+    rows : ndarray of int, shape (r,)
+        Which rows of the table take part.
+    noise : ndarray, shape (r,)
+        Variance of their values over the process variance.
     mean_covariance : ndarray, shape (7, 7)
         Posterior covariance of the mean's coefficients, over the process variance.
     coefficients : ndarray, shape (7, k)
@@ -118,29 +155,30 @@ class KrigingFactor:
         Process variance of each output, spreads squared.
     """
 
-    hyperparameters: Hyperparameters
-    outputs: NDArray[np.intp]
-    rows: NDArray[np.intp]
+    equations: Equations
+    outputs: Places
+    rows: Places
     noise: Floats
-    nugget: float
-    T: Floats
-    TF: Floats
     mean_covariance: Floats
     coefficients: Floats
     weights: Floats
     variance: Floats
 
+    def explained_at(self, x: Floats, known: Mask) -> tuple[Floats, Floats]:
+        """Return what `explained` does, of the readings `known` (m, p) at places (m, 6)."""
+        own = self.equations
+        across = covariance(x, known, own.x, own.known, self.hyperparameters)
+        return self.explained(across, mean_terms(x, known))
 
-def diagonal_added(
-    equations: Equations, noise: Floats, nugget: float, hyperparameters: Hyperparameters
-) -> Floats:
-    """Return what is added to the covariance's diagonal: nugget and noise.
-
-    Shape (equations,), dimensionless, of noise, shape (rows,), over the process variance.
-    """
-    added = np.tile(nugget * hyperparameters.prior(equations.places), (len(equations), 1))
-    added[:, 0] += noise
-    return added[equations.known]
+    def of_data(self, data: Floats) -> KrigingFactor:
+        """Return the factor with as many outputs as the data (e, q) of its equations have."""
+        Ty = self.T @ data
+        coefficients = self.mean_covariance @ (self.TF.T @ Ty)
+        remainder = Ty - self.TF @ coefficients
+        # Of a response that is linear nothing remains, and rounding may make that negative.
+        variance = np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(self.T), ROUNDING)
+        weights = self.T.T @ remainder
+        return replace(self, coefficients=coefficients, weights=weights, variance=variance)
 
 
 def inverse_factor(
@@ -179,11 +217,31 @@ def inverse_factor(
         return np.tril(inverse) / size, nugget
 
 
+def _factored(
+    equations: Equations,
+    noise: Floats,
+    matrix: Floats,
+    hyperparameters: Hyperparameters,
+    nugget: float,
+    settings: KrigingSettings,
+) -> Factor:
+    """Return the factor of equations whose covariance is a matrix (e, e), which is overwritten.
+
+    `noise`, shape (rows,), is over the process variance; it and the nugget are added.
+    """
+    prior = np.tile(hyperparameters.prior(equations.places), (len(equations), 1))
+    added = nugget * prior
+    added[:, 0] += noise
+    matrix[np.diag_indices_from(matrix)] += added[equations.known]
+    T, nugget = inverse_factor(matrix, nugget, settings.nugget_limit, prior[equations.known])
+    return Factor(hyperparameters, nugget, T, T @ mean_terms(equations.x, equations.known))
+
+
 def factorise(
     equations: Equations,
     hyperparameters: Hyperparameters,
-    outputs: NDArray[np.intp],
-    rows: NDArray[np.intp],
+    outputs: Places,
+    rows: Places,
     noise: Floats,
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
@@ -199,31 +257,12 @@ def factorise(
     else:
         places = numbers(equations.known)[rows][own.known]
         matrix = table[np.ix_(places, places)]
-    matrix[np.diag_indices_from(matrix)] += diagonal_added(
-        own, noise, settings.nugget, hyperparameters
-    )
-    prior = np.tile(hyperparameters.prior(own.places), (len(own), 1))[own.known]
-    T, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
-    TF = T @ mean_terms(own.x, own.known)
-    Ty = T @ own.data[own.known][:, outputs]
-    precision = TF.T @ TF + np.eye(TF.shape[1]) / settings.mean_variance
-    mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
-    coefficients = mean_covariance @ (TF.T @ Ty)
-    remainder = Ty - TF @ coefficients
-    return KrigingFactor(
-        hyperparameters=hyperparameters,
-        outputs=outputs,
-        rows=rows,
-        noise=noise,
-        nugget=nugget,
-        T=T,
-        TF=TF,
-        mean_covariance=mean_covariance,
-        coefficients=coefficients,
-        weights=T.T @ remainder,
-        # Of a response that is linear nothing remains, and rounding may make that negative.
-        variance=np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(T), ROUNDING),
-    )
+    made = _factored(own, noise, matrix, hyperparameters, settings.nugget, settings)
+    precision = made.TF.T @ made.TF + np.eye(made.TF.shape[1]) / settings.mean_variance
+    mean_covariance, none = np.asarray(np.linalg.inv(precision), dtype=float), np.empty(0)
+    shape = hyperparameters, made.nugget, made.T, made.TF, own, outputs, rows, noise
+    blank = KrigingFactor(*shape, mean_covariance, none, none, none)
+    return blank.of_data(own.data[own.known][:, outputs])
 
 
 # Added to the diagonal of a group's precision, of its mean: rows a hair apart leave it singular to
@@ -252,7 +291,7 @@ class LeftOutRows(NamedTuple):
     mean_covariances: Floats
 
 
-def left_out(equations: Equations, factor: KrigingFactor, labels: NDArray[np.intp]) -> LeftOutRows:
+def left_out(factor: KrigingFactor, labels: Places) -> LeftOutRows:
     """Return the errors of a factor's rows, each left out with all rows of its label.
 
     Parameters
@@ -260,13 +299,13 @@ def left_out(equations: Equations, factor: KrigingFactor, labels: NDArray[np.int
     labels : ndarray of int, shape (r,)
         Group of each of the factor's rows.
     """
-    own = equations.take(factor.rows)
+    own, outputs = factor.equations, len(factor.variance)
     sizes = own.known.sum(axis=1)
     ends = np.cumsum(sizes)
     precision = np.asarray(np.linalg.inv(factor.mean_covariance), dtype=float)
     out = LeftOutRows(
-        np.full((len(own), len(factor.outputs)), np.nan),
-        np.full((len(own), len(factor.outputs)), np.nan),
+        np.full((len(own), outputs), np.nan),
+        np.full((len(own), outputs), np.nan),
         np.full(len(own), np.nan),
         np.full((len(own), 1 + own.loads, 1 + own.loads), np.nan),
     )
@@ -296,246 +335,147 @@ def left_out(equations: Equations, factor: KrigingFactor, labels: NDArray[np.int
     return out
 
 
-Places = NDArray[np.intp]
-
 # Of squared scaled distances, which rounding changes by 1e-14: rows that are as near as this are
 # equally near, and the first is taken, whoever computes the distance.
 TIE = 1e-10
 
 
-class Finder:
-    """Finds the nearest rows of any place.
+@dataclass(frozen=True)
+class LocalFactor(Factor):
+    """The factor over one neighbourhood, in dimensionless numbers.
 
-    Parameters
+    Attributes
     ----------
-    equations : Equations
-    rows : ndarray of int
-        The rows among which it looks.
-    hyperparameters : Hyperparameters
-    limits : tuple of int
-        What a neighbourhood may hold: rows, equations, and rows with their second derivatives.
+    places : ndarray of int, shape (e,)
+        Its equations: the readings of all rows before, and which one of the row.
+    numbers : ndarray of int, shape (e,)
+        The same, among the equations of the table.
+    """
+
+    places: Places
+    numbers: Places
+
+    def squared_deviation(self, across: Floats, terms: Floats, mean_covariance: Floats) -> Floats:
+        """Return sigma squared (m,), over the process variance, each place by itself.
+
+        `across` (m, e) is the covariance with the equations, `terms` (m, 7) are the mean's. A
+        place's digits do not depend on which others there are.
+        """
+        reduced, left = self.explained(across[:, None], terms[:, None])
+        return self.variance_of(reduced[:, 0], left[:, 0], mean_covariance)
+
+
+class Neighbourhoods:
+    """The nearest rows of any place among those of a factor, and the small factors over them.
+
+    Rows are places among those of the factor.
+
+    Attributes
+    ----------
+    factor : KrigingFactor
+    around : tuple of LocalFactor
+        The neighbourhood of each of the factor's rows.
     """
 
     def __init__(
         self,
         equations: Equations,
-        rows: Places,
-        hyperparameters: Hyperparameters,
-        limits: tuple[int, int, int],
+        factor: KrigingFactor,
+        table: Floats,
+        settings: KrigingSettings = DEFAULTS,
     ) -> None:
-        self.rows = rows
-        self.size = equations.known[rows].sum(axis=1)
-        self.plain_size = equations.known[rows, : 1 + equations.loads].sum(axis=1)
-        self.most_rows, self.most_equations, self.most_bent = limits
-        all_first = np.roll(hyperparameters.groups, 1, axis=0)
-        self.roots = np.sqrt(hyperparameters.inverse_squares) * all_first
-        self.trees = [KDTree(equations.x[rows] * root) for root in self.roots]
+        """Take the table's equations, and `table` (a, a), the covariance of all a of them."""
+        own = factor.equations
+        self.factor, self.settings = factor, settings
+        self.size = own.known.sum(axis=1)
+        self.plain_size = own.known[:, : 1 + own.loads].sum(axis=1)
+        all_first = np.roll(factor.hyperparameters.groups, 1, axis=0)
+        self.roots = np.sqrt(factor.hyperparameters.inverse_squares) * all_first
+        self.trees = [KDTree(own.x * root) for root in self.roots]
+        self._numbers = numbers(equations.known)[factor.rows]
+        self.around = tuple(self.local_factor(near, table) for near in self.members(own.x))
 
     def nearest(self, x: Floats) -> Places:
-        """Return the row nearest to each place (m, 6) over all loads, shape (m,), indices.
+        """Return the row nearest to each place (m, 6) over all loads, shape (m,).
 
         Of rows that are equally near the first.
         """
         places = x * self.roots[0]
-        distance = np.asarray(self.trees[0].query(places)[0], dtype=float)
-        # Which of its rows are within a distance (m,) of places (m, 6), ascending.
-        radius = np.sqrt(distance**2 + TIE)
-        return self.rows[
-            [near[0] for near in self.trees[0].query_ball_point(places, radius, return_sorted=True)]
-        ]
+        radius = np.sqrt(np.asarray(self.trees[0].query(places)[0], dtype=float) ** 2 + TIE)
+        near = self.trees[0].query_ball_point(places, radius, return_sorted=True)
+        return np.array([rows[0] for rows in near], dtype=np.intp)
 
-    def nearest_others(self, rows: Places, x: Floats, labels: Places) -> Places:
-        """Return the row nearest to each of some of its own rows that has another label.
+    def nearest_others(self, rows: Places, labels: Places) -> Places:
+        """Return the row nearest to each of some rows (k,) that has another label, shape (k,).
 
-        Parameters
-        ----------
-        rows : ndarray of int, shape (k,)
-            Places among its rows.
-        x : ndarray, shape (n, 6), dimensionless
-            Of all rows of the table.
-        labels : ndarray of int, shape (r,)
-            Group of each of its rows, of which there are two or more.
+        `labels`, shape (r,), are the groups of all rows, of which there are two or more.
         """
-        places = x[self.rows] * self.roots[0]
+        places = self.factor.equations.x * self.roots[0]
         apart = ((places[rows][:, None] - places) ** 2).sum(axis=2)
         apart[labels[rows][:, None] == labels] = np.inf
-        near = apart <= apart.min(axis=1, keepdims=True) + TIE
-        return self.rows[near.argmax(axis=1)]
+        return (apart <= apart.min(axis=1, keepdims=True) + TIE).argmax(axis=1)
 
     def members(
         self, x: Floats, labels: Places | None = None, without: Places | None = None
     ) -> list[Places]:
-        """Return the neighbours of each place (m, 6), nearest first.
+        """Return the neighbours of each place (m, 6), nearest first, that the settings allow.
 
         Parameters
         ----------
         labels : ndarray of int, shape (r,), optional
-            Group of each of its rows.
+            Group of each row.
         without : ndarray of int, shape (m,), optional
             For each place the label of the group that is left out.
         """
         largest = 0 if labels is None else int(np.bincount(labels).max())
-        count = min(self.most_rows + largest, len(self.rows))
+        most_rows, bent = self.settings.deviation_rows, self.settings.deviation_bent
+        most_equations = self.settings.deviation_solves * (1 + self.factor.equations.loads)
+        count = min(most_rows + largest, len(self.size))
         found = [
             np.asarray(tree.query(x * root, k=count)[1]).reshape(len(x), count)
             for tree, root in zip(self.trees, self.roots, strict=True)
         ]
-        interleaved = np.stack(found, axis=2).reshape(len(x), -1)
-        lists = [np.array(list(dict.fromkeys(row)), dtype=np.intp) for row in interleaved.tolist()]
-        if labels is not None and without is not None:
-            lists = [
-                near[labels[near] != label] for near, label in zip(lists, without, strict=True)
-            ]
-        return [self._first(near) for near in lists]
+        lists = []
+        for place, row in enumerate(np.stack(found, axis=2).reshape(len(x), -1).tolist()):
+            near = np.array(list(dict.fromkeys(row)), dtype=np.intp)
+            if labels is not None and without is not None:
+                near = near[labels[near] != without[place]]
+            near = near[:most_rows]
+            size = np.append(self.size[near[:bent]], self.plain_size[near[bent:]])
+            lists.append(near[np.cumsum(size) <= most_equations])
+        return lists
 
-    def _first(self, near: Places) -> Places:
-        """Return the rows of a list of places, each once, that the limits allow."""
-        near = near[: self.most_rows]
-        size = np.append(self.size[near[: self.most_bent]], self.plain_size[near[self.most_bent :]])
-        return self.rows[near[np.cumsum(size) <= self.most_equations]]
+    def local_factor(self, near: Places, table: Floats) -> LocalFactor:
+        """Return the factor over some rows (k,), nearest first.
 
-
-def neighbours_known(equations: Equations, members: Places, most_bent: int) -> Mask:
-    """Return which readings count of the rows of a neighbourhood, nearest first, shape (k, p)."""
-    known = equations.known[members]
-    known[most_bent:, 1 + equations.loads :] = False
-    return known
-
-
-@dataclass(frozen=True)
-class LocalFactor:
-    """The factor over one neighbourhood, in dimensionless numbers.
-
-    Attributes
-    ----------
-    members : ndarray of int, shape (k,)
-        Rows of the table.
-    places : ndarray of int, shape (e,)
-        Its equations: the readings of all rows before, and which one of the row.
-    T : ndarray, shape (e, e)
-        Inverse of the lower Cholesky factor.
-    TF : ndarray, shape (e, 7)
-        T times the mean's terms.
-    least : float
-        The nugget's share of the prior variance: below it sigma squared is rounding.
-    """
-
-    members: Places
-    places: Places
-    T: Floats
-    TF: Floats
-    least: float
-
-    def squared_deviation(
-        self, across: Floats, terms: Floats, prior: float, mean_covariance: Floats
-    ) -> Floats:
-        """Return sigma squared, over the process variance, at places (m).
-
-        Parameters
-        ----------
-        across : ndarray, shape (m, e)
-            Covariance of the values there with the equations.
-        terms : ndarray, shape (m, 7)
-            The mean's terms there.
+        `table` (a, a), dimensionless, is the covariance of all a equations of the table.
         """
-        reduced = row_by_row(across, self.T.T)
-        unsettled = terms - row_by_row(reduced, self.TF)
-        spent = np.einsum("me,me->m", reduced, reduced)
-        loose = np.einsum("ma,ab,mb->m", unsettled, mean_covariance, unsettled)
-        return np.maximum(prior - spent, self.least) + loose
-
-
-def row_by_row(left: Floats, right: Floats) -> Floats:
-    """Return the product of matrices (m, k) and (k, n), each row of it by itself.
-
-    So a row's digits do not depend on which others there are: weights are up to 1e8 times their
-    sum, and the order of a sum depends on the shape of the matrices.
-    """
-    return (left[:, None] @ right)[:, 0]
-
-
-def local_factor(
-    equations: Equations,
-    whole: KrigingFactor,
-    members: Places,
-    table: Floats,
-    settings: KrigingSettings = DEFAULTS,
-) -> LocalFactor:
-    """Return the factor over some rows of a whole factor.
-
-    Parameters
-    ----------
-    members : ndarray of int, shape (k,)
-    table : ndarray, shape (a, a), dimensionless
-        The covariance of all a equations of the table.
-    """
-    known = neighbours_known(equations, members, settings.deviation_bent)
-    own = replace(equations.take(members), known=known)
-    places = (members[:, None] * own.places + np.arange(own.places))[own.known]
-    equation = numbers(equations.known)[members][own.known]
-    matrix = table[np.ix_(equation, equation)]
-    hyperparameters, nugget = whole.hyperparameters, whole.nugget
-    matrix[np.diag_indices_from(matrix)] += diagonal_added(
-        own, noise_of(equations, whole)[members], nugget, hyperparameters
-    )
-    prior = np.tile(hyperparameters.prior(own.places), (len(own), 1))[own.known]
-    T, used = inverse_factor(matrix, nugget, settings.nugget_limit, prior)
-    TF = T @ mean_terms(own.x, own.known)
-    return LocalFactor(members, places, T, TF, used * float(prior[0]))
-
-
-@dataclass(frozen=True)
-class Neighbourhoods:
-    """What gives sigma of the outputs of one factor; loads and variances are dimensionless.
-
-    Attributes
-    ----------
-    factor : KrigingFactor
-    finder : Finder
-    around : tuple of LocalFactor
-        The neighbourhood of each of the factor's rows.
-    """
-
-    factor: KrigingFactor
-    finder: Finder
-    around: tuple[LocalFactor, ...]
-
-
-def deviations(x: Floats, across: Floats, share: Neighbourhoods) -> Floats:
-    """Return the posterior deviation (m,), process deviations, at places (m, 6), of one factor.
-
-    `across` (m, 7 n) is the covariance of their values with all places of all rows.
-    """
-    terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
-    squared, prior = np.empty(len(x)), float(share.factor.hyperparameters.prior(1)[0])
-    place = np.searchsorted(share.factor.rows, share.finder.nearest(x))
-    for anchor in np.unique(place):
-        queries, local = np.flatnonzero(place == anchor), share.around[anchor]
-        squared[queries] = local.squared_deviation(
-            across[np.ix_(queries, local.places)],
-            terms[queries],
-            prior,
-            share.factor.mean_covariance,
+        whole = self.factor
+        own = whole.equations.take(near)
+        known = own.known
+        known[self.settings.deviation_bent :, 1 + own.loads :] = False
+        places = (whole.rows[near][:, None] * own.places + np.arange(own.places))[known]
+        number = self._numbers[near][known]
+        made = _factored(
+            own,
+            whole.noise[near],
+            table[np.ix_(number, number)],
+            whole.hyperparameters,
+            whole.nugget,
+            self.settings,
         )
-    return np.sqrt(squared)
+        return LocalFactor(whole.hyperparameters, made.nugget, made.T, made.TF, places, number)
 
+    def deviations(self, x: Floats, across: Floats) -> Floats:
+        """Return the posterior deviation (m,), process deviations, at places (m, 6).
 
-def neighbourhoods_of(
-    equations: Equations, factor: KrigingFactor, table: Floats, settings: KrigingSettings
-) -> Neighbourhoods:
-    """Return the neighbourhoods of a factor's rows."""
-    equations_most = settings.deviation_solves * (1 + equations.loads)
-    limits = settings.deviation_rows, equations_most, settings.deviation_bent
-    finder = Finder(equations, factor.rows, factor.hyperparameters, limits)
-    around = tuple(
-        local_factor(equations, factor, members, table, settings)
-        for members in finder.members(equations.x[factor.rows])
-    )
-    return Neighbourhoods(factor, finder, around)
-
-
-def noise_of(equations: Equations, factor: KrigingFactor) -> Floats:
-    """Return the noise of every row of the table, zero where the factor has none."""
-    noise = np.zeros(len(equations))
-    noise[factor.rows] = factor.noise
-    return noise
+        `across` (m, 7 n) is the covariance of their values with all places of all rows.
+        """
+        terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
+        squared, nearest = np.empty(len(x)), self.nearest(x)
+        for anchor in np.unique(nearest):
+            queries, local = np.flatnonzero(nearest == anchor), self.around[anchor]
+            squared[queries] = local.squared_deviation(
+                across[np.ix_(queries, local.places)], terms[queries], self.factor.mean_covariance
+            )
+        return np.sqrt(squared)

@@ -22,7 +22,6 @@ from wrenchbook.surrogate.kriging import (
     TooFewRowsError,
     TooManyRowsError,
 )
-from wrenchbook.surrogate.kriging.kriging import Dense
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 COUPLED = RESPONSES["strongly_coupled"]
@@ -51,7 +50,7 @@ def test_answers_and_derivatives_at_rows_are_the_rows(kriging: Kriging) -> None:
     derivative = slopes(ROWS, ROWS.wrench)
     size = _size(ROWS)
     nugget = kriging.settings.nugget * kriging.hyperparameters.prior(1)[0]
-    allowed = np.sqrt(nugget) * kriging.inside.deviation * kriging.scaling.spread
+    allowed = np.sqrt(nugget) * kriging.deviation * kriging.scaling.spread
     assert (allowed / size).max() < 2e-4
     assert (np.abs(displacement - ROWS.displacement) <= allowed).all()
     assert (np.abs(derivative - ROWS.compliance) * HIGH / size[:, None]).max() < 1e-6
@@ -118,8 +117,7 @@ def test_rows_at_one_wrench_are_one_row() -> None:
         ROWS.wrench[:3] + 1e-7 * HIGH, ROWS.displacement[:3], compliance=ROWS.compliance[:3]
     )
     merged = Kriging.build(ROWS + again, RANGE)
-    assert isinstance(merged.inside, Dense)
-    assert len(merged.inside.equations) == len(ROWS)
+    assert len(merged.equations) == len(ROWS)
 
 
 def test_rows_that_contradict_each_other_at_one_wrench_are_met_between() -> None:
@@ -144,12 +142,11 @@ def test_a_load_that_cannot_occur_drops_out() -> None:
     rows = solved(COUPLED, x)
     load_range = LoadRange(-high, high)
     kriging = Kriging.build(rows, load_range)
-    assert isinstance(kriging.inside, Dense)
-    assert kriging.inside.equations.count == 6 * len(kriging.inside.equations)
+    assert kriging.equations.count == 6 * len(kriging.equations)
     asked = ASKED * (np.arange(6) != 4)
     error = np.abs(kriging.answer_many(asked)[0] - COUPLED(asked / HIGH))
     assert (np.sqrt((error**2).mean(axis=0)) / _size(rows)).max() < 0.05
-    used = build(rows, load_range).groups[0][1].used  # rows that only differ by it are one
+    used = build(rows, load_range).groups[0].used  # rows that only differ by it are one
     mean = used.compliance[:, :, 4].mean(axis=0)
     np.testing.assert_allclose(slopes(rows, asked[:1], load_range)[0, :, 4], mean, rtol=1e-12)
 
@@ -159,8 +156,7 @@ def test_a_load_that_moves_nothing_drops_out() -> None:
         return COUPLED(x * (np.arange(6) != 5))
 
     kriging = Kriging.build(solved(idle, WRENCHES), RANGE)
-    assert isinstance(kriging.inside, Dense)
-    assert kriging.inside.equations.count == 6 * len(kriging.inside.equations)
+    assert kriging.equations.count == 6 * len(kriging.equations)
     turned = ASKED * [1, 1, 1, 1, 1, -1]
     np.testing.assert_array_equal(kriging.answer_many(ASKED)[0], kriging.answer_many(turned)[0])
 
@@ -214,7 +210,7 @@ def test_measured_rows_are_smoothed_as_well_where_nobody_stated_their_noise() ->
 def test_repeated_readings_tell_their_noise() -> None:
     x, response = np.repeat(full_wrenches(30, 4), 4, axis=0), RESPONSES["smooth"]
     kriging = Kriging.build(noisy_rows(response, x, 22, told=False), RANGE)
-    assert len(kriging.inside.equations) == 30
+    assert len(kriging.equations) == 30
     deviation = np.sqrt(kriging.reading_variance) * kriging.scaling.spread
     # ninety differences tell it to 8 %; of what may be response or noise the least is taken
     assert (deviation > 0.75 * NOISE).all()

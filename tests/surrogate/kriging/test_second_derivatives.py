@@ -119,7 +119,7 @@ def test_beyond_one_factor_rows_far_apart_keep_their_second_derivatives(stiffeni
     close = np.clip(places(6, 6) * 0.01, -1, 1)
     rows = stiffening.rows(np.concatenate((places(8, 5), close)))
     settings = KrigingSettings(dense_equations=14 * 7 + 9 * 21)
-    equations = Kriging.build(rows, RANGE, settings).inside.equations
+    equations = Kriging.build(rows, RANGE, settings).equations
     assert equations.count <= settings.dense_equations
     bent = equations.known[:, 7:].any(axis=1)
     assert bent.sum() == 9
