@@ -12,6 +12,7 @@ from typing import Any
 from wrenchbook.fea.accuracy.advice import over_tolerance, straight_edges
 from wrenchbook.fea.accuracy.estimate import accuracy_or_why
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
+from wrenchbook.fea.bundle.reference import json_schema
 from wrenchbook.fea.check import findings
 from wrenchbook.fea.check.cost import estimate
 from wrenchbook.fea.check.deck_comparison import contradictions, listing
@@ -250,9 +251,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--inertia", type=_numbers, help="its inertia about its centre, kg·m^2: xx,yy,zz or six")
     add("--centre", type=_numbers, help="its centre from the interface point, m: x,y,z")
     add("--nonlinear", action="store_true", help="nonlinear solves for the stresses over the range")
-    add("folder", type=Path, metavar="FOLDER", help="folder of the component bundle")
+    add("--schema", action="store_true", help="the JSON schema of component.toml, for editors")
+    add("folder", type=Path, metavar="FOLDER", nargs="?", help="folder of the component bundle")
     try:
         options = parser.parse_args(arguments)
+        if options.schema:
+            print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+            return 0
+        if options.folder is None:
+            raise ValueError("name the FOLDER of a component bundle, or --schema")
         # The mass of the arguments; None without any.
         if options.mass is None and options.inertia is None and options.centre is None:
             riding = None

@@ -1,32 +1,187 @@
-"""Orthotropic elasticity: nine engineering constants, and what no material can have."""
+"""Materials: isotropic ones, and orthotropic ones with what none of them can have."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import AfterValidator
 
-Array = np.ndarray
-Three = tuple[float, float, float]
+from wrenchbook.fea.spec.keys import (
+    Array,
+    Axes,
+    MistakesError,
+    Number,
+    Positive,
+    Text,
+    Three,
+    ThreePositive,
+    array_table,
+    either,
+    key,
+    mesh_axes,
+    table,
+    unit_vector,
+)
 
-MOST_ISOTROPIC_RATIO = 0.4
+LAWS = ("isotropic", "orthotropic", "neo-hookean")
+
+MAX_ISOTROPIC_RATIO = 0.4
 """Of `Orthotropic.isotropic_ratio`: the least at which any kind of cells locks."""
+_LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
-@dataclass(frozen=True)
-class Orthotropic:
-    """Constants in three directions square to each other."""
+def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(map(abs, expansion)) > _LARGEST_EXPANSION:
+        raise ValueError(
+            f"is above {_LARGEST_EXPANSION:g} 1/K, more than any solid's; aluminium has 23e-6"
+        )
+    return expansion
 
-    youngs_moduli: Three  # E1, E2, E3, Pa
-    # nu12, nu13, nu23: strain across over strain along, less, when pulled along the first of the
-    # two directions; nu21 = nu12 E2 / E1.
-    poisson_ratios: Three
-    shear_moduli: Three  # G12, G13, G23, Pa
-    # The directions 1, 2 and 3 in the mesh's axes, orthonormal and right-handed
-    axes: tuple[Three, Three, Three]
-    # A point, m, and a unit direction of the axis about which 1, 2 and 3 are radial,
-    # circumferential and axial, in the mesh's axes; None where `axes` are everywhere the same.
-    cylinder: tuple[Three, Three] | None = None
+
+def _alike(expansion: float | tuple[float, float, float]) -> tuple[float, float, float]:
+    three = expansion if isinstance(expansion, tuple) else (expansion, expansion, expansion)
+    if len(set(three)) > 1:
+        raise ValueError("must be a finite number in 1/K; three are of an orthotropic material")
+    return _small(three)
+
+
+Expansion = Annotated[tuple[float, float, float], either(Number, Three), AfterValidator(_alike)]
+
+
+def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not 1e-6 < np.sqrt(sum(x * x for x in axis)) < 1e6:
+        raise ValueError("must be a direction: three numbers that are not all zero")
+    return unit_vector(axis)
+
+
+@table
+class Solid:
+    """What every material has."""
+
+    region: Text = key(
+        "a cell group of the mesh; `all` is what no other material fills", example='"all"'
+    )
+    density: Positive | None = key(
+        "for mass and natural frequency; a must with `gravity` and `[inputs.acceleration]`",
+        "kg/m^3",
+        "2700.0",
+        default=None,
+        kw_only=True,
+    )
+    yield_strength: Positive | None = key(
+        "compared with the von Mises stress; `check` prints the largest under the full range",
+        "Pa",
+        "240e6",
+        default=None,
+        kw_only=True,
+    )
+
+
+@table
+class Material(Solid):
+    """An isotropic elastic material; `thermal_expansion` is along x, y and z, all equal."""
+
+    youngs_modulus: Positive = key("Young's modulus", "Pa", "70e9")
+    poisson_ratio: Number = key(
+        "Poisson's ratio, above -1 and below 0.5", example="0.33", gt=-1, lt=0.5
+    )
+    law: Literal["isotropic", "neo-hookean"] = key(
+        "or `neo-hookean` (rubber; the constants are those of small strains)",
+        example='"neo-hookean"',
+        default="isotropic",
+        among=LAWS,
+        kw_only=True,
+    )
+    thermal_expansion: Expansion | None = key(
+        "a must with `[inputs.temperature]`", "1/K", "23e-6", default=None, kw_only=True
+    )
+
+    @property
+    def orthotropic(self) -> Orthotropic | None:
+        """The constants of the orthotropic law: none."""
+        return None
+
+
+@table
+class Cylinder:
+    """An axis about which directions are radial, circumferential and axial, in the mesh's axes."""
+
+    point: Three = key("on the axis", "m", "[0, 0, 0]")
+    axis: Annotated[Three, AfterValidator(_direction)] = key(
+        "its direction, made a unit vector", example="[0, 0, 1]"
+    )
+
+
+@array_table
+class Orthotropic(Solid):
+    """An elastic material of nine constants in three directions square to each other."""
+
+    youngs_moduli: ThreePositive = key(
+        "orthotropic: `[E1, E2, E3]`", "Pa", "[135e9, 10e9, 10e9]", name="youngs_modulus"
+    )
+    # Strain across over strain along, less, when pulled along the first of the two directions;
+    # nu21 = nu12 E2 / E1.
+    poisson_ratios: Three = key(
+        "orthotropic: `[nu12, nu13, nu23]`; nu12 is along 2 when pulled along 1",
+        example="[0.3, 0.3, 0.4]",
+        name="poisson_ratio",
+    )
+    shear_moduli: ThreePositive = key(
+        "orthotropic only: `[G12, G13, G23]`", "Pa", "[5e9, 5e9, 3.5e9]", name="shear_modulus"
+    )
+    axes: Axes = key(
+        "orthotropic only: the directions 1, 2, 3 in the mesh's axes",
+        example="[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]",
+        default=mesh_axes,
+        absent="mesh's",
+    )
+    cylinder: Cylinder | None = key(
+        "orthotropic only, in place of `axes`: 1, 2, 3 are radial, circumferential and axial about "
+        "this axis, at each integration point",
+        example="{point = [0, 0, 0], axis = [0, 0, 1]}",
+        default=None,
+    )
+    law: Literal["orthotropic"] = key(
+        "or `orthotropic`", example='"orthotropic"', default="orthotropic", kw_only=True
+    )
+    thermal_expansion: Annotated[Three, AfterValidator(_small)] | None = key(
+        "orthotropic: three, along 1, 2, 3",
+        "1/K",
+        "[1e-6, 30e-6, 30e-6]",
+        default=None,
+        kw_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        if not self.stable:
+            message = (
+                "no material has these: some strain would give energy back. Each |nu_ij| must be "
+                "below sqrt(E_i / E_j); nu12 is the strain along 2 when pulled along 1 "
+                "(nu21 = nu12 E2 / E1)"
+            )
+            raise MistakesError(("poisson_ratio", message))
+        if (ratio := self.isotropic_ratio) > MAX_ISOTROPIC_RATIO:
+            message = (
+                f"the material keeps its volume like an isotropic one of {ratio:.3g}"
+                f"; orthotropic cells lock (are too stiff) above {MAX_ISOTROPIC_RATIO:g}"
+            )
+            raise MistakesError(("poisson_ratio", message))
+
+    @property
+    def orthotropic(self) -> Orthotropic | None:
+        """The constants of the orthotropic law: these."""
+        return self
+
+    @property
+    def youngs_modulus(self) -> float:
+        """The largest, Pa."""
+        return max(self.youngs_moduli)
+
+    @property
+    def poisson_ratio(self) -> float:
+        """`isotropic_ratio`, which tells cells that would lock."""
+        return self.isotropic_ratio
 
     def directions(self, places: Array) -> Array:
         """Return the directions 1, 2 and 3 at places (..., 3), m: shape (..., 3, 3), in rows.
@@ -34,8 +189,8 @@ class Orthotropic:
         Places and directions are in the mesh's axes. On the axis itself any radial one will do.
         """
         if self.cylinder is None:
-            return np.broadcast_to(np.array(self.axes), (*places.shape[:-1], 3, 3))
-        point, axial = np.array(self.cylinder)
+            return np.broadcast_to(self.axes, (*places.shape[:-1], 3, 3))
+        point, axial = np.array(self.cylinder.point), np.array(self.cylinder.axis)
         off = places - point
         off = off - (off @ axial)[..., None] * axial
         size = np.linalg.norm(off, axis=-1, keepdims=True)
@@ -79,3 +234,6 @@ class Orthotropic:
                 [-nu13 / e1, -nu23 / e2, 1 / e3],
             ]
         )
+
+
+AnyMaterial = Material | Orthotropic

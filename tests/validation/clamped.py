@@ -56,7 +56,7 @@ def clamped(
     """
     part = section_of_facets(mesh.points, mesh.facet_groups[section])
     place = part.centre if point is None else point
-    interface = Interface(section, place, np.eye(3) if axes is None else axes, coupling)
+    interface = Interface(section, coupling, place, np.eye(3) if axes is None else axes)
     bundle = _bundle(Material("all", *material), fixed, interface, nonlinear)
     return ComponentModel(
         bundle=bundle,

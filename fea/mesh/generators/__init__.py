@@ -1,4 +1,4 @@
-"""Mesh generators, each a frozen dataclass of parameters with `mistakes` and `mesh`."""
+"""Mesh generators, each a table of parameters with `mistakes` and `mesh`."""
 
 from __future__ import annotations
 

@@ -2,38 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from wrenchbook.fea.mesh.generators.parameters import count, metres, too_many
+from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.mesh.generators.plane import rectangle
 from wrenchbook.fea.mesh.generators.sweep import sweep
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.keys import Positive, Whole, key, table
+from wrenchbook.fea.spec.schema import Generator
 
 Array = np.ndarray
 
 
-@dataclass(frozen=True)
-class Bar:
+@table
+class Bar(Generator):
     """Parameters of generator "bar"; lengths in metres.
 
     The bar lies along x from 0 to `length`, centred on the axis. Facet groups: ``start``
     (x = 0), ``end`` (x = `length`), ``side``.
     """
 
-    # length, width, height: Along x, y, z
-    length: float = metres()
-    width: float = metres()
-    height: float = metres()
-    # cells_along, cells_across: number of cells along x, and along each of y and z
-    cells_along: int = count(40)
-    cells_across: int = count(2)
+    length: Positive = key("bar: along x", "m", "0.4")
+    width: Positive = key("bar: along y", "m", "0.4")
+    height: Positive = key("bar: along z", "m", "0.02")
+    cells_along: Whole = key("bar: along x", "cells", "20", default=40, ge=1)
+    cells_across: Whole = key("bar: along each of y and z", "cells", "3", default=2, ge=1)
+    generator: Literal["bar"] = key(
+        "`bar`, `plate` or `spring`, with its parameters",
+        example='"bar"',
+        default="bar",
+        kw_only=True,
+        absent="none",
+    )
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what will not do: too many cells."""
-        key = "cells_along" if self.cells_along > self.cells_across else "cells_across"
-        return too_many(float(self.cells_along) * self.cells_across**2, key)
+        most = "cells_along" if self.cells_along > self.cells_across else "cells_across"
+        return too_many(float(self.cells_along) * self.cells_across**2, most)
 
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
-from wrenchbook.fea.mesh.generators.parameters import count, metres, too_many
+from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.mesh.generators.plane import (
     bend_circle,
     grid_quads,
@@ -18,12 +18,14 @@ from wrenchbook.fea.mesh.generators.plane import (
 )
 from wrenchbook.fea.mesh.generators.sweep import sweep
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.keys import Positive, Whole, key, table
+from wrenchbook.fea.spec.schema import Generator
 
 Array = np.ndarray
 
 
-@dataclass(frozen=True)
-class Plate:
+@table
+class Plate(Generator):
     """Parameters of generator "plate"; lengths in metres.
 
     The plate's middle is at x = y = 0; it reaches from z = 0 up to `thickness`. Facets cover the
@@ -33,17 +35,32 @@ class Plate:
     bottom face), ``rim`` (the four sides), ``top``, ``bottom``.
     """
 
-    # length, width, thickness: Along x, y, z
-    length: float = metres()
-    width: float = metres()
-    thickness: float = metres()
-    patch: float = metres()  # Diameter of the round patch
-    corner: float = metres(0.04)  # Side of the corner squares
-    # Number of cells across the patch's core, and along each side between two corner squares
-    cells: int = count(6, least=2)
-    rings: int = count(3)  # number of rings of cells from the patch out to the corner squares
-    corner_cells: int = count(1)  # number of cells along each side of a corner square
-    layers: int = count(2)  # number of cells through the thickness
+    length: Positive = key("plate: along x", "m", "0.4")
+    width: Positive = key("plate: along y", "m", "0.4")
+    thickness: Positive = key("plate: along z", "m", "0.01")
+    patch: Positive = key("plate: diameter of the round patch, facet group `patch`", "m", "0.12")
+    corner: Positive = key(
+        "plate: side of the corner squares, facet group `corners`", "m", "0.03", default=0.04
+    )
+    cells: Whole = key(
+        "plate: across the patch's core, and along each side between two corners",
+        "cells",
+        "8",
+        default=6,
+        ge=2,
+    )
+    rings: Whole = key("plate: from the patch out to the corners", "cells", "4", default=3, ge=1)
+    corner_cells: Whole = key(
+        "plate: along each side of a corner square", "cells", "2", default=1, ge=1
+    )
+    layers: Whole = key("plate: through the thickness", "cells", "3", default=2, ge=1)
+    generator: Literal["plate"] = key(
+        "`bar`, `plate` or `spring`, with its parameters",
+        example='"plate"',
+        default="plate",
+        kw_only=True,
+        absent="none",
+    )
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""

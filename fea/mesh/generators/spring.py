@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from wrenchbook.fea.mesh.generators.parameters import count, metres, positive, too_many
+from wrenchbook.fea.mesh.generators.parameters import too_many
 from wrenchbook.fea.mesh.generators.plane import disc
 from wrenchbook.fea.mesh.generators.sweep import sweep
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.keys import Positive, Whole, key, table
+from wrenchbook.fea.spec.schema import Generator
 
 Array = np.ndarray
 
 
-@dataclass(frozen=True)
-class Spring:
+@table
+class Spring(Generator):
     """Parameters of generator "spring"; lengths in metres.
 
     The wire's centre line climbs about the z axis from (D/2, 0, 0) to the height `free_length`,
@@ -23,20 +25,30 @@ class Spring:
     (the two cuts), ``side``.
     """
 
-    # wire_diameter, mean_diameter, free_length: of the wire, of the helix of its centre line, and
-    # that helix's height.
-    wire_diameter: float = metres()
-    mean_diameter: float = metres()
-    free_length: float = metres()
-    active_turns: float = positive("turns")  # Turns from cut to cut
-    cells_per_turn: int = count(26, least=6)  # Layers of cells in one turn
-    core: int = count(1)  # cells across the core of the section, which has core^2 + 4 core cells
+    wire_diameter: Positive = key("spring", "m", "0.002")
+    mean_diameter: Positive = key("spring: of the helix of the wire's centre line", "m", "0.02")
+    free_length: Positive = key("spring: height of that helix", "m", "0.05")
+    active_turns: Positive = key("spring: from cut to cut", "turns", "5.5")
+    cells_per_turn: Whole = key(
+        "spring: layers of cells in one turn", "cells", "12", default=26, ge=6
+    )
+    # The section has core^2 + 4 core cells
+    core: Whole = key(
+        "spring: across the core of the wire's section", "cells", "2", default=1, ge=1
+    )
+    generator: Literal["spring"] = key(
+        "`bar`, `plate` or `spring`, with its parameters",
+        example='"spring"',
+        default="spring",
+        kw_only=True,
+        absent="none",
+    )
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""
-        key = "cells_per_turn" if self.cells_per_turn > self.core else "core"
+        most = "cells_per_turn" if self.cells_per_turn > self.core else "core"
         layers = self.cells_per_turn * self.active_turns
-        problems = too_many(layers * (self.core**2 + 4.0 * self.core), key)
+        problems = too_many(layers * (self.core**2 + 4.0 * self.core), most)
         if self.wire_diameter >= self.mean_diameter:
             problems.append(
                 ("wire_diameter", "must be below mean_diameter, or the wire meets itself")

@@ -21,7 +21,7 @@ AXES = rotation(np.array([0.3, -0.5, 0.2]))
 def bar(coupling="rigid", **options):
     mesh = box("hex20", (1, 1, 6), SIZE)
     one = component(mesh, coupling=coupling, axes=AXES, integration="full", **options)
-    return Solver(replace(one, materials=(Material("all", 70e9, 0.3, DENSITY),)))
+    return Solver(replace(one, materials=(Material("all", 70e9, 0.3, density=DENSITY),)))
 
 
 def frequencies(solver, held):
