@@ -17,7 +17,7 @@ from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import cell_problems
-from wrenchbook.fea.spec.orthotropic import AnyMaterial
+from wrenchbook.fea.spec.material import AnyMaterial
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,

@@ -14,7 +14,7 @@ from wrenchbook.fea.element.pressure_projection import projects, require_no_lock
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
-from wrenchbook.fea.spec.orthotropic import LAWS, AnyMaterial, Orthotropic
+from wrenchbook.fea.spec.material import LAWS, AnyMaterial, Orthotropic
 
 Array = np.ndarray
 

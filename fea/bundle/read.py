@@ -21,7 +21,7 @@ from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.readers.registry import reader_named, reader_names
 from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.keys import keys_of, kind_of, missing, shown, unknown, validated
-from wrenchbook.fea.spec.orthotropic import AnyMaterial, Material
+from wrenchbook.fea.spec.material import AnyMaterial, Material
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from wrenchbook.fea.mesh.generators import GENERATORS, Bar, Plate, Spring
 from wrenchbook.fea.spec.keys import Name, Text, key, table, union
-from wrenchbook.fea.spec.orthotropic import AnyMaterial, Material, Orthotropic
+from wrenchbook.fea.spec.material import AnyMaterial, Material, Orthotropic
 from wrenchbook.fea.spec.schema import (
     GEOMETRY_ENDINGS,
     Analysis,

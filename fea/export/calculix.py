@@ -21,7 +21,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.spec.orthotropic import Orthotropic
+from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
 

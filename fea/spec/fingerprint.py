@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from wrenchbook.fea.spec.orthotropic import AnyMaterial, Orthotropic
+from wrenchbook.fea.spec.material import AnyMaterial, Orthotropic
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     TEMPERATURE,

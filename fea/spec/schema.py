@@ -40,7 +40,7 @@ from wrenchbook.fea.spec.keys import (
     mesh_axes,
     table,
 )
-from wrenchbook.fea.spec.orthotropic import AnyMaterial
+from wrenchbook.fea.spec.material import AnyMaterial
 
 FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 """The interface's six degrees of freedom, in the order of the wrench contract."""

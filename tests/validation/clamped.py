@@ -13,14 +13,8 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.schema import (
-    Analysis,
-    Bundle,
-    DeclaredRange,
-    Interface,
-    Material,
-    Supports,
-)
+from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.spec.schema import Analysis, Bundle, DeclaredRange, Interface, Supports
 
 Array = np.ndarray
 Warp = Callable[[Array], Array]

@@ -12,7 +12,7 @@ from tests.validation.clamped import clamped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.orthotropic import Orthotropic
+from wrenchbook.fea.spec.material import Orthotropic
 
 Array = np.ndarray
 

@@ -13,8 +13,7 @@ from tests.validation.clamped import clamped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.rotation import rotation
-from wrenchbook.fea.spec.orthotropic import Cylinder, Orthotropic
-from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.spec.material import Cylinder, Material, Orthotropic
 
 Array = np.ndarray
 

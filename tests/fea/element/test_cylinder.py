@@ -9,7 +9,7 @@ from tests.fea.supports import TABLE
 from tests.validation.materials import CENTRE, TURN, WOUND, orthotropic_beam, wound_tube
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.orthotropic import Cylinder
+from wrenchbook.fea.spec.material import Cylinder
 from wrenchbook.fea.spec.problems import BundleError
 
 LAMINA = {

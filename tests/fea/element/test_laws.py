@@ -12,7 +12,7 @@ from wrenchbook.fea.element.neo_hookean import NeoHookeanStiffness
 from wrenchbook.fea.element.orthotropic import OrthotropicStiffness, turned_elasticity
 from wrenchbook.fea.element.pressure_projection import volume_modes
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
-from wrenchbook.fea.spec.orthotropic import Orthotropic
+from wrenchbook.fea.spec.material import Orthotropic
 
 RNG = np.random.default_rng(17)
 STRAIGHT = np.eye(3)
