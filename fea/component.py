@@ -11,12 +11,11 @@ from wrenchbook.fea.coupling.rotation import rotation_less_identity
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
 from wrenchbook.fea.mesh.cad.meshing import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
-from wrenchbook.fea.mesh.facets import facets_within, outer_surface
-from wrenchbook.fea.mesh.groups import group_nodes, missing
+from wrenchbook.fea.mesh.facets import facets_within, group_nodes, missing, outer_surface
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.io.temperature_field import shape_on
+from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.mesh.quality import cell_problems
 from wrenchbook.fea.spec.material import AnyMaterial
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (

@@ -10,7 +10,7 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
 
     kind: one of ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``,
     ``snap_through``, ``rotation_too_large``, ``locking_material``; for a deck also those of
-    `fea.deck.failures`.
+    `fea.deck.running`.
     message: what happened, in an FEA engineer's words.
     remedy: what to change.
     """

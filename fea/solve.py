@@ -13,9 +13,8 @@ from scipy.sparse import csr_array
 
 from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
-from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
-from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
 from wrenchbook.fea.coupling.coupling import SectionCoupling, largest_rotation
@@ -24,7 +23,7 @@ from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.export.failure_record import keep
 from wrenchbook.fea.failure import SolveFailed, rotation_too_large, yields
-from wrenchbook.fea.inspection.warnings import warnings_of
+from wrenchbook.fea.inspection import warnings_of
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
@@ -32,12 +31,18 @@ from wrenchbook.fea.recovery.stress import most_used, small_stress, stress_of, y
 from wrenchbook.fea.recovery.weight import material_of_parts, pull_of
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
-from wrenchbook.fea.solver.craig_bampton import CraigBampton, craig_bampton
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath, hang
 from wrenchbook.fea.solver.newton import Equilibrium
 from wrenchbook.fea.solver.third_derivatives import MOST_INPUTS, packed, third_derivatives
-from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
+from wrenchbook.fea.solver.vibration import (
+    CraigBampton,
+    Riding,
+    Vibration,
+    consistent_mass,
+    craig_bampton,
+    first_vibration,
+)
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 __all__ = ["MOST_DEGREES", "Solver", "solve"]
@@ -196,7 +201,7 @@ class Solver:
         Raises
         ------
         ValueError, SolveFailed
-            As `fea.solver.craig_bampton.craig_bampton` does.
+            As `fea.solver.vibration.craig_bampton` does.
         """
         held, frames = [("base", np.zeros(3), np.eye(3))], []
         for interface in self.component.interfaces:

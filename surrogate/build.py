@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from .composition.composition import Composition
-from .rig_error import rig_error
+from .axes.axes import Composition
+from .findings.find import rig_error
 from .solver_error import SolverError, bars_are_whole
 from .surrogate import Surrogate
 from .table.axes import OffAxis
 from .table.compliance import ComplianceFit
-from .table.conflicts import row_conflicts
-from .table.rows import Floats, LoadRange, Rows, Tolerance, without_locked
+from .table.merging import row_conflicts
+from .table.rows import LoadRange, Rows, Tolerance
 
 
 class AnyTable:
@@ -167,46 +167,3 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
             }
             parts.append((tuple(outputs), replace(some, **changed)))
     return parts
-
-
-def tangent_at_zero(table: AnyTable) -> tuple[Floats, str]:
-    """Return the compliance at zero load, and what tells it.
-
-    It is the tangent of the row at zero load, else du/dw of the table's default method there. The
-    fitted compliance (`AnyTable.fit`) is another one: the mean over the load range.
-
-    Returns
-    -------
-    matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
-        NaN where unknown: for a load that no row tells, and an output that no row holds.
-    origin : str
-        ``row``, a method, or ``none``.
-    """
-    space = table.load_range.space
-    found, row = np.full((2, len(space.outputs), len(space.inputs)), np.nan)
-    for outputs, group in table.groups:
-        own = list(outputs)
-        row[own] = group.exact.tangent([0.0] * len(space.inputs))[own]
-        found[own] = _slopes_at_zero(group)[own]
-    known = np.isfinite(row)
-    if known.any():
-        return np.where(known, row, found), "row"
-    return found, table.default if np.isfinite(found).any() else "none"
-
-
-def _slopes_at_zero(group: Surrogate) -> Floats:
-    """Return du/dw (6, 6), SI, of a group's default method; NaN by loads that no row tells."""
-    shape = group.fit.matrix.shape
-    if not group.can_answer:
-        return np.full(shape, np.nan)
-    zero, name = np.zeros((1, shape[1])), group.default
-    if name == "linear":
-        found = group.fit.matrix[None]
-    elif group.by_kriging and group.kriging is not None:
-        found = group.kriging.derivatives(zero)
-    else:
-        found = group.composition.derivatives(zero, name)
-    found = without_locked(found, group.locked)[0]
-    unknown = ~group.fit.known
-    unknown[list(group.locked)] = False  # no output depends on them: zero
-    return np.where(unknown, np.nan, found)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from .composition.axis_table import SOUND, AxisTable
-from .composition.composition import Composition
+from .axes.axes import Composition
+from .axes.axis_table import SOUND, AxisTable
 from .table.axes import AXES, LoadAxis
 from .table.compliance import ComplianceFit
-from .table.conflicts import row_conflicts
+from .table.merging import row_conflicts
 from .table.rows import Floats, LoadRange, Rows
 from .table.space import LOADS, OUTPUTS
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .table.row_index import RowIndex
+from .table.merging import RowIndex
 from .table.rows import Floats, LoadRange, Rows, acting_one, without_locked
 
 SOLVED = "fea"  # the source of rows that a solver gave

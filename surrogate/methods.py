@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .composition.axis_table import AxisTable
-from .composition.composition import Composition
+from .axes.axes import Composition
+from .axes.axis_table import AxisTable
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from .table.axes import AXES, LoadAxis, clean_rows, count_full
 from .table.compliance import ComplianceFit
-from .table.rows import Floats, LoadRange, Rows
+from .table.rows import ROUNDING, Floats, LoadRange, Rows
 from .table.space import LOADS, OUTPUTS
 
 CLEARLY = 0.8  # of the axes' error: a kriging that is no better than that is not worth its cost
@@ -31,7 +31,6 @@ INTERACTION_UNKNOWN = (
     "several axes do together"
 )
 LEFT_OUT = 0.95  # quantile of what griddata leaves out: as its error bars hold
-ROUNDING = 1e-12  # of the largest translation: what moves less does not move
 
 MOST_INTERACTION = 200  # full wrenches that tell what the axes miss: one quick factor
 

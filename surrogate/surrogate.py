@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from .answer import Allowed, allowed_of
-from .composition.build import build_composition
-from .composition.composition import Composition
+from .axes.axes import Composition, build_composition
 from .describe import summarise
 from .exact_rows import ExactRows
 from .kriging import (
@@ -21,7 +20,6 @@ from .kriging import (
     TooFewRowsError,
     equation_count,
     fits_one_factor,
-    readings_of,
     too_large_in_words,
 )
 from .methods import (
@@ -103,8 +101,7 @@ class Surrogate:
         self.off_axis: OffAxis = off_axis
         self.locked = tuple(locked)
         merged = merge(rows, load_range)
-        self._merged = merged
-        self.used, self.members = merged.usable()
+        self.used, self.members, self._readings = merged.usable()
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
         self.equations = self._equations()
         self.one_factor = fits_one_factor(self.equations)
@@ -171,13 +168,7 @@ class Surrogate:
         if self.linear or not self.one_factor:
             return None
         try:
-            # What was measured behind each of `used`, for the noise that nobody stated.
-            inside = np.flatnonzero(self._merged.within)
-            return Kriging.build(
-                self.used,
-                self.load_range,
-                readings=readings_of(self.rows, self._merged.owner).take(inside),
-            )
+            return Kriging.build(self.used, self.load_range, readings=self._readings)
         except (TooFewRowsError, SingularCovarianceError):
             return None
 

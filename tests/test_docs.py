@@ -106,7 +106,7 @@ def commands(page: Path) -> Iterator[tuple[int, list[str]]]:
 
 @cache
 def help_of(program: str) -> str:
-    command = child_command(f"wrenchbook.fea.check.{PROGRAMS[program][0]}", "--help")
+    command = child_command("wrenchbook.fea.check.commands", program, "--help")
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 

@@ -22,8 +22,8 @@ def cli() -> str:
     for one in command.commands.values():
         one.short_help = (one.help or "").partition("\n\n")[0]  # not cut at 45 characters
     text = typer.cli.get_docs_for_click(obj=command, ctx=context, name="wrenchbook")
-    for name, (module, _) in PROGRAMS.items():  # typer does not know their arguments
-        words = [sys.executable, "-m", f"wrenchbook.fea.check.{module}", "--help"]
+    for name in PROGRAMS:  # typer does not know their arguments
+        words = [sys.executable, "-m", "wrenchbook.fea.check.commands", name, "--help"]
         shown = subprocess.run(words, capture_output=True, text=True, check=True).stdout
         heading = f"## `wrenchbook {name}`"
         text = text.replace(f"{heading}\n", f"{heading}\n\n```text\n{shown}```\n", 1)

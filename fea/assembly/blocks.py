@@ -7,11 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
-from wrenchbook.fea.element.mapping import Gradients, cell_gradients
 from wrenchbook.fea.element.neo_hookean import NeoHookeanStiffness
-from wrenchbook.fea.element.orthotropic import OrthotropicStiffness, turned_elasticity
 from wrenchbook.fea.element.pressure_projection import projects, require_no_locking, volume_modes
-from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
+from wrenchbook.fea.element.st_venant_kirchhoff import (
+    OrthotropicStiffness,
+    Stiffness,
+    turned_elasticity,
+)
+from wrenchbook.fea.mesh.mapping import Gradients, cell_gradients
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.spec.material import LAWS, AnyMaterial, Orthotropic

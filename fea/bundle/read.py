@@ -18,7 +18,7 @@ import numpy as np
 from wrenchbook.fea.bundle.tables import ComponentFile, MaterialTable
 from wrenchbook.fea.mesh.deck_content import deck_text, integrations
 from wrenchbook.fea.mesh.generators import GENERATORS
-from wrenchbook.fea.readers.registry import reader_named, reader_names
+from wrenchbook.fea.readers import reader_named, reader_names
 from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.keys import keys_of, kind_of, missing, shown, unknown, validated
 from wrenchbook.fea.spec.material import AnyMaterial, Material

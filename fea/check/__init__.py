@@ -1,12 +1,9 @@
-"""Check a bundle before anything is solved: ``python -m wrenchbook.fea.check [--text] FOLDER``.
+"""Check a bundle before anything is solved: ``python -m wrenchbook.fea.check FOLDER``.
 
 `report` says what an FEA engineer wants to know of a mesh and its supports, and every mistake in a
 bundle, as a dictionary; `as_text` writes it out for people. It meshes and looks; it solves nothing.
 """
 
-from wrenchbook.fea.check.reporting import main, report
-from wrenchbook.fea.check.text import as_text
+from wrenchbook.fea.check.reporting import as_text, report
 
-check = report
-
-__all__ = ["as_text", "check", "main", "report"]
+__all__ = ["as_text", "report"]

@@ -1,7 +1,7 @@
-"""``python -m wrenchbook.fea.check``: see `fea.check.reporting.main`."""
+"""``python -m wrenchbook.fea.check FOLDER``: the command ``wrenchbook check``."""
 
 import sys
 
-from wrenchbook.fea.check.reporting import main
+from wrenchbook.fea.check.commands import main
 
-sys.exit(main(sys.argv[1:]))
+sys.exit(main(["check", *sys.argv[1:]]))

@@ -1,8 +1,9 @@
-"""Faults of a mesh and its supports: bodies that can move, found from the nodes alone.
+"""Faults of a mesh and its supports, and contradictions between a component and its deck.
 
-Each body of the mesh counts as rigid, which it is at most, so every motion found here is a
-mechanism of the real part too; nothing is assembled or factorised. A body's motion is
-q = (t, L theta) about the mesh's centre with L the mesh's size, and moves a node at x by
+Bodies that can move follow from the nodes alone. Each body of the mesh counts as rigid, which it is
+at most, so every motion found here is a mechanism of the real part too; nothing is assembled or
+factorised. A body's motion is q = (t, L theta) about the mesh's centre with L the mesh's size, and
+moves a node at x by
 
     N(x) q = t + theta x (x - centre).
 
@@ -15,13 +16,16 @@ is the null space of a small dense matrix.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.inspection.bodies import Bodies, gap
-from wrenchbook.fea.inspection.warnings import place_in_words
+from wrenchbook.fea.inspection import Bodies, gap, place_in_words
+from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, HeldGroup, in_si
+from wrenchbook.fea.mesh.facets import group_nodes
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
@@ -50,7 +54,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
 
     component, bodies: what is looked at, and the bodies it falls into.
     pairs: shape (k, 2), int64: indices of nodes in one place
-    (`fea.inspection.bodies.coincident_nodes`).
+    (`fea.inspection.coincident_nodes`).
     """
     if bodies.count > _MOST_BODIES:
         message = (
@@ -298,3 +302,130 @@ def _direction(vector: Array) -> str:
 
 def _place(place: Array) -> str:
     return "(" + ", ".join(f"{x:.4g}" for x in np.where(np.abs(place) < 1e-9, 0.0, place)) + ")"
+
+
+_SAME = 1e-3  # relative: decks write constants to three digits and more
+_NEAR = 1e-6  # of the mesh's size: two places are one
+_SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
+_COMPARED = ("youngs_modulus", "poisson_ratio", "density", "thermal_expansion", "yield_strength")
+
+
+def listing(deck: DeckContent) -> dict[str, Any]:
+    """Return the lines of each keyword that is read or compared, and ignored, and the elements.
+
+    Result: ``read`` and ``ignored``: line numbers by keyword. ``elements``: by type, their number
+    and what else they are than in the deck, often nothing.
+    """
+    elements = {name: {"count": n, "instead": _instead(name)} for name, n in deck.elements.items()}
+    read, ignored = (
+        {word: sorted(set(lines)) for word, lines in lines_of.items()}  # of all instances of a part
+        for lines_of in (deck.taken, deck.ignored)
+    )
+    return {"read": read, "ignored": ignored, "elements": elements}
+
+
+def _instead(name: str) -> str:
+    """Return the element solved in place of a deck's, in words; empty where it is the same."""
+    solid = _SOLID.fullmatch(name)
+    if solid is None:
+        return ""
+    if solid[1] in ("C3D4", "C3D6", "C3D8"):
+        return "solved with midside nodes (order = 2), else refused"
+    letters = solid[2].replace("R", "")
+    if letters != "H":
+        return f"solved as {solid[1]}" if letters else ""
+    projected = "their volumetric strain projected above a Poisson's ratio of 0.4"
+    locks = "refused where they would lock"
+    return f"displacements alone, {projected if solid[1] == 'C3D20' else locks}"
+
+
+def contradictions(component: ComponentModel) -> list[BundleProblem]:
+    """Return the contradictions of a component and its deck, and what of the deck it leaves out."""
+    deck = component.mesh.deck
+    if deck is None:
+        return []
+    messages = [f"{where} {text}" for where, text in deck.missing.items()]
+    integration = component.analysis.integration
+    messages += [
+        f'has {name}; [analysis] says integration = "{integration}" for it'
+        for name in deck.elements
+        if name.startswith("C3D20") and ("R" in name) != (integration == "reduced")
+    ]
+    messages += [
+        text for section in deck.sections for text in _other_material(component, deck, section)
+    ]
+    cases = [
+        [text for support in case.supports for text in _freed(component, support)]
+        + [text for coupled in case.couplings for text in _uncoupled(component, coupled)]
+        for case in deck.cases
+    ]
+    messages += min(cases, key=len)  # a component is of one case of its deck
+    return [BundleProblem("mesh.file", text) for text in messages]
+
+
+def _other_material(component: ComponentModel, deck: DeckContent, section: Any) -> Iterator[str]:
+    cells = component.mesh.regions.get(section.region, ())
+    numbers = [value[c] for value, c in zip(component.material_of_cells, cells, strict=False)]
+    unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
+    constants = deck.materials.get(section.material, {})
+    for number in np.unique(np.concatenate([np.empty(0, dtype=int), *numbers])).tolist():
+        material = component.bundle.materials[number]
+        start = f'{section.where} gives "{section.region}" the material "{section.material}"'
+        if material.law == "orthotropic":
+            if "youngs_modulus" in constants:
+                yield f'{start}, which is isotropic; the component has law = "orthotropic"'
+            continue
+        for key in filter(constants.__contains__, _COMPARED):
+            value, other = getattr(material, key), constants[key] * in_si(key, unit)
+            value = value[0] if isinstance(value, tuple) else value
+            if value is None and key == "yield_strength":
+                continue  # named with *PLASTIC itself
+            if value is None or abs(value - other) > _SAME * abs(other):
+                yield (
+                    f"{start}: {key} {constants[key]:g}, with lengths in {unit} {other:.4g} in SI; "
+                    f"the component has {'none' if value is None else format(value, '.4g')}"
+                )
+
+
+def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
+    nodes = _nodes(component.mesh, group.group)
+    nodes = np.setdiff1d(nodes, component.fixed_nodes)
+    held_ones = [attached for attached in component.interfaces if len(attached.locked) == 6]
+    for interface in (*held_ones, *(bushing for bushing, _ in component.bushings)):
+        nodes = np.setdiff1d(nodes, interface.section.node_ids)
+    held = np.zeros((len(component.mesh.points), 3))
+    sliding, projectors = component.sliding
+    held[sliding] = np.diagonal(projectors, axis1=1, axis2=2)
+    ways = ["xyz".index(letter) for letter in group.directions]
+    free = int((held[nodes][:, ways] < 1 - _NEAR).any(axis=1).sum())
+    if free:
+        yield (
+            f'{group.where} holds "{group.group}" along {", ".join(group.directions)}; {free} of '
+            "its nodes are free in the component: name it under [supports]"
+        )
+
+
+def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
+    nodes = _nodes(component.mesh, group.group)
+    attached = [*component.interfaces, *(bushing for bushing, _ in component.bushings)]
+    same = [
+        interface for interface in attached if np.array_equal(interface.section.node_ids, nodes)
+    ]
+    start = f'{group.where} makes "{group.group}" follow a point'
+    if not same:
+        if np.setdiff1d(nodes, component.fixed_nodes).size:
+            yield f"{start}; no interface or bushing of the component has these nodes"
+        return
+    if same[0].coupling != group.kind:
+        yield f'{start} as a "{group.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
+    unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
+    point = np.array(group.point) * in_si("length", unit)
+    size = np.ptp(component.mesh.points, axis=0).max()
+    if group.point and np.abs(point - same[0].point).max() > _NEAR * size:
+        here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
+        yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
+
+
+def _nodes(mesh: Mesh, group: str) -> Array:
+    """Return the nodes of a group, shape (k,), indices; none if the mesh has none of it."""
+    return group_nodes(mesh, "", group, [])

@@ -1,14 +1,13 @@
-"""A proposed component of an input deck: ``python -m wrenchbook.fea.check.proposal DECK``.
+"""A proposed component of an input deck: ``wrenchbook new``.
 
 What a deck has is taken over; what it has not is written with a mark, and said.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.check.reporting import report
-from wrenchbook.fea.inspection.bodies import stacked_singly
+from wrenchbook.fea.inspection import stacked_singly
 from wrenchbook.fea.mesh.deck_content import (
     CoupledGroup,
     DeckContent,
@@ -28,9 +27,8 @@ from wrenchbook.fea.mesh.deck_content import (
 from wrenchbook.fea.mesh.element_order import SECOND, second_order
 from wrenchbook.fea.mesh.io.ansys import read_ansys
 from wrenchbook.fea.mesh.io.nastran import read_nastran
-from wrenchbook.fea.mesh.io.raw import MeshFileError
+from wrenchbook.fea.mesh.io.raw import MeshFileError, Translated
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.fea.mesh.io.translated import Translated
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS, UNITS
@@ -299,58 +297,3 @@ def _text(value: str) -> str:
 
 def _name(text: str) -> str:
     return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_-")[:64] or "part"
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the proposal and print what is open; return 0 if its check finds no problem."""
-    parser = argparse.ArgumentParser(
-        prog="wrenchbook new",
-        description="Propose a component for an input deck, check it, and print what is open.",
-    )
-    add = parser.add_argument
-    add("--json", action="store_true", help="one line of JSON instead of text")
-    add("--unit", choices=tuple(UNITS), help="length unit; by default guessed from the constants")
-    add("--case", help="step, load case or subcase to take over; by default the last")
-    add("deck", type=Path, help="Abaqus or CalculiX (.inp), Nastran (.bdf), Ansys (.cdb)")
-    add("folder", type=Path, nargs="?", help="folder to write; by default the deck's name")
-    options = parser.parse_args(arguments)
-    options.folder = options.folder or Path(options.deck.stem)
-    try:
-        proposal = propose(options.deck, options.folder, options.unit, options.case)
-    except BundleError as error:
-        message = str(error)
-        print(
-            json.dumps({"error": {"title": "BundleError", "detail": message}})
-            if options.json
-            else message
-        )
-        return 1
-    if options.json:
-        print(json.dumps(proposal))
-    else:
-        check = proposal["check"]
-        print(
-            "\n".join(
-                [
-                    *(f"wrote {file}" for file in proposal["files"]),
-                    *(f"not taken over: {text}" for text in proposal["left"]),
-                    *(f"decide: {text}" for text in proposal["decide"]),
-                    *(
-                        f"warning: {warning['where']}: {warning['message']}"
-                        for warning in check["warnings"]
-                    ),
-                    *(
-                        f"error: {problem['where']}: {problem['message']}"
-                        for problem in check["problems"]
-                    ),
-                    "ready to solve"
-                    if check["ok"]
-                    else f"then: wrenchbook check {Path(proposal['files'][0]).parent}",
-                ]
-            )
-        )
-    return 0 if proposal["check"]["ok"] else 1
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

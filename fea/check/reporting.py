@@ -1,40 +1,45 @@
-"""The report on a bundle, and the program that prints it."""
+"""The report on a bundle, and its text for people."""
 
 from __future__ import annotations
 
-import argparse
-import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from wrenchbook.fea.accuracy.advice import over_tolerance, straight_edges
 from wrenchbook.fea.accuracy.estimate import accuracy_or_why
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
-from wrenchbook.fea.bundle.reference import json_schema
-from wrenchbook.fea.check import findings
 from wrenchbook.fea.check.cost import estimate
-from wrenchbook.fea.check.deck_comparison import contradictions, listing
-from wrenchbook.fea.check.strength import strength
-from wrenchbook.fea.check.text import as_text
+from wrenchbook.fea.check.findings import contradictions, listing, motion_problems, parts
 from wrenchbook.fea.check.trial import (
     deflection_warnings,
     frequency,
     solver_of,
+    strength,
     trial,
     weight_warnings,
 )
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of
 from wrenchbook.fea.deck.running import deck_report
-from wrenchbook.fea.inspection.bodies import Bodies, bodies_of, coincident_nodes
-from wrenchbook.fea.inspection.cells import quality, quality_warnings
-from wrenchbook.fea.inspection.warnings import coincidence_warnings, set_up_warnings, stack_problems
+from wrenchbook.fea.inspection import (
+    Bodies,
+    bodies_of,
+    coincidence_warnings,
+    coincident_nodes,
+    quality,
+    quality_warnings,
+    set_up_warnings,
+    stack_problems,
+)
 from wrenchbook.fea.mesh.cad.meshing import list_shape
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import GEOMETRY_ENDINGS
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, GEOMETRY_ENDINGS
 
 _MOST_SECONDS = 5.0
 """Of a linear solve, to estimate the solver's error too: that takes up to three more."""
@@ -62,13 +67,13 @@ def report(
         Always ``ok``, ``problems`` (what stops a solve) and ``warnings`` (what may make it wrong),
         each a list of ``{"where", "message"}``. As far as it gets: ``name``, ``fingerprint``,
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
-        ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection.cells`), ``parts``,
-        ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.deck_comparison`);
+        ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection`), ``parts``,
+        ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.findings`);
         ``materials``, ``section`` (of several interfaces ``sections``, with
         their names), ``supports``, ``temperature`` and ``acceleration`` where they are inputs, and
         ``estimate`` (see `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density
         or a mass is given ``vibration`` (see `fea.check.trial`), and where a yield strength is
-        given ``strength`` (see `fea.check.strength`), and where it takes no longer than a check may
+        given ``strength`` (see `fea.check.trial`), and where it takes no longer than a check may
         ``solver_error``
         (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
         ``deck`` (see `fea.deck.running`).
@@ -88,16 +93,17 @@ def report(
         }
         if bundle.deck is not None:  # it answers in place of the embedded solver
             summary["deck"], warnings = deck_report(bundle.deck)
+            summary["warnings"] += warnings
             if riding is not None:
                 message = "no natural frequency: its solver gives none, the mass counts for nothing"
-                warnings.append(BundleProblem("deck", message))
-            _warn(summary, warnings)
+                summary["warnings"].append(BundleProblem("deck", message))
         elif bundle.mesh is not None:
             if bundle.mesh.geometry is not None:
                 _list_geometry(bundle.mesh.file, summary)
             _look_at_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, summary)
     except BundleError as error:
-        summary["problems"] += [_entry(problem) for problem in error.problems]
+        summary["problems"] = list(map(asdict, error.problems))
+    summary["warnings"] = list(map(asdict, summary["warnings"]))
     summary["ok"] = not summary["problems"]
     return summary
 
@@ -136,35 +142,31 @@ def _look_at_mesh(
         },
     }
     summary["quality"] = quality(mesh)
-    _warn(
-        summary,
-        [BundleProblem("mesh", message) for message in quality_warnings(summary["quality"])],
-    )
+    warnings: list[BundleProblem] = summary["warnings"]
+    warnings += [BundleProblem("mesh", text) for text in quality_warnings(summary["quality"])]
     bodies = bodies_of(mesh)
     pairs = coincident_nodes(mesh)
-    summary["parts"] = findings.parts(mesh, bodies)
+    summary["parts"] = parts(mesh, bodies)
     summary["coincident_nodes"] = len(pairs)
-    _warn(summary, coincidence_warnings(mesh, bodies, pairs))
+    warnings += coincidence_warnings(mesh, bodies, pairs)
     if mesh.deck is not None:
         summary["mesh_file"] = listing(mesh.deck)
     component = build(bundle, mesh)
-    _warn(summary, contradictions(component))
+    warnings += contradictions(component)
     _look_at_component(component, bodies, pairs, summary)
     # Find what every solve would refuse, then how the part moves and swings.
-    solver, problems = solver_of(component)
-    if solver is None:
-        raise BundleError(problems)
+    solver = solver_of(component)
     summary["trial"], problems = trial(solver, summary["estimate"])
     problems = problems or stack_problems(component)  # a mechanism is named as such
     if problems:
         raise BundleError(problems)
-    _warn(summary, deflection_warnings(component, summary["trial"]["deflection"]))
+    warnings += deflection_warnings(component, summary["trial"]["deflection"])
     if summary["trial"]["deflection"] is not None:
-        _warn(summary, weight_warnings(solver))
-    summary["vibration"], warnings = frequency(solver, riding)
-    _warn(summary, warnings)
-    summary["strength"], warnings = strength(solver, nonlinear)
-    _warn(summary, warnings)
+        warnings += weight_warnings(solver)
+    summary["vibration"], more = frequency(solver, riding)
+    warnings += more
+    summary["strength"], more = strength(solver, nonlinear)
+    warnings += more
     # Find what the solver's answers may be wrong by, and whether that is over the tolerance.
     cost, bundle = summary["estimate"], solver.component.bundle
     if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
@@ -172,11 +174,11 @@ def _look_at_mesh(
     summary["solver_error"] = accuracy_or_why(solver)
     if summary["solver_error"]["mesh"] is None:
         why = f"its error bar is not known: {summary['solver_error']['mesh_basis']}"
-        _warn(summary, [BundleProblem("mesh", why)])
-    _warn(summary, straight_edges(summary["solver_error"]))
+        warnings.append(BundleProblem("mesh", why))
+    warnings += straight_edges(summary["solver_error"])
     limit = None if bundle is None else bundle.tolerance
     if limit is not None:
-        _warn(summary, over_tolerance(summary["solver_error"], limit.translation, limit.rotation))
+        warnings += over_tolerance(summary["solver_error"], limit.translation, limit.rotation)
 
 
 def _look_at_component(
@@ -210,8 +212,8 @@ def _look_at_component(
         **({"sections": attached} if component.others else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
     }
-    _warn(summary, set_up_warnings(component))
-    problems = findings.motion_problems(component, bodies, pairs)
+    summary["warnings"] += set_up_warnings(component)
+    problems = motion_problems(component, bodies, pairs)
     if problems:
         raise BundleError(problems)
     summary["estimate"] = estimate(component)
@@ -230,56 +232,217 @@ def _section(interface: AttachedInterface) -> dict[str, Any]:
     }
 
 
-def _warn(summary: dict[str, Any], warnings: list[BundleProblem]) -> None:
-    summary["warnings"] += [_entry(warning) for warning in warnings]
+_MOST_LINES = 60  # of bodies, and of faces
+_EACH = len(FREEDOMS)  # values of one interface
 
 
-def _entry(problem: BundleProblem) -> dict[str, str]:
-    return {"where": problem.where, "message": problem.message}
+def as_text(report: Mapping[str, Any]) -> str:
+    """Write out a report of `fea.check.report`.
+
+    Returns
+    -------
+    str
+        Lines without a newline at the end; what is wrong comes last, where it is read first.
+    """
+    lines = [f"{report.get('name', 'bundle')}  {report.get('fingerprint', '')}".rstrip()]
+    if report.get("has_fea") is False:
+        lines.append("a table only: nothing to mesh or solve")
+    for rows in (_source, _mesh, _set_up, _trial, _estimates):
+        lines += rows(report)
+    counts = []
+    for kind, entries in (("warning", report["warnings"]), ("error", report["problems"])):
+        lines += [f"{kind}: {entry['where']}: {entry['message']}" for entry in entries]
+        counts.append(f"{len(entries)} {kind}{'s'[: len(entries) != 1]}" if entries else "")
+    ready = ", ".join(filter(None, ("ready to solve", counts[0])))
+    return "\n".join([*lines, ready if report["ok"] else counts[1]])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the report on a folder, as one line of JSON or as text; return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="wrenchbook check",
-        description="Check a component bundle: mesh, groups, supports, cost of a solve.",
-        exit_on_error=False,
-    )
-    add = parser.add_argument
-    add("--json", action="store_true", help="one line of JSON instead of text")
-    add("--mass", type=float, help="mass at the interface, kg, for the natural frequency")
-    add("--inertia", type=_numbers, help="its inertia about its centre, kg·m^2: xx,yy,zz or six")
-    add("--centre", type=_numbers, help="its centre from the interface point, m: x,y,z")
-    add("--nonlinear", action="store_true", help="nonlinear solves for the stresses over the range")
-    add("--schema", action="store_true", help="the JSON schema of component.toml, for editors")
-    add("folder", type=Path, metavar="FOLDER", nargs="?", help="folder of the component bundle")
-    try:
-        options = parser.parse_args(arguments)
-        if options.schema:
-            print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
-            return 0
-        if options.folder is None:
-            raise ValueError("name the FOLDER of a component bundle, or --schema")
-        # The mass of the arguments; None without any.
-        if options.mass is None and options.inertia is None and options.centre is None:
-            riding = None
+def _source(report: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what is of a deck that solves, and of a geometry file."""
+    if deck := report.get("deck"):
+        program = deck["program"] or "a program that is not here"
+        yield (
+            f"deck: {deck['file']} in {deck['unit']}, run by {program} for {deck['timeout']:g} s "
+            f"at most, read by {deck['reader']}; its moments are {deck['moment']}"
+        )
+    if "faces" not in report:
+        return
+    yield "bodies:  number  volume cm^3  middle m"
+    for body in report["bodies"][:_MOST_LINES]:
+        yield f"  {body['number']:>13}  {1e6 * body['volume']:>11.5g}  {_place(body['centre'])}"
+    yield "faces:   number  area mm^2    middle m                      what"
+    for face in report["faces"][:_MOST_LINES]:
+        shape = str(face["kind"]).lower()
+        if face["normal"] is not None:
+            shape = f"plane, normal {_place(face['normal'])}"
+        elif face["radius"] is not None:
+            shape = f"cylinder, radius {1e3 * face['radius']:.5g} mm"
+        head = f"  {face['number']:>13}  {1e6 * face['area']:>11.5g}  {_place(face['centre']):<28}"
+        yield f"{head}  {shape}"
+    if (more := len(report["faces"]) - _MOST_LINES) > 0:
+        yield f"  and {more} more"
+
+
+def _mesh(report: Mapping[str, Any]) -> Iterator[str]:
+    if "cells" not in report:
+        return
+    cells = ", ".join(f"{count} {kind}" for kind, count in report["cells"].items())
+    yield f"mesh: {cells}; {report['nodes']} nodes, {report['unknowns']} unknowns"
+    for part in report["parts"] if len(report["parts"]) > 1 else ():
+        size = " x ".join(f"{1e3 * x:.4g}" for x in part["size"])
+        yield (
+            f"  part {part['part']}: {part['cells']} cells, {size} mm, middle at "
+            f"{_place(part['middle'])} m"
+        )
+    if file := report.get("mesh_file"):
+        for key, label in (("read", "read or compared"), ("ignored", "ignored")):
+            lines = ", ".join(f"*{word} ({len(at)})" for word, at in file[key].items())
+            yield f"deck, {label}: {lines or 'nothing'}"
+        for name, element in file["elements"].items():
+            if element["instead"]:
+                yield f"deck, elements: {element['count']} {name}: {element['instead']}"
+    for kind, groups in report["groups"].items():
+        listed = ", ".join(f"{name} ({count})" for name, count in groups.items()) or "none"
+        yield f"groups of {kind}: {listed}"
+    for name, worst in report.get("quality", {}).items():
+        bad = f", {worst['bad']} beyond {worst['limit']:g}" if worst["bad"] else ""
+        place = _place(worst["at"])
+        yield f"worst {name.replace('_', ' ')}: {worst['worst']:.3g} near {place} m{bad}"
+
+
+def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what the bundle attaches to the mesh: materials, supports, inputs, interfaces."""
+    if "supports" not in report:
+        return
+    for material in report["materials"]:
+        law, young = material["law"], f"E = {material['youngs_modulus']:.4g} Pa"
+        if law == "orthotropic":
+            values = [f"orthotropic, largest {young}"]
         else:
-            if options.mass is None:
-                raise ValueError("--inertia and --centre need --mass")
-            riding = Riding.of(options.mass, options.inertia, options.centre)
-    except SystemExit as error:
-        return int(error.code or 0)
-    except (argparse.ArgumentError, ValueError) as error:
-        print(f"{parser.format_usage()}{error}")
-        return 2
-    summary = report(options.folder, riding, options.nonlinear)
-    print(json.dumps(summary) if options.json else as_text(summary))
-    return 0 if summary["ok"] else 1
+            values = [law] if law != "isotropic" else []
+            values += [young, f"nu = {material['poisson_ratio']:g}"]
+        if (density := material.get("density")) is not None:
+            values.append(f"{density:g} kg/m^3")
+        if (strength := material.get("yield_strength")) is not None:
+            values.append(f"yields at {strength:.4g} Pa")
+        yield f"material {material['region']}: {', '.join(values)}, {material['cells']} cells"
+    supports = report["supports"]
+    sliding = f", {supports['sliding_nodes']} sliding" if "sliding_nodes" in supports else ""
+    bushings = f"; bushings: {supports['bushings']}" if "bushings" in supports else ""
+    yield f"supports: {supports['nodes']} nodes fixed{sliding}{bushings}"
+    if warm := report.get("temperature"):
+        yield f"temperature: {warm['low']:g} to {warm['high']:g}, reference {warm['reference']:g}"
+    if largest := report.get("acceleration"):
+        yield f"acceleration: up to {_place(largest)} m/s^2 along the mesh's axes"
+    for section in report.get("sections", [report.get("section")]):
+        area = "no area" if section["area"] is None else f"{1e6 * section['area']:.5g} mm^2"
+        locked = f", locked {', '.join(section['locked'])}" if section["locked"] else ""
+        locked = ", held" if len(section["locked"]) == _EACH else locked
+        name = f" {section['name']}" if "name" in section else ""
+        yield (
+            f"interface{name}: {section['nodes']} nodes, {area}, {section['coupling']}{locked}, "
+            f"point at {_place(section['point'])} m"
+        )
 
 
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(word) for word in text.split(",")]
-    except ValueError:
-        message = f'"{text}" must be numbers with commas between them, such as 1,1,0.5'
-        raise argparse.ArgumentTypeError(message) from None
+def _trial(report: Mapping[str, Any]) -> Iterator[str]:
+    if (trial := report.get("trial")) is None:
+        return
+    size = " x ".join(f"{1e3 * x:.4g}" for x in trial["size"])
+    mass = "no density, so no mass" if trial["mass"] is None else f"{trial['mass']:.4g} kg"
+    yield f"size: {size} mm, {1e6 * trial['volume']:.4g} cm^3, {mass}"
+    if trial.get("failed"):
+        return
+    if trial["deflection"] is None:
+        yield "at full range: not tried, a solve takes too long for a check"
+        return
+    for name, sag in _by_interface(report, trial["sag"]) if "sag" in trial else ():
+        moved, turned = _vectors(sag, ".3g")
+        yield (
+            f"own weight moves {name or 'it'} by {moved} m and turns it by {turned} rad, linearly, "
+            "in the interface frame: the answer at zero load. Displacements are relative to the "
+            "part of the mesh without its weight"
+        )
+    for key, when in (
+        ("deflection", "at full range, linearly,"),
+        ("by_temperature", "by the temperature alone"),
+        ("by_acceleration", "by the acceleration alone"),
+    ):
+        for name, largest in _by_interface(report, trial[key]) if key in trial else ():
+            moved, turned = _vectors(largest, ".3g")
+            yield f"{when} {name or 'it'} moves by {moved} m and turns by {turned} rad at most"
+
+
+def _estimates(report: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the error bar, frequency, stresses and cost, as far as the report has them."""
+    error = report.get("solver_error")
+    if error is not None and error["mesh"] is None:
+        yield f"error bar of the mesh: not known; {error['mesh_basis']}"
+    elif error is not None:
+        parts = {"error bar of the mesh at full range": error["mesh"]}
+        if "rounded" in error:
+            parts["of that by straight edges"] = error["rounded"]["mesh"]
+        for label, matrix in parts.items():
+            for name, bar in _by_interface(report, (np.array(matrix) @ error["loads"]).tolist()):
+                moved, turned = _vectors(bar, ".2g")
+                yield f"{label}{f', {name}' if name else ''}: {moved} m, {turned} rad"
+        yield f"error bar of the mesh from {error['mesh_basis']}"
+    if swing := report.get("vibration"):
+        carried = f"with {swing['riding_mass']:g} kg on it" if swing["riding_mass"] else "by itself"
+        mass = "not known" if swing["mass"] is None else f"{swing['mass']:.4g} kg"
+        moves = "; ".join(
+            f"{name or 'interface'} moves along {_place(motion[:3])}, turns about "
+            f"{_place(motion[3:])}"
+            for name, motion in _by_interface(report, swing["motion"])
+        )
+        yield (
+            f"mass {mass}; first natural frequency {swing['first_frequency']:.4g} Hz {carried} "
+            f"({moves})"
+        )
+    for stress in report.get("strength", []):
+        used = stress["yield_strength"] and stress["largest"] / stress["yield_strength"]
+        of_yield = "" if used is None else f", {100 * used:.3g} % of its yield strength"
+        order = " to first order (--nonlinear solves)" if stress["first_order"] else ""
+        loads = "; ".join(
+            f"{name and name + ' '}force {_place(load[:3])} N, moment {_place(load[3:])} N·m"
+            for name, load in _by_interface(report, stress["wrench"])
+        )
+        warm = f" at {stress['temperature']:g}" if "temperature" in stress else ""
+        pulled = _place([stress[axis] for axis in ACCELERATIONS]) if "ax" in stress else ""
+        yield (
+            f"largest von Mises stress of {stress['region']} under the full range{order}: "
+            f"{stress['largest'] / 1e6:.4g} MPa{of_yield}, near {_place(stress['at'])} m under "
+            f"{loads}{warm}{pulled and f', acceleration {pulled}'}"
+        )
+    if cost := report.get("estimate"):
+        count = cost["memory_bytes"]
+        memory = f"{count / 1e9:.2g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
+        yield (
+            f"one solve: about {_time(cost['linear_seconds'])} linear, "
+            f"{_time(cost['nonlinear_seconds'])} nonlinear, {memory} of memory ({cost['basis']})"
+        )
+
+
+def _by_interface(report: Mapping[str, Any], values: list[float]) -> list[tuple[str, list[float]]]:
+    """Return six values of each interface with its name, empty where there is one."""
+    names = [section["name"] for section in report.get("sections", [])] or [""]
+    starts = range(0, len(values), _EACH)
+    return [(name, values[i : i + _EACH]) for name, i in zip(names, starts, strict=True)]
+
+
+def _vectors(values: list[float], digits: str) -> tuple[str, str]:
+    """Write the translation and the rotation of an interface."""
+    texts = [format(x, digits) for x in values]
+    return f"({', '.join(texts[:3])})", f"({', '.join(texts[3:])})"
+
+
+def _place(place: Any) -> str:
+    """Write a place or direction; what is 12 digits below the largest is roundoff."""
+    least = 1e-12 * max(1.0, *map(abs, place))
+    return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.5g}" for x in place) + ")"
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.2g} s"
+    return f"{seconds / 60:.2g} min" if seconds < 7200 else f"{seconds / 3600:.2g} h"

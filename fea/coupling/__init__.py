@@ -10,7 +10,6 @@ each interface's displacement and wrench are in its own.
 """
 
 from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling
-from wrenchbook.fea.coupling.distributed import Distributed
-from wrenchbook.fea.coupling.rigid import Rigid
+from wrenchbook.fea.coupling.section import Distributed, Rigid
 
 __all__ = ["Border", "CoupledState", "Coupling", "Distributed", "Rigid"]

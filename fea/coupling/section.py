@@ -1,4 +1,4 @@
-"""The nodes of a section and the area each of them stands for."""
+"""The nodes of a section with their areas, and its rigid or distributed coupling."""
 
 from __future__ import annotations
 
@@ -6,10 +6,80 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.element.mapping import area_weights
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE, Border, CoupledState, SectionCoupling
+from wrenchbook.fea.coupling.rotation import (
+    rotation_less_identity,
+    skew,
+    spin_per_vector,
+    spin_slope,
+)
+from wrenchbook.fea.mesh.mapping import area_weights
 from wrenchbook.fea.mesh.mesh import FacetGroup
 
 Array = np.ndarray
+
+
+class Rigid(SectionCoupling):
+    """Tie u_i = t + (R - I) x_i for the section's nodes, x_i measured from the interface point.
+
+    The section's nodes are no unknowns of the body; its reactions there balance the wrench. The
+    rotation vector itself is the unknown (rotations stay far below a half turn), so freedoms that a
+    guide holds are simply left out.
+    """
+
+    def placed(self, interface: Array) -> Array:
+        """Return where an interface at (6,), m and rad, puts the nodes, (s, 3), m."""
+        R_minus_I = rotation_less_identity(interface[3:])
+        return interface[:3] + self.places @ R_minus_I.T
+
+    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
+        """Return nothing for the nodes, (s, 3), N, and what is out of balance, (6,), N and N·m.
+
+        The section's forces have shape (s, 3), N, the wrench (6,), N and N·m.
+        """
+        moment = np.cross(self._turned(state), forces).sum(axis=0)
+        spin = spin_per_vector(state.interface[3:])
+        border = np.concatenate([forces.sum(axis=0) - wrench[:3], spin.T @ (moment - wrench[3:])])
+        return np.zeros_like(forces), border
+
+    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
+        """Return the ties, and what turning the arms adds to the moment.
+
+        Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
+        """
+        arms = self._turned(state)
+        spin = spin_per_vector(state.interface[3:])
+        turning = (skew(forces) @ skew(arms)).sum(axis=0)
+        excess = np.cross(arms, forces).sum(axis=0) - wrench[3:]
+        block = np.zeros((PER_INTERFACE, PER_INTERFACE))
+        block[3:, 3:] = spin.T @ turning @ spin + spin_slope(state.interface[3:], excess)
+        ties = np.zeros((len(arms), 3, PER_INTERFACE))
+        ties[:, :, :3] = np.eye(3)
+        ties[:, :, 3:] = -skew(arms) @ spin
+        return Border(ties, np.zeros_like(ties), block)
+
+    def wrench_columns(self, state: CoupledState) -> Array:
+        """Return minus the derivative of the border's residual by the wrench.
+
+        Shape (6, 6), dimensionless.
+        """
+        columns = np.eye(PER_INTERFACE)
+        columns[3:, 3:] = spin_per_vector(state.interface[3:]).T
+        return columns
+
+    def arm_moments(
+        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return sum f x^T, 3x3 and N·m, and its derivatives along k inputs.
+
+        The forces f have shapes (s, 3), N, and (s, 3, k). The second is zero: the body's own third
+        derivatives have it.
+        """
+        moments, changes = (np.einsum("si...,sj->ij...", force, self.places) for force in forces)
+        return moments, changes, np.zeros((3, 3, border.shape[1], border.shape[1]))
+
+    def _turned(self, state: CoupledState) -> Array:
+        return self.places + self.places @ rotation_less_identity(state.interface[3:]).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +125,125 @@ def section_of_nodes(points: Array, node_ids: Array) -> InterfaceSection:
     ids = np.unique(node_ids)
     weights = np.full(len(ids), 1.0 / len(ids))
     return InterfaceSection(ids, weights, 1.0, points[ids].mean(axis=0), by_area=False)
+
+
+class Distributed(SectionCoupling):
+    """Weighted mean translation and rotation of the section; the wrench is spread conjugately.
+
+    With weights w_i of sum 1, section centre c, rho_i = x_i - c (undeformed), b_i = R rho_i:
+
+        sum w_i u_i = t + (R - I) c          (mean translation)
+        sum w_i b_i x (x_i + u_i) = 0        (the R that fits best: stationary sum w |Rrho - x|^2)
+
+    Both are linear in u. Two multipliers l, m enforce them; node i then feels w_i (l + m x b_i).
+    The interface displacement and the multipliers are the border.
+
+    places: shape (s, 3), m: the section's nodes, from the interface point.
+    weights: shape (s,): area weights, of any scale.
+    """
+
+    multipliers = PER_INTERFACE
+
+    def __init__(self, places: Array, weights: Array) -> None:
+        super().__init__(places)
+        self._weights = weights / weights.sum()
+        self._centre = self._weights @ places
+        self._arms = places - self._centre
+
+    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
+        """Return the forces of the multipliers, and the forces out of balance under a wrench (6,).
+
+        Shape (s, 3), N, at the nodes; shape (12,) in the interface freedoms, N and N·m, and in
+        the six constraints, m and m^2.
+        """
+        turned = _Turned(self, state)
+        nodal = self._weights[:, None] * (turned.force + np.cross(turned.moment, turned.arms))
+        turning = turned.spin.T @ (turned.carried_moment() - wrench[3:])
+        gaps = [
+            self._weights @ state.nodes
+            - state.interface[:3]
+            - rotation_less_identity(state.interface[3:]) @ self._centre,
+            self._weights @ np.cross(turned.arms, turned.places),
+        ]
+        return nodal, np.concatenate([-turned.force - wrench[:3], turning, *gaps])
+
+    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
+        """Return the derivatives of the residual by the border; nothing is tied.
+
+        Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
+        """
+        turned = _Turned(self, state)
+        weighted_arms = self._weights[:, None, None] * skew(turned.arms)
+        columns = np.zeros((len(self.places), 3, 2 * PER_INTERFACE))
+        columns[:, :, 3:6] = -skew(turned.moment) @ weighted_arms @ turned.spin
+        columns[:, :, 6:9] = self._weights[:, None, None] * np.eye(3)
+        columns[:, :, 9:] = -weighted_arms
+        block = np.zeros((2 * PER_INTERFACE, 2 * PER_INTERFACE))
+        # Write the border's own derivatives, less those of the spin itself.
+        centre = skew(turned.centre) @ turned.spin
+        inertia = turned.inertia()
+        turning = -skew(turned.force) @ skew(turned.centre) + np.einsum(
+            "i,iab,ibc->ac",
+            self._weights,
+            skew(np.cross(turned.places, turned.moment)),
+            skew(turned.arms),
+        )
+        block[3:6, 3:6] = turned.spin.T @ turning @ turned.spin
+        block[:3, 6:9] = block[6:9, :3] = -np.eye(3)
+        block[6:9, 3:6] = centre
+        block[3:6, 6:9] = centre.T
+        block[3:6, 9:] = turned.spin.T @ inertia
+        block[9:, 3:6] = inertia.T @ turned.spin
+        excess = turned.carried_moment() - wrench[3:]
+        block[3:6, 3:6] += spin_slope(state.interface[3:], excess)
+        return Border(np.zeros_like(columns), columns, block)
+
+    def wrench_columns(self, state: CoupledState) -> Array:
+        """Return minus the derivative of the border's residual by the wrench.
+
+        Shape (12, 6), dimensionless; the rows of the six constraints are zero.
+        """
+        columns = np.zeros((2 * PER_INTERFACE, PER_INTERFACE))
+        columns[:3, :3] = np.eye(3)
+        columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T
+        return columns
+
+    def arm_moments(
+        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return -l c^T - [m]x Q, 3x3 and N·m, Q = sum w (x + u) rho^T, and its derivatives.
+
+        Those along k inputs come from the fields, (s, 3, k), m, and the border, (12, k).
+        """
+        force, moment = border[6:9], skew(border[9:].T)
+        own = skew(state.multipliers[3:])
+        arms = self._weights[:, None] * self._arms
+        places = (self.places + state.nodes).T @ arms
+        moved = np.einsum("sik,sj->kij", fields, arms)
+        moments = -np.outer(state.multipliers[:3], self._centre) - own @ places
+        changes = -force.T[:, :, None] * self._centre - moment @ places - own @ moved
+        second = moment[:, None] @ moved
+        second = -(second + second.swapaxes(0, 1))
+        return moments, np.moveaxis(changes, 0, 2), np.moveaxis(second, (0, 1), (2, 3))
+
+
+class _Turned:
+    """The section's quantities at one state."""
+
+    def __init__(self, coupling: Distributed, state: CoupledState) -> None:
+        R_minus_I = rotation_less_identity(state.interface[3:])
+        self.spin = spin_per_vector(state.interface[3:])
+        self.arms = coupling._arms + coupling._arms @ R_minus_I.T
+        self.centre = coupling._centre + R_minus_I @ coupling._centre
+        self.places = coupling.places + state.nodes
+        self.weights = coupling._weights
+        self.force, self.moment = state.multipliers[:3], state.multipliers[3:]
+
+    def inertia(self) -> Array:
+        """Return sum w (x b^T - (b . x) I), shape (3, 3)."""
+        outer = (self.places * self.weights[:, None]).T @ self.arms
+        return outer - np.trace(outer) * np.eye(3)
+
+    def carried_moment(self) -> Array:
+        """Return the moment about the interface point that the multipliers balance."""
+        return -np.cross(self.centre, self.force) + self.inertia() @ self.moment

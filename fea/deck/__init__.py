@@ -3,5 +3,5 @@
 The bundle brings a parametrised deck, the command that solves it and the reader of what it prints.
 `fea.deck.solving` fills in the wrench, runs the command in a folder of its own and reads the motion
 of the interface. How a bundle says it is in `fea.bundle.tables`, how to add a reader in
-`fea.readers.registry`. Nothing is imported here, because reading a bundle must stay light.
+`fea.readers`. Nothing is imported here, because reading a bundle must stay light.
 """

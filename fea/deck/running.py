@@ -1,4 +1,4 @@
-"""One run of a deck: fill in the loads, run the command within a timeout, read the motion."""
+"""One run of a deck: loads filled in, command with a timeout, motion read; its named failures."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.deck import failures
-from wrenchbook.fea.readers.reader import DeckReader, DeckRun, OutputError, Reading
-from wrenchbook.fea.readers.registry import reader_named
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.readers import DeckReader, DeckRun, OutputError, Reading, reader_named
 from wrenchbook.fea.solution import Progress
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import UNITS, Deck
@@ -49,7 +48,7 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
     """
     missing = missing_placeholders(deck)
     if missing:
-        raise failures.bad_deck(
+        raise bad_deck(
             f"The deck has no {', '.join(missing)}, so that load would be lost.",
             "Put each placeholder where its load goes; where a guide takes the load, into a "
             "comment line that says so.",
@@ -82,7 +81,7 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
     displacement = np.array(reading.displacement, dtype=float)
     if displacement.shape != (6,) or not np.isfinite(displacement).all():
         message = f"The reader gave no six finite numbers but {reading.displacement}."
-        raise failures.bad_output(message, folder)
+        raise bad_output(message, folder)
     return np.concatenate([displacement[:3] * metres, displacement[3:]]), reading.unknowns
 
 
@@ -97,24 +96,22 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
     try:
         code = run_command(command, run.folder, run.printed, deck.timeout, watch)
     except OutOfTime:
-        raise failures.timed_out(command[0], deck.timeout) from None
+        raise timed_out(command[0], deck.timeout) from None
     except OSError as error:
-        raise failures.no_solver(command[0], error.strerror or str(error)) from None
+        raise no_solver(command[0], error.strerror or str(error)) from None
     program = command[0]
     complaint = reader.complaint(run)
     if complaint is not None and complaint.not_converged:
-        raise failures.not_converged(program, complaint.quoted)
+        raise not_converged(program, complaint.quoted)
     if complaint is not None:
-        raise failures.solver_failed(program, _how(code), complaint.quoted, run.folder)
+        raise solver_failed(program, _how(code), complaint.quoted, run.folder)
     if code != 0:
         text = run.printed.read_text(encoding="utf-8", errors="replace").strip()
-        raise failures.solver_failed(
-            program, _how(code), text[-_MOST_QUOTED:] or "nothing", run.folder
-        )
+        raise solver_failed(program, _how(code), text[-_MOST_QUOTED:] or "nothing", run.folder)
     try:
         return reader.read(run, deck.output)
     except OutputError as error:
-        raise failures.bad_output(str(error), run.folder) from None
+        raise bad_output(str(error), run.folder) from None
 
 
 def _how(code: int) -> str:
@@ -256,3 +253,92 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
         "solves run"
     )
     return summary, [BundleProblem("deck.command", message)]
+
+
+_PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
+_LOOK = (
+    "The deck as it was run and all that the solver wrote are in {place} of the attempt's files."
+)
+
+
+def no_solver(program: str, reason: str) -> SolveFailed:
+    """Return the failure of a program that cannot be started."""
+    package = f" ({_PACKAGES[program]})" if program in _PACKAGES else ""
+    return SolveFailed(
+        "no_solver",
+        f'The program "{program}" of [deck] command cannot be started: {reason}.',
+        f"Install it{package} where solves run, so that it is on the PATH there, or correct the "
+        "command.",
+    )
+
+
+def timed_out(program: str, seconds: float) -> SolveFailed:
+    """Return the failure of a program that was ended because it took too long."""
+    return SolveFailed(
+        "timed_out",
+        f'"{program}" was ended: it had not finished after {seconds:g} s.',
+        "Give it more time with timeout (seconds) in [deck], or make the deck smaller.",
+    )
+
+
+def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:
+    """Return the failure that a program reports, by its exit code or in its output."""
+    return SolveFailed(
+        "solver_failed", f'"{program}" {ending}. It printed: {quoted}', _look(folder)
+    )
+
+
+def not_converged(program: str, quoted: str) -> SolveFailed:
+    """Return the failure of an outside solver that found no equilibrium."""
+    return SolveFailed(
+        "not_converged",
+        f'"{program}" found no equilibrium. It printed: {quoted}',
+        "Check that the load lies within what the part can carry and that its supports hold it; "
+        "smaller increments in the deck may help.",
+    )
+
+
+def bad_output(message: str, folder: Path) -> SolveFailed:
+    """Return the failure of output in which the interface's motion cannot be found."""
+    return SolveFailed("bad_output", message, _look(folder))
+
+
+def bad_deck(message: str, remedy: str) -> SolveFailed:
+    """Return the failure of a deck that cannot take the wrench."""
+    return SolveFailed("bad_deck", message, remedy)
+
+
+def moment_unsettled(runs: int, gap: float) -> SolveFailed:
+    """Return the failure of the search for the conjugate moment."""
+    return SolveFailed(
+        "not_converged",
+        f"After {runs} runs the deck's moment is still {gap:.1e} off the required one.",
+        'If the deck takes moments about fixed axes, say moment = "spatial" in [deck]; else the '
+        "part turns too much for its moment.",
+    )
+
+
+def not_linear(gap: float) -> SolveFailed:
+    """Return the failure of a deck that its bundle calls linear and that is not."""
+    return SolveFailed(
+        "not_linear",
+        f"The deck's answer to this wrench is {gap:.1e} off what its answers to single loads add "
+        "up to.",
+        "Set nonlinear = true in [analysis], or take out of the deck what is not linear: NLGEOM, "
+        "contact, plasticity, loads other than the wrench.",
+    )
+
+
+def not_reciprocal(message: str) -> SolveFailed:
+    """Return the failure of a compliance that no elastic body can have."""
+    return SolveFailed(
+        "not_reciprocal",
+        message,
+        "Check that each placeholder stands at its own freedom with a plus sign, that point and "
+        "rotation name the sets the loads act on, and that unit is the deck's.",
+    )
+
+
+def _look(folder: Path) -> str:
+    # Not the whole path: it goes to clients, whom the server's folders do not concern.
+    return _LOOK.format(place=f"{folder.parent.name}/{folder.name}")

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.fea.coupling.rotation import spin_per_vector
-from wrenchbook.fea.deck import failures
-from wrenchbook.fea.deck.running import run_deck
+from wrenchbook.fea.deck.running import moment_unsettled, not_linear, not_reciprocal, run_deck
 from wrenchbook.fea.solution import Progress, Solution, checked_wrench
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck
 
@@ -93,7 +92,7 @@ def solve_deck(
             largest = (np.abs(compliance) @ np.abs(loads)).reshape(2, 3).max(axis=1)
             gaps = np.abs(compliance @ loads - displacement).reshape(2, 3).max(axis=1)
             if (gaps > _LINEAR_GAP * largest).any():
-                raise failures.not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
+                raise not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
             # A compliance is that of an elastic body if loads do no negative work, and as much on
             # each other's displacements (Betti). Compared is the work (J) of loads of these sizes:
             # a locked freedom may show roundoff.
@@ -102,13 +101,13 @@ def solve_deck(
             floor = _ROUNDOFF * float(np.abs(works).max())
             if (works < -floor).any():
                 freedom = FREEDOMS[int(np.argmin(works))]
-                raise failures.not_reciprocal(f"The load on {freedom} moves it backwards.")
+                raise not_reciprocal(f"The load on {freedom} moves it backwards.")
             works = np.maximum(works, 0.0)
             gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(works, works))
             i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
             if gap[i, j] > floor:
                 first, second = FREEDOMS[i], FREEDOMS[j]
-                raise failures.not_reciprocal(
+                raise not_reciprocal(
                     f"A unit load on {second} moves {first} by {compliance[i, j]:.6e}, one on "
                     f"{first} moves {second} by {compliance[j, i]:.6e}: in an elastic body the two "
                     "agree."
@@ -184,7 +183,7 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
         step, before = -inverse @ excess, excess
         acting = acting + step
     runs.accept(displacement)
-    raise failures.moment_unsettled(_MOST_RUNS, gap / size)
+    raise moment_unsettled(_MOST_RUNS, gap / size)
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from wrenchbook.fea.element.mapping import Gradients
+from wrenchbook.fea.mesh.mapping import Gradients
 
 Array = np.ndarray
 Which = slice | np.ndarray

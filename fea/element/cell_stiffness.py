@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from wrenchbook.fea.element.cell_state import CellState, Which
-from wrenchbook.fea.element.mapping import Gradients
+from wrenchbook.fea.mesh.mapping import Gradients
 
 Array = np.ndarray
 

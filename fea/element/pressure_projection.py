@@ -103,7 +103,7 @@ def volume_modes(points: Array, block: CellBlock, weights: Array, integration: s
 
     points: shape (n, 3), m.
     block: cells of a kind in `PRESSURES`.
-    weights: shape (cells, points), m^3, from `fea.element.mapping`.
+    weights: shape (cells, points), m^3, from `fea.mesh.reference_cell`.
     integration: ``"reduced"`` or ``"full"``.
     Result: shape (cells, points, modes), m^1.5: w_p q_pi with sum_p w_p q_pi q_pj = delta_ij.
     """

@@ -2,7 +2,7 @@
 
 The shape functions and points are scikit-fem's. They are tabulated once for each kind and rule, in
 the node order of `fea.mesh.mesh`; the map to the real cell is then the isoparametric one of the
-cell's own nodes (`fea.element.mapping`), which sets neither the sign of a determinant nor the place
+cell's own nodes (`fea.mesh.mapping`), which sets neither the sign of a determinant nor the place
 of a midside node by convention.
 """
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.assembly.condition import ROUNDOFF
 from wrenchbook.fea.assembly.linearisation import Linearisation, contract
-from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.failure import ill_conditioned
 
 Array = np.ndarray

@@ -161,23 +161,16 @@ def demo(
 
 # Programs with an argument parser of their own: this process never imports the finite elements.
 PROGRAMS = {
-    "new": ("proposal", "Propose a component for an input deck, check it, and print what is open."),
-    "check": (
-        "__main__",
-        "Check a component bundle before its upload: mesh, supports, cost.",
-    ),
-    "converge": ("converge", "Solve a part on finer meshes: order, limit, error of its own mesh."),
-    "condense": (
-        "condense",
-        "Write stiffness and mass of frames and modes (Craig-Bampton).",
-    ),
+    "new": "Propose a component for an input deck, check it, and print what is open.",
+    "check": "Check a component bundle before its upload: mesh, supports, cost.",
+    "converge": "Solve a part on finer meshes: order, limit, error of its own mesh.",
+    "condense": "Write stiffness and mass of frames and modes (Craig-Bampton).",
 }
 
 
 def run_program(ctx: typer.Context) -> None:
     """Run a command of `PROGRAMS`, which gets its arguments as they are."""
-    module, _ = PROGRAMS[str(ctx.info_name)]
-    raise typer.Exit(run_child(f"wrenchbook.fea.check.{module}", *ctx.args))
+    raise typer.Exit(run_child("wrenchbook.fea.check.commands", str(ctx.info_name), *ctx.args))
 
 
 def backup(

@@ -78,7 +78,7 @@ for name, table_command in TABLE_COMMANDS.items():
     app.command(name)(table_command)
 for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, jobs):
     app.command()(command)
-for name, (_, summary) in PROGRAMS.items():
+for name, summary in PROGRAMS.items():
     passed_on = {"ignore_unknown_options": True, "allow_extra_args": True}
     app.command(name, help=summary, add_help_option=False, context_settings=passed_on)(run_program)
 for command in (joint, stiffness):

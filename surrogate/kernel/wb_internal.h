@@ -9,6 +9,14 @@
 
 #include "wrenchbook.h"
 
+/* Of the range, in each load: a smaller load is none, and one so little beyond an end is on it;
+ * wrenches closer than this are one. Of an answer's size: what its computation loses. And how much
+ * more than in proportion a response may move. As in Python (tests/surrogate/kernel). */
+#define WB_CLEAN 1e-9
+#define WB_NEAR 1e-6
+#define WB_ROUNDING 1e-12
+#define WB_STEEPER 2.0
+
 enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
 enum { WB_AXES = 3, WB_AXIS_OUTPUTS = 6, WB_AXIS_INPUTS = 3 };
 /* What an axis' part of an answer rests on, from the best to the worst. */
@@ -215,6 +223,8 @@ void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const do
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply);
 void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
                          const wb_reply *reply, double *derivative);
+void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
+                      double *derivative);
 int wb_check(const wb_table *t, const wb_options *o, const double *inputs);
 void wb_unmap(wb_table *t);
 

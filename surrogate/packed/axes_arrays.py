@@ -13,8 +13,8 @@ from itertools import accumulate, chain
 import numpy as np
 from numpy.typing import NDArray
 
-from ..composition.axis_table import LARGEST, AxisTable
-from ..composition.composition import Composition
+from ..axes.axes import Composition
+from ..axes.axis_table import LARGEST, AxisTable
 from ..error_law import FEWEST
 from ..table.rows import Floats
 from .numbering import DIMENSION, FIRST_CELL, FLOATS, INTS, SCALE, buckets_of, numbered_of

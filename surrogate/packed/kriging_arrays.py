@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
-from ..kriging.neighbourhood import Neighbourhoods
+from ..kriging.factor import Neighbourhoods
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 
@@ -37,33 +37,33 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     (2, n), the ends, scaled and in N and N·m, between which errors are known; ``shares`` (1), how
     many factors there are.
     """
-    inside, scaling = kriging.inside, kriging.scaling
-    rows = len(inside.equations)
+    scaling = kriging.scaling
+    rows = len(kriging.equations)
     stride = -(-rows // LANES) * LANES
-    x = np.pad(inside.equations.x.T, ((0, 0), (0, stride - rows)))
-    weights_by_place = np.zeros((*inside.weights.shape[:0:-1], stride))
-    weights_by_place[:, :, :rows] = inside.weights.transpose(2, 1, 0)
+    x = np.pad(kriging.equations.x.T, ((0, 0), (0, stride - rows)))
+    weights_by_place = np.zeros((*kriging.weights.shape[:0:-1], stride))
+    weights_by_place[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
     yield "x", x
     rates, weights = kriging.hyperparameters.terms
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", kriging.hyperparameters.inverse_squares
     yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
-    if inside.equations.places > 1 + len(x):
+    if kriging.equations.places > 1 + len(x):
         yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)
-    yield "coefficients", inside.coefficients
+    yield "coefficients", kriging.coefficients
     yield "centre", scaling.centre
     yield "rate", np.where(scaling.active, 1 / scaling.half, 0.0)
     yield "offset", scaling.offset
     yield "spread", scaling.spread
-    yield "deviation", inside.deviation * scaling.spread
-    yield "lost", inside.rounding * scaling.spread
+    yield "deviation", kriging.deviation * scaling.spread
+    yield "lost", kriging.rounding * scaling.spread
     yield "floor", np.array([kriging.settings.error_floor])
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
-    yield "span", inside.span
-    yield "span_loads", scaling.wrenches(inside.span)
-    yield "shares", np.array([len(inside.shares)], dtype=np.int32)
-    for number, (share, found) in enumerate(zip(inside.shares, inside.calibrations, strict=True)):
-        outputs, places = len(inside.deviation), inside.equations.places
+    yield "span", kriging.span
+    yield "span_loads", scaling.wrenches(kriging.span)
+    yield "shares", np.array([len(kriging.shares)], dtype=np.int32)
+    for number, (share, found) in enumerate(zip(kriging.shares, kriging.calibrations, strict=True)):
+        outputs, places = len(kriging.deviation), kriging.equations.places
         arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
         for name, array in chain(*arrays):
             yield f"share{number}/{name}", array

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..interpolation.delaunay import Triangulation
-from ..interpolation.morton import curve_order
+from ..axes.triangulation import Triangulation, curve_order
 from ..table.rows import Floats
 
 Indices = NDArray[np.intp]

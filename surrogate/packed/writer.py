@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..answer import METHODS, allowed_by
-from ..build import AnyTable, tangent_at_zero
+from ..build import AnyTable
 from ..describe import axis_gaps
 from ..kriging import Kriging
-from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods import ENOUGH_FULL
 from ..surrogate import Surrogate
-from ..table.rows import CLEAN, Floats
+from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats
 from .axes_arrays import axes_arrays
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays
@@ -72,7 +71,6 @@ def pack(
         "solver_error": None if table.solver_error is None else table.solver_error.values,
         "summary": table.coverage_summary(),
         "gaps": None if no_axes else axis_gaps(table.composition, table.load_range),
-        "tangent": dict(zip(("matrix", "origin"), tangent_at_zero(table), strict=True)),
         "provenance": {
             "component": component,
             "fingerprint": fingerprint,

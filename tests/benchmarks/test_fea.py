@@ -26,7 +26,7 @@ from tests.validation import calculix
 from tests.validation.calculix import LINEAR, NONLINEAR, worst_gap
 from tests.validation.clamped import shipped
 from tests.validation.plate import WRENCH
-from wrenchbook.fea.accuracy.second_mesh import finer
+from wrenchbook.fea.accuracy.convergence import finer
 from wrenchbook.fea.solve import Solver
 
 ROUNDS = int(os.environ.get("WRENCHBOOK_BENCH_ROUNDS", "3"))

@@ -86,7 +86,7 @@ def test_second_derivatives_of_60_solves_cost_microseconds(tmp_path: Path) -> No
 def test_length_scales_of_every_output_cost_its_covariances(tmp_path: Path) -> None:
     at, asked = full_wrenches(60, 3), full_wrenches(100_000, 4) * HIGH
     own, common = (build(with_slopes(response, at), RANGE) for response in (hardening, kink_across))
-    shares = [len(one.table.thinnest.kriging.inside.shares) for one in (own, common)]
+    shares = [len(one.table.thinnest.kriging.shares) for one in (own, common)]
     assert shares == [6, 1]
     found, plain = (rates(one, asked, tmp_path) for one in (own, common))
     print(

@@ -11,7 +11,8 @@ from tests.fea.supports import TABLE, largest
 from tests.fea.two_interfaces import LINK
 from tests.validation import calculix
 from wrenchbook.fea.bundle.read import bundle_of
-from wrenchbook.fea.check import as_text, check
+from wrenchbook.fea.check import as_text
+from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError

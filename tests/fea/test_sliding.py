@@ -12,7 +12,7 @@ from tests.validation import calculix, second_opinion
 from tests.validation.patch import distort
 from wrenchbook.fea.check.findings import motion_problems
 from wrenchbook.fea.coupling.rotation import rotation
-from wrenchbook.fea.inspection.bodies import bodies_of, coincident_nodes
+from wrenchbook.fea.inspection import bodies_of, coincident_nodes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 

@@ -12,7 +12,7 @@ from tests.surrogate.test_space import range_of
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.compliance import fit_compliance
-from wrenchbook.surrogate.table.conflicts import conflicts
+from wrenchbook.surrogate.table.merging import row_conflicts
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import Input, space_of
@@ -141,11 +141,11 @@ def test_rows_that_contradict_each_other_are_listed_and_repeats_are_not() -> Non
     moved[1, 2] += 1e-4
     rows = table(smooth, SCALED) + Rows.of(wrench, moved, seq=[101, 102, 103, 104])
     rows = rows.take(np.delete(np.arange(len(rows)), [5, 6]))
-    found = conflicts(rows, RANGE)
+    found = row_conflicts(rows, RANGE)["conflicts"]
     assert [one["rows"] for one in found] == [[101, 102]]
     assert found[0]["spread"] == pytest.approx({"uz": 1e-4})
     doubtful = Rows.of(wrench, moved, uncertainty=np.full((4, 6), 1e-4))
-    assert conflicts(doubtful, RANGE) == []
+    assert row_conflicts(doubtful, RANGE)["conflicts"] == []
     summary = build(rows, RANGE).coverage_summary()
     assert summary["conflicting_wrenches"] == 1
     assert summary["repeated_wrenches"] == 2

@@ -13,7 +13,7 @@ from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, six
 from wrenchbook.surrogate.build import AnyTable
 from wrenchbook.surrogate.kernel.packing import packed_of
-from wrenchbook.surrogate.table.row_index import RowIndex
+from wrenchbook.surrogate.table.merging import RowIndex
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 SMOOTH = RESPONSES["smooth"]

@@ -18,9 +18,9 @@ from tests.surrogate.responses import (
 )
 from wrenchbook.surrogate.build import AnyTable
 from wrenchbook.surrogate.table import thinning
-from wrenchbook.surrogate.table.row_index import RowIndex
+from wrenchbook.surrogate.table.axes import evenly_chosen
+from wrenchbook.surrogate.table.merging import RowIndex
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
-from wrenchbook.surrogate.table.thinning import evenly_chosen
 
 ASKED = np.concatenate((full_wrenches(80, 11), clean_wrenches(20, 12) * 0.9)) * HIGH
 

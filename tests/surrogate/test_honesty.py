@@ -23,7 +23,7 @@ from tests.surrogate.responses import (
     table,
 )
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
-from wrenchbook.surrogate.interpolation.delaunay import Triangulation
+from wrenchbook.surrogate.axes.triangulation import Triangulation
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 

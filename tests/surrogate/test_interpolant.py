@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import griddata
 
-from wrenchbook.surrogate.interpolation.delaunay import Triangulation
+from wrenchbook.surrogate.axes.triangulation import Triangulation
 
 
 def interpolate(points: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.ndarray:

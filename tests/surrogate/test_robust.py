@@ -16,7 +16,7 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
-from wrenchbook.surrogate.interpolation.delaunay import Triangulation
+from wrenchbook.surrogate.axes.triangulation import Triangulation
 from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 

@@ -10,8 +10,7 @@ import numpy as np
 from tests.validation.calculix import same_mesh
 from tests.validation.clamped import clamped, shipped
 from tests.validation.finding import Finding, case
-from wrenchbook.fea.mesh.generators.plane import PlaneMesh, quadratic, ring_quads
-from wrenchbook.fea.mesh.generators.sweep import sweep
+from wrenchbook.fea.mesh.generators import PlaneMesh, quadratic, ring_quads, sweep
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.solve import Solver
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from wrenchbook.fea.mesh.cad.entities import METRES
 from wrenchbook.fea.mesh.io.raw import RawMesh, to_mesh
+from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.mesh.quality import cell_problems
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import GeometryMeshing
 

@@ -20,6 +20,8 @@ from wrenchbook.fea.mesh.io.abaqus import (
     SOLID_FACES,
     TAKERS,
     Deck,
+    Frame,
+    Keyword,
     kind_of,
     named,
     parsed,
@@ -27,7 +29,6 @@ from wrenchbook.fea.mesh.io.abaqus import (
     set_key,
     set_names,
 )
-from wrenchbook.fea.mesh.io.keywords import Frame, Keyword
 from wrenchbook.fea.mesh.io.raw import MeshFileError, RawMesh
 
 _WORDS = {

@@ -6,8 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from wrenchbook.fea.mesh.io.raw import MeshFileError
-from wrenchbook.fea.mesh.io.translated import Case, Translated
+from wrenchbook.fea.mesh.io.raw import Case, MeshFileError, Translated
 
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
 _LEFT = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}

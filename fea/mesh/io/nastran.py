@@ -11,8 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from wrenchbook.fea.mesh.io.raw import MeshFileError
-from wrenchbook.fea.mesh.io.translated import Case, Translated
+from wrenchbook.fea.mesh.io.raw import Case, MeshFileError, Translated
 
 _SOLIDS = {
     ("CHEXA", 8): "C3D8",

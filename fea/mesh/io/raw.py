@@ -1,13 +1,15 @@
-"""Content of a mesh file, before it becomes a `fea.mesh.mesh.Mesh`."""
+"""Content of a mesh file before it is a `fea.mesh.mesh.Mesh` or, translated, an Abaqus deck."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from wrenchbook.fea.mesh.facets import FaceFinder
+from wrenchbook.fea.mesh.mapping import right_way_round
 from wrenchbook.fea.mesh.mesh import (
     NODES_PER_CELL,
     NODES_PER_FACET,
@@ -16,9 +18,9 @@ from wrenchbook.fea.mesh.mesh import (
     FacetGroup,
     Mesh,
 )
-from wrenchbook.fea.mesh.quality import right_way_round
 
 Array = np.ndarray
+
 Block = tuple[str, Array]
 
 NODES_PER_LINE = {"point1": 1, "line2": 2, "line3": 3}
@@ -156,3 +158,90 @@ def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
     used = {name: np.unique(number[nodes]) for name, nodes in groups.items()}
     used = {name: nodes[nodes >= 0] for name, nodes in used.items()}
     return {name: nodes for name, nodes in used.items() if len(nodes)}
+
+
+@dataclass
+class Case:
+    """A load case: rows of ``*BOUNDARY`` and of ``*CLOAD``."""
+
+    name: str = ""
+    held: list[str] = field(default_factory=list)
+    loads: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Translated:
+    """A deck in the making; all entries are text as it goes into the deck.
+
+    Attributes
+    ----------
+    nodes
+        Rows of ``*NODE``.
+    elements
+        By type and region, numbers of element and nodes.
+    constants
+        By material, rows by keyword.
+    sections
+        Material by region.
+    groups
+        Nodes by name.
+    ties
+        Lines of couplings.
+    cases
+        Each a step.
+    left
+        How often each thing occurs that is not in the deck.
+    decide
+        What the file leaves open.
+    """
+
+    nodes: list[str] = field(default_factory=list)
+    elements: dict[tuple[str, str], list[list[str]]] = field(
+        default_factory=lambda: defaultdict(list)
+    )
+    constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
+    sections: dict[str, str] = field(default_factory=dict)
+    groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    ties: list[str] = field(default_factory=list)
+    cases: list[Case] = field(default_factory=list)
+    left: Counter[str] = field(default_factory=Counter)
+    decide: list[str] = field(default_factory=list)
+    nonlinear: bool = False
+
+    def lines(self) -> list[str]:
+        """Return the deck."""
+        lines = ["*NODE", *self.nodes]
+        for (kind, region), rows in self.elements.items():
+            lines.append(f"*ELEMENT, TYPE={kind}, ELSET={region}")
+            lines += [",\n".join(_rows(row)) for row in rows]
+        for name, nodes in self.groups.items():
+            lines += [f"*NSET, NSET={name}", *_rows(nodes)]
+        for name, constants in self.constants.items():
+            lines.append(f"*MATERIAL, NAME={name}")
+            lines += [f"*{word}\n{row}" for word, row in constants.items()]
+        known = {region for _, region in self.elements}
+        pairs = ((region, name) for region, name in self.sections.items() if region in known)
+        lines += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
+        lines += self.ties
+        before = Case()
+        for case in self.cases or [before]:
+            lines.append(f"*STEP, NAME={case.name}" + ", NLGEOM" * self.nonlinear)
+            if case.held != before.held:  # a step keeps what it does not change
+                lines += ["*BOUNDARY, OP=NEW", *case.held]
+            if case.loads != before.loads:
+                lines += ["*CLOAD, OP=NEW", *case.loads]
+            lines.append("*END STEP")
+            before = case
+        return [*lines, ""]
+
+    def tie(self, name: str, nodes: list[str], reference: str, kind: str) -> None:
+        """Let nodes follow a reference node ("KINEMATIC"), or it their mean ("DISTRIBUTING")."""
+        self.groups[name] = nodes
+        self.ties += [f"*SURFACE, TYPE=NODE, NAME={name}", name]
+        self.ties += [f"*COUPLING, CONSTRAINT NAME={name}, SURFACE={name}, REF NODE={reference}"]
+        self.ties.append(f"*{kind}")
+
+
+def _rows(texts: Iterable[str]) -> list[str]:
+    texts = list(texts)
+    return [", ".join(texts[i : i + 10]) for i in range(0, len(texts), 10)]

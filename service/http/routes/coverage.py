@@ -56,13 +56,13 @@ def coverage(name: str, table: Newest) -> Response:
     response_model=Compliance,
 )
 def compliance(name: str, table: Newest) -> Response:
-    fit, tangent, space = table.fit, table.packed.words["tangent"], table.load_range.space
+    fit, tangent, space = table.fit, table.packed.tangent_at_zero(), table.load_range.space
     return json_reply(
         Compliance(
             component=name,
             table_version=table.version,
-            tangent=tangent["matrix"],
-            tangent_origin=tangent["origin"],
+            tangent=tangent[0],
+            tangent_origin=tangent[1],
             origin=cast(Any, fit.origin),
             matrix=fit.matrix,
             offset=np.ascontiguousarray(np.broadcast_to(fit.offset, len(space.outputs))),

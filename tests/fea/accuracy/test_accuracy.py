@@ -11,15 +11,13 @@ from tests.fea.components import component
 from tests.fea.geometry import draw_bracket, drawing
 from tests.surrogate.law.solver_share import widened, widened_many
 from wrenchbook.fea.accuracy import estimate
-from wrenchbook.fea.accuracy.beyond_linear import beyond_linear
-from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
-from wrenchbook.fea.accuracy.recovered import recovered_error
-from wrenchbook.fea.accuracy.second_mesh import coarser
+from wrenchbook.fea.accuracy.convergence import coarser
+from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why, beyond_linear
+from wrenchbook.fea.accuracy.mesh_error import recovered_error
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import mesh_of
-from wrenchbook.fea.mesh.refine import refined
-from wrenchbook.fea.mesh.split import halved
+from wrenchbook.fea.mesh.refine import halved, refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import DeclaredRange
 from wrenchbook.surrogate.solver_error import SolverError

@@ -7,9 +7,8 @@ import pytest
 
 from tests.fea.accuracy.test_rounded import tube
 from wrenchbook.fea.accuracy import convergence, estimate
-from wrenchbook.fea.accuracy.convergence import Study, kept, studied, write
+from wrenchbook.fea.accuracy.convergence import Study, finer, kept, studied, write
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
-from wrenchbook.fea.accuracy.second_mesh import finer
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.failure import mechanism

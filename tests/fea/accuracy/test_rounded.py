@@ -8,9 +8,10 @@ import pytest
 
 from tests.fea.boxes import box
 from wrenchbook.fea.accuracy.estimate import accuracy_of
-from wrenchbook.fea.accuracy.rounded import bows_of, roundness
+from wrenchbook.fea.accuracy.mesh_error import bows_of, roundness
 from wrenchbook.fea.bundle.read import read_bundle
-from wrenchbook.fea.check import as_text, check
+from wrenchbook.fea.check import as_text
+from wrenchbook.fea.check import report as check
 from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.facets import EDGES
 from wrenchbook.fea.solve import Solver

@@ -5,7 +5,8 @@ import pytest
 
 from tests.fea.two_interfaces import LINK, rod_between_loads
 from wrenchbook.fea.bundle.read import read_bundle
-from wrenchbook.fea.check import as_text, check
+from wrenchbook.fea.check import as_text
+from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.solve import solve
 from wrenchbook.fea.spec.problems import BundleError

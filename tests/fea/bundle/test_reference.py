@@ -10,8 +10,8 @@ import pytest
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.bundle.reference import README, json_schema, page, tables
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.check.reporting import main
-from wrenchbook.fea.readers.registry import _BUILT_IN
+from wrenchbook.fea.check.commands import main
+from wrenchbook.fea.readers import _BUILT_IN
 from wrenchbook.fea.spec.keys import extra_of, keys_of
 from wrenchbook.fea.spec.problems import BundleError
 
@@ -77,7 +77,7 @@ def test_a_mistake_does_not_follow_the_schema(change, words):
 
 
 def test_check_prints_the_schema_with_descriptions_and_units(capsys):
-    assert main(["--schema"]) == 0
+    assert main(["check", "--schema"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == SCHEMA
     modulus = printed["$defs"]["Material"]["properties"]["youngs_modulus"]

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from wrenchbook.fea.check import check, main
+from wrenchbook.fea.check import report as check
+from wrenchbook.fea.check.commands import main
 
 SHIPPED = Path(__file__).parents[3] / "data" / "components"
 
@@ -32,7 +33,7 @@ def test_the_command_reports_every_mistake_and_ends_with_1(tmp_path, capsys):
     text = (SHIPPED / "bar" / "component.toml").read_text()
     text = text.replace("210e9", "-210e9").replace('"distributed"', '"glued"')
     (tmp_path / "component.toml").write_text(text)
-    assert main(["--json", str(tmp_path)]) == 1
+    assert main(["check", "--json", str(tmp_path)]) == 1
     report = json.loads(capsys.readouterr().out)
     assert report["ok"] is False
     assert [problem["where"] for problem in report["problems"]] == [
@@ -59,7 +60,8 @@ def test_a_table_only_bundle_is_fine_and_has_nothing_to_solve(tmp_path):
 
 
 def test_a_wrong_call_ends_with_2(capsys):
-    assert main([]) == 2
+    with pytest.raises(SystemExit, match="2"):
+        main(["check"])
     assert "usage" in capsys.readouterr().err
 
 

@@ -7,9 +7,10 @@ from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.check.findings import describe, free_motions
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.inspection.bodies import bodies_of, coincident_nodes
-from wrenchbook.fea.inspection.cells import (
+from wrenchbook.fea.inspection import (
     aspect_ratio,
+    bodies_of,
+    coincident_nodes,
     edge_curvature,
     jacobian_ratio,
     scaled_jacobian,

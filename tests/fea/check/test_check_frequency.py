@@ -7,7 +7,8 @@ import pytest
 
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.check.reporting import main, report
+from wrenchbook.fea.check import report
+from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.solver.vibration import Riding
 
 WITH_DENSITY = "poisson_ratio = 0.3\ndensity = 7850.0\nyield_strength = 250e6\n"
@@ -58,18 +59,14 @@ def test_a_material_of_no_such_number_is_refused(bar, key, value):
 
 
 def test_the_program_takes_the_mass_as_arguments(bar, capsys):
-    assert (
-        main(
-            ["--json", "--mass", "2", "--inertia=1,1,2", "--centre=0,0,0.1", str(with_density(bar))]
-        )
-        == 0
-    )
+    words = ["check", "--json", "--mass", "2", "--inertia=1,1,2", "--centre=0,0,0.1"]
+    assert main([*words, str(with_density(bar))]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["vibration"]["riding_mass"] == 2.0
 
 
 def test_the_text_says_the_frequency(bar, capsys):
-    assert main(["--mass", "2", str(with_density(bar))]) == 0
+    assert main(["check", "--mass", "2", str(with_density(bar))]) == 0
     assert "first natural frequency" in capsys.readouterr().out
 
 
@@ -84,8 +81,9 @@ def test_the_text_says_the_frequency(bar, capsys):
     ],
 )
 def test_a_mass_that_cannot_be_is_a_usage_error(bar, capsys, words, message):
-    assert main([*words, str(bar)]) == 2
-    assert message in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="2"):
+        main(["check", *words, str(bar)])
+    assert message in capsys.readouterr().err
 
 
 def test_a_mass_on_a_deck_is_said_to_count_for_nothing():

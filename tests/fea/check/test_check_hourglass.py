@@ -8,8 +8,8 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.check.test_deck_comparison import TOML
 from tests.fea.written_deck import deck_lines
-from wrenchbook.fea.check import check
-from wrenchbook.fea.inspection.bodies import stacked_singly
+from wrenchbook.fea.check import report as check
+from wrenchbook.fea.inspection import stacked_singly
 
 
 def arch(folder, across, integration):

@@ -12,7 +12,7 @@ from tests.validation.laminate import strip
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text, report
-from wrenchbook.fea.check.strength import strength
+from wrenchbook.fea.check.trial import strength
 from wrenchbook.fea.component import build
 from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.solve import Solver

@@ -5,7 +5,8 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.written_deck import deck_lines
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
-from wrenchbook.fea.check import as_text, check
+from wrenchbook.fea.check import as_text
+from wrenchbook.fea.check import report as check
 
 TOML = """name = "block"
 title = "Block"

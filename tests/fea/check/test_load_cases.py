@@ -11,7 +11,8 @@ from tests.fea import calculix
 from tests.fea.boxes import box
 from tests.fea.cae import make
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
-from wrenchbook.fea.check.proposal import main, propose
+from wrenchbook.fea.check.commands import main
+from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.solve import Solver
 
 # A cantilever of 100 x 10 x 10 mm, E 70 GPa, nu 0.3, 100 N across its tip; CalculiX 2.20 has these.
@@ -505,5 +506,6 @@ def test_a_single_stack_of_cells_is_integrated_fully(tmp_path, monkeypatch, kind
 def test_a_proposal_prints_the_warnings_of_its_check(tmp_path, capsys):
     text = HELD.replace("*STEP", "*EQUATION\n2\n1, 1, 1., 2, 1, -1.\n*STEP")
     (tmp_path / "deck.inp").write_text(text)
-    main(["--unit", "mm", "--case", "step 1", str(tmp_path / "deck.inp"), str(tmp_path / "new")])
+    words = ["new", "--unit", "mm", "--case", "step 1"]
+    main([*words, str(tmp_path / "deck.inp"), str(tmp_path / "new")])
     assert "warning: mesh.file: line" in capsys.readouterr().out

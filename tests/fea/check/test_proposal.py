@@ -11,9 +11,10 @@ from tests.fea.cae import make
 from tests.fea.written_deck import deck_lines
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.check.proposal import main, propose
+from wrenchbook.fea.check.commands import main
+from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.fea.mesh.quality import folded_cells, volumes
+from wrenchbook.fea.mesh.mapping import folded_cells, volumes
 from wrenchbook.fea.solve import Solver
 
 LOAD = np.array([50.0, 0, 0, 0, 0, 0.8])
@@ -193,10 +194,10 @@ def test_a_folder_with_a_component_is_not_overwritten(tmp_path):
 
 def test_a_folder_that_cannot_be_made_and_a_deck_that_cannot_be_read_are_named(tmp_path, capsys):
     (tmp_path / "file").write_text("no folder")
-    assert main([str(make.HERE / "calculix.inp"), str(tmp_path / "file")]) == 1
+    assert main(["new", str(make.HERE / "calculix.inp"), str(tmp_path / "file")]) == 1
     assert "cannot be written (File exists); name a new folder" in capsys.readouterr().out
     for deck in (tmp_path / "none.inp", tmp_path):
-        assert main([str(deck), str(tmp_path / "new")]) == 1
+        assert main(["new", str(deck), str(tmp_path / "new")]) == 1
         assert f"{deck}: cannot be read" in capsys.readouterr().out
 
 
@@ -210,7 +211,7 @@ def test_a_folder_that_cannot_be_made_and_a_deck_that_cannot_be_read_are_named(t
 )
 def test_slips_of_a_deck_are_named_with_what_to_do(tmp_path, capsys, old, new, words):
     (tmp_path / "a.inp").write_text(CUBE.replace(old, new), encoding="utf-8")
-    assert main([str(tmp_path / "a.inp"), str(tmp_path / "new")]) == 1
+    assert main(["new", str(tmp_path / "a.inp"), str(tmp_path / "new")]) == 1
     assert words in capsys.readouterr().out
 
 
@@ -230,7 +231,7 @@ def test_a_node_in_a_coordinate_system_of_its_own_is_refused_with_its_line(tmp_p
 def test_the_command_ends_with_one_where_something_is_left_to_decide(tmp_path, capsys):
     text = make.abaqus().replace("Set-Foot, ENCASTRE\n", "")
     (tmp_path / "a.inp").write_text(text)
-    assert main(["--json", str(tmp_path / "a.inp"), str(tmp_path / "new")]) == 1
+    assert main(["new", "--json", str(tmp_path / "a.inp"), str(tmp_path / "new")]) == 1
     assert json.loads(capsys.readouterr().out)["decide"]
 
 

@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 
 from tests.fea.decks import SOFT, WRENCH, component
 from tests.until import until
+from wrenchbook.fea import readers
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.deck.running import deck_report, filled
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.readers import registry
-from wrenchbook.fea.readers.reader import Reading
-from wrenchbook.fea.readers.registry import NumbersReader
+from wrenchbook.fea.readers import NumbersReader, Reading
 from wrenchbook.fea.solve import solve
 
 NUMBER = st.floats(allow_nan=False, allow_infinity=False)
@@ -358,10 +357,10 @@ class Halves(NumbersReader):
 def test_another_package_can_offer_a_reader(tmp_path, monkeypatch):
     from importlib.metadata import EntryPoint
 
-    entry = EntryPoint("halves", f"{__name__}:Halves", registry.ENTRY_POINTS)
+    entry = EntryPoint("halves", f"{__name__}:Halves", readers.ENTRY_POINTS)
     monkeypatch.setattr(EntryPoint, "load", lambda self: Halves)
-    monkeypatch.setattr(registry, "_offered", lambda: [entry])
-    assert registry.reader_names() == ("calculix-dat", "halves", "numbers")
+    monkeypatch.setattr(readers, "_offered", lambda: [entry])
+    assert readers.reader_names() == ("calculix-dat", "halves", "numbers")
     found = solve(component(tmp_path, output={"reader": "halves"}), [0] * 6, None)
     assert found.displacement[0] == 0.5
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.fea.boxes import box
-from wrenchbook.fea.element.mapping import area_weights, cell_gradients
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.mapping import area_weights, cell_gradients
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 from wrenchbook.fea.mesh.reference_cell import node_places, reference_element
 

@@ -7,11 +7,14 @@ import pytest
 
 from tests.fea.boxes import box
 from wrenchbook.fea.coupling.rotation import rotation
-from wrenchbook.fea.element.mapping import cell_gradients
 from wrenchbook.fea.element.neo_hookean import NeoHookeanStiffness
-from wrenchbook.fea.element.orthotropic import OrthotropicStiffness, turned_elasticity
 from wrenchbook.fea.element.pressure_projection import volume_modes
-from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
+from wrenchbook.fea.element.st_venant_kirchhoff import (
+    OrthotropicStiffness,
+    Stiffness,
+    turned_elasticity,
+)
+from wrenchbook.fea.mesh.mapping import cell_gradients
 from wrenchbook.fea.spec.material import Orthotropic
 
 RNG = np.random.default_rng(17)

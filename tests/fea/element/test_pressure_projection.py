@@ -8,10 +8,10 @@ import pytest
 from tests.fea import components
 from tests.fea.boxes import box
 from tests.fea.components import component
-from wrenchbook.fea.element.mapping import cell_gradients
 from wrenchbook.fea.element.pressure_projection import LARGEST_RATIO, locking, volume_modes
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.mapping import cell_gradients
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.solve import Solver

@@ -13,8 +13,8 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check import report
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.mapping import cell_problems, determinants
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
-from wrenchbook.fea.mesh.quality import cell_problems, determinants
 from wrenchbook.fea.solve import Solver, solve
 from wrenchbook.fea.spec.problems import BundleError
 

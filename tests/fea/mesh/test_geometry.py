@@ -10,11 +10,10 @@ import pytest
 from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh, start
 from wrenchbook.fea.bundle.read import BundleError, bundle_of
 from wrenchbook.fea.component import build, mesh_of
-from wrenchbook.fea.element.mapping import area_weights
-from wrenchbook.fea.inspection.warnings import unit_warnings
+from wrenchbook.fea.inspection import unit_warnings
 from wrenchbook.fea.mesh.cad.child import opened
 from wrenchbook.fea.mesh.cad.meshing import list_shape, mesh_geometry
-from wrenchbook.fea.mesh.quality import volumes
+from wrenchbook.fea.mesh.mapping import area_weights, volumes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import BodySelector, GeometryMeshing
 

@@ -6,7 +6,7 @@ import pytest
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.fea.mesh.quality import volumes
+from wrenchbook.fea.mesh.mapping import volumes
 
 # Two 1 x 1 x 1 cubes side by side along x, one with 8 and one with 20 nodes apart from it, and a
 # reference node of its own, as decks have them.

@@ -5,8 +5,7 @@ import pytest
 
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.facets import outer_surface
-from wrenchbook.fea.mesh.generators import Bar, Plate, Spring
-from wrenchbook.fea.mesh.generators.plane import disc, equal_area_factor
+from wrenchbook.fea.mesh.generators import Bar, Plate, Spring, disc, equal_area_factor
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup
 
 WIRE, COIL, HEIGHT, TURNS = 1.4e-3, 22.6e-3, 88e-3, 5.5

@@ -7,11 +7,10 @@ from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.bundle.read import BundleError, bundle_of
 from wrenchbook.fea.component import build
-from wrenchbook.fea.element.mapping import area_weights
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import outer_surface
+from wrenchbook.fea.mesh.mapping import area_weights, volumes
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
-from wrenchbook.fea.mesh.quality import volumes
 from wrenchbook.fea.solve import Solver
 
 FIRST = ("hex8", "tet4", "wedge6")

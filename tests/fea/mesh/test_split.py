@@ -10,7 +10,7 @@ from tests.fea.components import component
 from wrenchbook.fea.mesh.facets import outer_surface
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_places, reference_element
-from wrenchbook.fea.mesh.split import halved
+from wrenchbook.fea.mesh.refine import halved
 from wrenchbook.fea.solve import Solver
 
 

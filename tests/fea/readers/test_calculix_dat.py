@@ -4,8 +4,7 @@ import pytest
 
 from tests.fea.decks import component
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.readers.calculix_dat import CalculixDat
-from wrenchbook.fea.readers.reader import DeckRun, OutputError, number
+from wrenchbook.fea.readers import CalculixDat, DeckRun, OutputError, number
 from wrenchbook.fea.solve import solve
 
 TOLD = {"point": "REF", "rotation": "ROT"}

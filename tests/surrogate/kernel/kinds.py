@@ -199,12 +199,12 @@ def size_of(table: AnyTable) -> np.ndarray:
 
 def rounding_of(table: AnyTable) -> np.ndarray:
     """What sums of a kriging may lose to rounding, (6,), m and rad: no error bar is below it."""
-    return _of_krigings(table, lambda kriging: kriging.inside.rounding)
+    return _of_krigings(table, lambda kriging: kriging.rounding)
 
 
 def deviation_of(table: AnyTable) -> np.ndarray:
     """The process deviation of a kriging, (6,), m and rad; 0 without one."""
-    return _of_krigings(table, lambda kriging: kriging.inside.deviation)
+    return _of_krigings(table, lambda kriging: kriging.deviation)
 
 
 def _of_krigings(table: AnyTable, part: Callable[[Kriging], np.ndarray]) -> np.ndarray:

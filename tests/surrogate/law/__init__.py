@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wrenchbook.surrogate import build as product
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN
+from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.packed.reasons import (
     EMPTY,
     ERRORS_UNKNOWN,
@@ -25,7 +26,6 @@ from wrenchbook.surrogate.table.rows import (
     Tolerance,
     acting,
     acting_one,
-    without_locked,
 )  # fmt: skip
 from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUTS
 
@@ -125,20 +125,11 @@ class Law:
         return Batch(moved, bars, coverage)
 
     def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
+        """Return du/dw (n, 6, 6), SI, of a method at wrenches (n, 6), whatever rows are there.
 
-        NaN for an output that no row holds.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
+        The kernel's: test_parity compares it with differences of answers.
         """
-        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
-        found = np.full((len(asked), 6, 6), np.nan)
-        for outputs, part in self.parts:
-            found[:, list(outputs)] = part.derivatives(asked, method)[:, list(outputs)]
-        return found
+        return packed_of(self.table).derivatives(wrenches, method=method, without_rows=True)
 
     def explain(
         self,
@@ -264,23 +255,6 @@ class GroupLaw:
         told.error[unknown] = np.nan
         return self.by_row.put_into(asked, Batch(told.displacement, told.error, state), allowed)
 
-    def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        Exact of the method's interpolant; NaN for a table without rows.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
-        asked = acting(wrenches, self.locked).reshape(-1, 6)
-        name = method or self.default
-        if not len(self.used):
-            check(name)
-            return np.full((len(asked), 6, 6), np.nan)
-        return without_locked(self._method(name).derivatives(asked), self.locked)
-
     def explain(
         self,
         wrench: Sequence[float],
@@ -326,10 +300,10 @@ class GroupLaw:
         kriging = self.kriging
         if not kriging.knows_errors:
             return ERRORS_UNKNOWN
-        x = kriging.scaling.loads(np.asarray(wrench, dtype=float).reshape(1, 6))
-        if kriging.inside.answers(x)[2].all():
+        bars = kriging.answer_many(np.asarray(wrench, dtype=float).reshape(1, 6))[1]
+        if np.isfinite(bars).all():
             return UNKNOWN_ERROR
-        low, high = kriging.scaling.wrenches(kriging.inside.span)
+        low, high = kriging.scaling.wrenches(kriging.span)
         found = [
             f"{LOADS[load]} = {wrench[load]:.6g} {LOAD_UNITS[load]} is further from the rows, "
             f"which tell errors from {low[load]:.6g} to {high[load]:.6g} {LOAD_UNITS[load]}"

@@ -9,8 +9,8 @@ import numpy as np
 
 from tests.surrogate.law.answer import Answer, over_tolerance
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, allowed_by
-from wrenchbook.surrogate.composition.axis_table import SOUND
-from wrenchbook.surrogate.composition.composition import OFF_HULL, Composition
+from wrenchbook.surrogate.axes.axes import OFF_HULL, Composition
+from wrenchbook.surrogate.axes.axis_table import SOUND
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.rows import Floats, Rows, Tolerance

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.surrogate.answer import COVERED, METHODS, OUTSIDE, THIN, UnknownMethodError
-from wrenchbook.surrogate.composition.composition import OFF_HULL, Composed, Composition
+from wrenchbook.surrogate.axes.axes import OFF_HULL, Composed, Composition
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.surrogate import Surrogate
-from wrenchbook.surrogate.table.axes import CLEAN
 from wrenchbook.surrogate.table.compliance import ComplianceFit
-from wrenchbook.surrogate.table.rows import Floats, LoadRange, why_beyond
+from wrenchbook.surrogate.table.rows import CLEAN, ROUNDING, Floats, LoadRange, why_beyond
 from wrenchbook.surrogate.table.space import LOADS
 
 from .reasons import why_not
@@ -97,10 +96,6 @@ class Method(Protocol):
         """Answer wrenches, shape (n, 6), N and N·m."""
         ...
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), exact of the method."""
-        ...
-
     def reason(self, wrench: Floats) -> str:
         """Return why one wrench is not covered; empty if no reason is the method's own.
 
@@ -135,10 +130,6 @@ class StraightDirection(Method):
         coverage = np.where(off[:, 0], OUTSIDE, np.where(composed.state > 0, THIN, COVERED))
         return Estimates(displacement, error, coverage.astype(np.uint8))
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m): the slopes of the simplices."""
-        return self.composition.derivatives(wrenches, self.name)
-
     def reason(self, wrench: Floats) -> str:
         """Return which axis does not hold a wrench (6,), N and N·m, and why."""
         return why_not(self.composition, wrench)
@@ -172,16 +163,9 @@ class GaussianProcess(Method):
         state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
         return Estimates(displacement, error, state)
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""
-        return self.kriging.derivatives(wrenches)
-
     def reason(self, wrench: Floats) -> str:
         """Return which load of a wrench (6,), N and N·m, lies outside the load range."""
         return why_beyond(self.load_range, wrench)
-
-
-ROUNDING = 1e-12  # of the answer's size: what the solver's own arithmetic leaves
 
 
 class Linear(Method):
@@ -213,10 +197,6 @@ class Linear(Method):
         error[unknown] = np.nan
         outside = unknown | ~self.load_range.holds(wrenches)
         return Estimates(displacement, error, np.where(outside, OUTSIDE, COVERED).astype(np.uint8))
-
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return the compliance for each wrench, (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""
-        return np.tile(self.fit.matrix, (len(wrenches), 1, 1))
 
     def reason(self, wrench: Floats) -> str:
         """Return which load of a wrench no row tells, or lies outside the load range.

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.surrogate.composition.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
-from wrenchbook.surrogate.composition.composition import NO_ROWS, OFF_HULL, Composed, Composition
-from wrenchbook.surrogate.composition.pure_moment import ON_HULL
+from wrenchbook.surrogate.axes.axes import NO_ROWS, OFF_HULL, Composed, Composition
+from wrenchbook.surrogate.axes.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
 from wrenchbook.surrogate.error_law import FEWEST
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.rows import CLEAN, Floats
@@ -111,7 +110,7 @@ def _why_outside(axis: LoadAxis, table: AxisTable | None, wrench: Floats) -> str
     spans, found = table.rows.points * table.scale, []
     for column, load in enumerate(axis.inputs):
         low, high = float(spans[:, column].min()), float(spans[:, column].max())
-        slack, unit = ON_HULL * table.scale[column], LOAD_UNITS[load]
+        slack, unit = CLEAN * table.scale[column], LOAD_UNITS[load]
         if low - slack <= wrench[load] <= high + slack:
             continue
         if high - low <= slack:

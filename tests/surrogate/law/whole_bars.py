@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from tests.surrogate.law.answer import Answer, Batch
-from wrenchbook.surrogate.table.rows import Floats, Tolerance, acting, acting_one
+from wrenchbook.surrogate.table.rows import ROUNDING, Floats, Tolerance, acting, acting_one
 
 from .derivative import derivative_at, derivatives_at, row_tangents
-from .methods import ROUNDING
 from .solver_share import parts, widened, widened_many
 
 

@@ -9,15 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property, partial
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import Delaunay, KDTree, QhullError
 
 from ..table.rows import Floats
-from .hull import nearest_points
-from .morton import curve_order
 
 Indices = NDArray[np.intp]
 
@@ -25,6 +24,19 @@ FLAT = 1e-9  # of the points' extent: what lies closer to a plane, a line or a p
 ON_HULL = 1e-9  # of the way to the middle: a point that rounding put so far outside is on the hull
 SLIVER = 1e-10  # volume over cubed longest edge (or the like) below which a simplex is degenerate
 SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [-0.61, 0.37, 0.23]])
+
+# Of the order of a batch:
+CELLS = 32  # a side: three times five bits fit 16, which numpy sorts by radix
+FEWEST_SORTED = 64  # points below which sorting costs more than it saves
+
+# Of the nearest point of a hull:
+PAIRS = 200_000  # pairs of points and facets looked at together: some 50 MB of numbers
+
+# Of slopes at the points:
+NEIGHBOURS = {1: 5, 2: 10, 3: 18}  # of a patch, by dimension: not quite two for each unknown
+RIDGE = 1e-10  # of the patch's own size: keeps points on one quadric from a singular fit
+NEARER = 0.1  # added to squared distances (of the farthest) before weights are their inverse
+CHUNK = 4096  # patches fitted at once: their normal equations fit the cache
 
 
 class ShearedDelaunay(Delaunay):
@@ -211,15 +223,6 @@ class Triangulation:
         """The index of the simplex behind each facet of the hull, shape (f,)."""
         return np.nonzero(self.neighbours < 0)[0]
 
-    def gradients_at(self, simplices: Indices, values: Floats) -> Floats:
-        """Return the gradients of vertex values (n, q) in some simplices, (k,) -> (k, q, 3).
-
-        They are by dimensionless points, so in the values' unit: m and rad.
-        """
-        corners = values[self.simplices[simplices]]
-        rise = corners[:, :-1] - corners[:, -1:]
-        return np.einsum("kdq,kdi->kqi", rise, self.weights[simplices])
-
     def barycentric(self, simplices: Indices, x: Floats) -> Floats:
         """Return the barycentric coordinates, shape (k, d + 1), of points (k, 3), dimensionless."""
         most = np.einsum("kij,kj->ki", self.weights[simplices], x - self.anchors[simplices])
@@ -227,7 +230,8 @@ class Triangulation:
 
     def gradients(self, values: Floats) -> Floats:
         """Return the gradient of vertex values (n, q) in each simplex, shape (m, q, 3)."""
-        return self.gradients_at(np.arange(len(self.simplices)), values)
+        corners = values[self.simplices]
+        return np.einsum("kdq,kdi->kqi", corners[:, :-1] - corners[:, -1:], self.weights)
 
 
 def _span(points: Floats) -> tuple[int, Floats]:
@@ -293,3 +297,140 @@ def _interval(stations: Floats, flat: Floats) -> Indices:
     found = np.clip(np.searchsorted(stations, along, side="right") - 1, 0, len(stations) - 2)
     inside = (along >= stations[0]) & (along <= stations[-1])
     return np.where(inside, found, -1)
+
+
+def nearest_points(facets: Floats, x: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the nearest point of any facet to each point, (k, 3), and which facet, (k,).
+
+    Parameters
+    ----------
+    facets : ndarray, shape (f, corners, 3), dimensionless
+        One, two or three corners each.
+    x : ndarray, shape (k, 3), dimensionless
+    """
+    place = np.empty_like(x)
+    which = np.empty(len(x), dtype=np.intp)
+    step = max(PAIRS // len(facets), 1)
+    for start in range(0, len(x), step):
+        some = slice(start, start + step)
+        on_each = _on_facets(facets, x[some])
+        apart = ((on_each - x[some, None]) ** 2).sum(axis=2)
+        best = apart.argmin(axis=1)
+        which[some] = best
+        place[some] = on_each[np.arange(len(best)), best]
+    return place, which
+
+
+def _on_facets(facets: Floats, x: Floats) -> Floats:
+    """Return the nearest point of each facet to each point, shape (k, f, 3)."""
+    corners = facets.shape[1]
+    if corners == 1:
+        return np.broadcast_to(facets[None, :, 0], (len(x), len(facets), 3))
+    if corners == 2:
+        return _on_stretch(facets[:, 0], facets[:, 1], x)
+    # Take the foot of the perpendicular if the triangle holds it, else the nearest of its edges.
+    # The barycentric coordinates of the foot come of the normal equations; a triangle without
+    # area has none, and its edges answer.
+    a, e, f = facets[:, 0], facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0]
+    ee, ef, ff = ((u * v).sum(axis=1) for u, v in ((e, e), (e, f), (f, f)))
+    area = ee * ff - ef**2
+    apart = x[:, None] - a
+    pe, pf = np.einsum("kfi,fi->kf", apart, e), np.einsum("kfi,fi->kf", apart, f)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s, t = (ff * pe - ef * pf) / area, (ee * pf - ef * pe) / area
+        inside = (s >= 0) & (t >= 0) & (s + t <= 1)  # of no area, s and t may be of both infinities
+    foot = a + np.where(inside, s, 0.0)[..., None] * e + np.where(inside, t, 0.0)[..., None] * f
+    edges = np.stack(
+        [_on_stretch(facets[:, i], facets[:, j], x) for i, j in ((0, 1), (1, 2), (2, 0))]
+    )
+    nearest = ((edges - x[None, :, None]) ** 2).sum(axis=3).argmin(axis=0)
+    on_edge = np.take_along_axis(edges, nearest[None, ..., None], axis=0)[0]
+    return np.where(inside[..., None], foot, on_edge)
+
+
+def _on_stretch(a: Floats, b: Floats, x: Floats) -> Floats:
+    along = b - a
+    length = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    share = np.einsum("kfi,fi->kf", x[:, None] - a, along) / length
+    return a + np.clip(share, 0.0, 1.0)[..., None] * along
+
+
+def curve_order(x: Floats) -> NDArray[np.intp]:
+    """Return the order of points (k, d), d at most 3, along a Morton curve over their box.
+
+    The order of Morton, "A computer oriented geodetic data base" (1966): the bits of the
+    coordinates, interleaved. Points are dimensionless.
+    """
+    if len(x) < FEWEST_SORTED or x.shape[1] == 0:
+        return np.arange(len(x))
+    key = np.zeros(len(x), dtype=np.uint16)
+    for place, column in enumerate(x.T):  # by columns, which numpy is quick at
+        low, high = column.min(), column.max()
+        if high > low:
+            cells = (column - low) * (CELLS * (1 - 1e-9) / (high - low))
+            key |= _SPREAD.take(cells.astype(np.intp)) << np.uint16(place)
+    return np.argsort(key, kind="stable")
+
+
+def _spread() -> NDArray[np.uint16]:
+    """Return each cell number with two zeros between its bits."""
+    cells = np.arange(CELLS, dtype=np.uint16)
+    bits = [((cells >> bit) & 1) << (3 * bit) for bit in range(5)]
+    return np.bitwise_or.reduce(bits).astype(np.uint16)
+
+
+_SPREAD = _spread()
+
+
+def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
+    """Return slopes (n, q, 3) of a quadratic fitted through each point's neighbours.
+
+    The point itself is left out. Where there are too few points for a quadratic, the slope is the
+    mean of the simplices around. Points are dimensionless, so that slopes are in the unit of the
+    values (n, q): m and rad.
+    """
+    dimension, n = triangulation.dimension, len(values)
+    neighbours = NEIGHBOURS.get(dimension, 0)
+    if not neighbours or n <= neighbours:
+        return mean_slopes(triangulation, values)
+    slopes = np.empty((n, values.shape[1], 3))
+    flat = triangulation.flattened(triangulation.points)
+    found = KDTree(flat).query(flat, k=neighbours + 1)
+    far, near = np.asarray(found[0])[:, 1:], np.asarray(found[1], dtype=np.intp)[:, 1:]
+    for start in range(0, n, CHUNK):
+        some = slice(start, start + CHUNK)
+        apart = flat[near[some]] - flat[some, None]
+        rise = values[near[some]] - values[some, None]
+        slope = _quadratics(apart, far[some], rise)
+        slopes[some] = np.einsum("niq,ij->nqj", slope, triangulation.basis)
+    return slopes
+
+
+def _quadratics(apart: Floats, far: Floats, rise: Floats) -> Floats:
+    """Return slopes (n, d, q) of quadratics through rises (n, k, q)."""
+    dimension = apart.shape[2]
+    reach = np.maximum(far[:, -1], np.finfo(float).tiny)
+    apart = apart / reach[:, None, None]
+    squares = list(combinations_with_replacement(range(dimension), 2))
+    second = np.stack([apart[..., i] * apart[..., j] for i, j in squares], axis=-1)
+    terms = np.concatenate((np.ones((*apart.shape[:2], 1)), apart, second), axis=-1)
+    weighed = terms / (NEARER + (far / reach[:, None]) ** 2)[..., None]
+    normal = weighed.transpose(0, 2, 1) @ terms
+    normal += RIDGE * terms.shape[1] * np.eye(terms.shape[-1])
+    fitted = np.linalg.solve(normal, weighed.transpose(0, 2, 1) @ rise)
+    return fitted[:, 1 : 1 + dimension] / reach[:, None, None]
+
+
+def mean_slopes(triangulation: Triangulation, values: Floats) -> Floats:
+    """Return slopes (n, q, 3) as the mean of the simplices that meet at each point, by volume.
+
+    A flat simplex has no slope and no say. Points are dimensionless, so that slopes are in the unit
+    of the values (n, q): m and rad.
+    """
+    weight = np.where(triangulation.degenerate, 0.0, triangulation.volumes)
+    own = weight[:, None, None] * triangulation.gradients(values)
+    around, size = np.zeros((len(values), values.shape[1], 3)), np.zeros(len(values))
+    for corner in triangulation.simplices.T:
+        np.add.at(around, corner, own)
+        np.add.at(size, corner, weight)
+    return around / np.maximum(size, np.finfo(float).tiny)[:, None, None]

@@ -22,21 +22,123 @@ alone, less one if it is there.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..interpolation.delaunay import Indices
-from ..table.axes import AXES, CLEAN, LoadAxis
+from ..table.axes import (
+    AXES,
+    CLEAN,
+    AxisRows,
+    LoadAxis,
+    OffAxis,
+    axis_rows,
+    clean_rows,
+    evenly_chosen,
+)
 from ..table.compliance import ComplianceFit
-from ..table.rows import Floats
-from .axis_table import WEAK, AxisTable
-from .pure_moment import HOLE, PureMomentCut
+from ..table.rows import Floats, LoadRange, Rows
+from .axis_table import SOUND, WEAK, AxisTable, axis_table
+from .triangulation import Indices, Triangulation
+
+APART = 1e-12  # stations closer than this, in scaled units, are one
+HOLE = 9  # the state of a stretch that no simplex holds: worse than any simplex'
 
 # What an axis' part of an answer rests on, from the best to the worst: see `axis_table`; then a
 # point off the hull, and an axis that has no rows at all.
 OFF_HULL, NO_ROWS = HOLE, HOLE + 1
+
+
+def build_composition(
+    rows: Rows,
+    load_range: LoadRange,
+    fit: ComplianceFit,
+    off_axis: OffAxis,
+    before: Composition | None = None,
+) -> Composition:
+    """Build the three axes over rows within the load range.
+
+    Parameters
+    ----------
+    before : Composition, optional
+        Of another version of the table: an axis whose points have not changed is taken from it, as
+        it would be made again to the last bit.
+    """
+    kept = before.tables if before is not None else (None,) * len(AXES)
+    tables = [
+        _axis_table(rows, load_range, axis, fit, off_axis, own)
+        for axis, own in zip(AXES, kept, strict=True)
+    ]
+    at_rest = answer_at_rest(rows, load_range, tables)
+    return Composition(tables, at_rest, fit, load_range.scale, before)
+
+
+def _axis_table(
+    rows: Rows,
+    load_range: LoadRange,
+    axis: LoadAxis,
+    fit: ComplianceFit,
+    off_axis: OffAxis,
+    before: AxisTable | None,
+) -> AxisTable | None:
+    clean = axis_rows(rows, load_range, axis, fit, "exclude")
+    table = _thinned(clean, load_range, before) if len(clean.points) else None
+    if off_axis == "exclude" or clean_rows(rows, load_range).any(axis=1).all():
+        return table
+    chosen = axis_rows(rows, load_range, axis, fit, off_axis)
+    if off_axis == "correct" and table is not None:
+        chosen = _worth_joining(chosen, table)
+    if not len(chosen.points):
+        return None
+    if table is not None and chosen.clean.all():
+        return table
+    return _thinned(chosen, load_range, before)
+
+
+def _thinned(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:
+    """Return the table of an axis' rows, or of an even choice of them where they are many."""
+    chosen = evenly_chosen(rows.points)
+    if chosen.all():
+        return axis_table(rows, load_range, before)
+    return axis_table(rows.take(chosen), load_range, before, rows.take(~chosen))
+
+
+def _worth_joining(joined: AxisRows, table: AxisTable) -> AxisRows:
+    """Return the points of an axis without those between its clean rows.
+
+    What is left of a full wrench's displacement after its off-axis part is as uncertain as the
+    linear fit. Between clean rows that is far more than their own error, and such a row would only
+    put its nonlinear part into all three axes; beyond them it is better than nothing.
+    """
+    if not table.enough:
+        return joined
+    found = table.triangulation.locate(joined.points)
+    between = (found >= 0) & (table.shape_state[found] == SOUND)
+    return joined.take(joined.clean | ~between)
+
+
+def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> AtRest:
+    """Return the row at zero load, or what the axes whose hull holds zero interpolate there.
+
+    Of several axes that is the mean, with half their spread in the bar (measured tables
+    have offsets). Without any the answer is zero and not known: its bar is the rows' size.
+    """
+    unloaded = (np.abs(rows.wrench) <= CLEAN * load_range.scale).all(axis=1)
+    if unloaded.any():
+        found = rows.displacement[unloaded]
+        stored = np.nan_to_num(rows.uncertainty[unloaded]).max(axis=0)
+        return AtRest(found.mean(axis=0), np.maximum(np.ptp(found, axis=0) / 2, stored), True)
+    readings = [table.read(np.zeros((1, 3))) for table in tables if table is not None]
+    inside = [reading for reading in readings if reading.inside[0]]
+    if not inside:
+        size = np.abs(rows.displacement).max(axis=0, initial=0.0)
+        return AtRest(np.zeros(6), size, False)
+    outputs = np.concatenate([reading.outputs for reading in inside])
+    own = np.concatenate([reading.rest for reading in inside])
+    return AtRest(outputs.mean(axis=0), np.ptp(outputs, axis=0) / 2 + own.mean(axis=0), True)
 
 
 @dataclass(frozen=True)
@@ -149,27 +251,6 @@ class Composition:
             total.mark_base(rows, moment, part.state)
         return total.composed()
 
-    def derivatives(self, wrenches: Floats, method: str) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        Of the law with all axes and moments in it, so that a load that is zero has its slope too.
-
-        Parameters
-        ----------
-        method : {"griddata", "additive"}
-        """
-        found = np.zeros((len(wrenches), 6, 6))
-        composed = slice(None) if method == "additive" else slice(3, None)
-        for axis in AXES:
-            slopes, inputs = self._read(axis, wrenches).slopes, list(axis.inputs)
-            if method != "additive":
-                found[:, axis.outputs[0], inputs] = slopes[:, axis.outputs[0]]
-            found[:, composed, inputs] += slopes[:, composed]
-        for moment in range(3):
-            slopes = self._alone(moment, wrenches[:, moment + 3]).slopes
-            found[:, composed, moment + 3] -= slopes[:, composed, 0]
-        return found
-
     def _read(self, axis: LoadAxis, wrenches: Floats) -> _Part:
         """Return one axis' part at wrenches (k, 6) that load it."""
         table, inputs = self.tables[AXES.index(axis)], list(axis.inputs)
@@ -181,7 +262,7 @@ class Composition:
         if not table.shows_together:
             several = (np.abs(x) > CLEAN).sum(axis=1) > 1
             state = np.where(several, np.maximum(state, WEAK), state)
-        part = _Part(reading.outputs, reading.rest, reading.slopes / table.scale, state)
+        part = _Part(reading.outputs, reading.rest + np.abs(reading.stepped), state)
         outside = np.flatnonzero(~reading.inside)
         if len(outside):
             # Account for steps (k, 3), scaled, from the hull's nearest point to the query. The
@@ -191,9 +272,6 @@ class Composition:
             rows, step = outside, (x - reading.at)[outside]
             basis = table.triangulation.basis
             off = step - step @ basis.T @ basis
-            part.rest[rows] += np.abs(
-                np.einsum("kqi,ki->kq", part.slopes[rows] * table.scale, step)
-            )
             # Of each wrench by itself: batches change nothing.
             leaves = np.abs(off).max(axis=1) > CLEAN
             if leaves.any():
@@ -205,30 +283,15 @@ class Composition:
                 )
                 unknown = (np.abs(off) > CLEAN) & ~self.fit.known[inputs]
                 part.rest[rows[unknown.any(axis=1)]] = np.nan
-        part.slopes += self._off_span(table)
         return part
-
-    def _off_span(self, table: AxisTable) -> Floats:
-        """Return the slopes (6, 3), SI, off the span of an axis' points.
-
-        Those of the fitted compliance; NaN by loads whose influence no row tells.
-        """
-        basis, inputs = table.triangulation.basis, list(table.axis.inputs)
-        if len(basis) == 3:
-            return np.zeros((6, 3))
-        off = np.eye(3) - basis.T @ basis
-        off[np.abs(off) <= CLEAN] = 0.0
-        slopes = (self.fit.matrix[:, inputs] * table.scale) @ off / table.scale
-        unknown = (off != 0.0)[~self.fit.known[inputs]].any(axis=0)
-        return np.where(unknown, np.nan, slopes)
 
     def _guess(self, loads: Floats, inputs: Sequence[int]) -> _Part:
         """Return the fitted compliance's part, for an axis or moment that has no rows."""
-        matrix, count = self.fit.matrix[:, inputs], len(loads)
+        matrix = self.fit.matrix[:, inputs]
         moved = self.at_rest.displacement + loads @ matrix.T
         rest = np.abs(loads) @ np.abs(matrix).T + self.fit.error
         rest[((loads != 0) & ~self.fit.known[inputs]).any(axis=1)] = np.nan
-        return _Part(moved, rest, np.tile(matrix, (count, 1, 1)), np.full(count, NO_ROWS))
+        return _Part(moved, rest, np.full(len(loads), NO_ROWS))
 
     def _alone(self, moment: int, amounts: Floats) -> _Part:
         """Return the answers to amounts (k,), N·m, of one moment alone, from whichever axis tells.
@@ -242,19 +305,16 @@ class Composition:
                 continue
             reading = cut.read(amounts)
             better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
-            outputs, rest = reading.outputs[better], reading.rest[better]
-            slopes, state = reading.slopes[better], reading.state[better]
-            part.put(better, _Part(outputs, rest, slopes[..., None], state))
+            part.put(better, _Part(*(column[better] for column in reading)))
         return part
 
 
 @dataclass
 class _Part:
-    """What an axis or a moment alone answers at k wrenches, its slopes by its own loads."""
+    """What an axis or a moment alone answers at k wrenches."""
 
     outputs: Floats
     rest: Floats
-    slopes: Floats
     state: NDArray[np.int_]
 
     def take(self, rows: Indices) -> _Part:
@@ -265,7 +325,7 @@ class _Part:
             column[rows] = new
 
     def _columns(self) -> tuple[NDArray, ...]:
-        return self.outputs, self.rest, self.slopes, self.state
+        return self.outputs, self.rest, self.state
 
 
 class _Total:
@@ -321,3 +381,121 @@ def _cuts(
         same = [cut for cut in known if cut.column == column and cut.table.is_made_like(table)]
         cuts.append(same[0].of(table) if same else PureMomentCut(table, column))
     return tuple(cuts)
+
+
+class CutReading(NamedTuple):
+    """What a cut answers at k moments: (k, 6) each, m and rad, and how sound it is, (k,)."""
+
+    outputs: Floats
+    rest: Floats
+    state: NDArray[np.int_]
+
+
+class PureMomentCut:
+    """One axis' table along one of its moments, the other two loads being zero.
+
+    Every composed rotation counts from these answers. They lie on one line through a
+    triangulation, and along it barycentric outputs are straight between two faces of its
+    simplices; unit errors are parabolas.
+
+    Attributes
+    ----------
+    table : AxisTable
+        Whose answers they are.
+    stations : ndarray, shape (s + 1,), dimensionless
+        Scaled moments at which the line passes from one simplex to the next, ascending.
+    outputs : ndarray, shape (s, 2, 6), m and rad
+        Of each stretch, by the scaled moment less its first station: constant and straight part.
+    unit_errors : ndarray, shape (s, 3), dimensionless
+        Constant, straight and square part of the unit errors.
+    stated : ndarray, shape (s, 2, 6), m and rad
+        Constant and straight part of the rows' uncertainty.
+    state : ndarray of int, shape (s,)
+        As the table's; `HOLE` where no simplex holds the stretch.
+    """
+
+    def __init__(self, table: AxisTable, column: int) -> None:
+        """Cut a table along its input `column`, 1 or 2."""
+        self.table, self.column = table, column
+        self.stations = _stations(table.triangulation, column)
+        low, width = self.stations[:-1], np.diff(self.stations)
+        middle = self._points(low + 0.5 * width)
+        found = table.triangulation.locate(middle)
+        self.state = np.where(found >= 0, table.state[found], HOLE).astype(np.int32)
+        start, centre, end = (
+            table.read_in(np.maximum(found, 0), self._points(low + share * width))
+            for share in (0.0, 0.5, 1.0)
+        )
+        over = 1.0 / width[:, None]
+        self.outputs = np.stack((start.outputs, (end.outputs - start.outputs) * over), axis=1)
+        units = [one.unit_errors[:, None] for one in (start, centre, end)]
+        self.unit_errors = np.concatenate(_parabola(units[0], units[1], units[2], over), axis=1)
+        self.stated = np.stack((start.stated, (end.stated - start.stated) * over), axis=1)
+
+    def of(self, table: AxisTable) -> PureMomentCut:
+        """Return this cut as one of a table that was taken over from its own."""
+        same = copy(self)
+        same.table = table
+        return same
+
+    def read(self, moments: Floats) -> CutReading:
+        """Read the cut at moments (k,), N·m; beyond its ends along its last stretch."""
+        along = moments / self.table.scale[self.column]
+        if not len(self.state):
+            none = np.zeros((len(along), 6))
+            blank = np.full(len(along), HOLE)
+            return CutReading(none, none, blank)
+        found = np.searchsorted(self.stations, along, side="right") - 1
+        found = np.clip(found, 0, len(self.state) - 1)
+        y = (along - self.stations[found])[:, None]
+        outputs, stated, unit = self.outputs[found], self.stated[found], self.unit_errors[found]
+        unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
+        beyond = (along < self.stations[0] - CLEAN) | (along > self.stations[-1] + CLEAN)
+        return CutReading(
+            outputs[:, 0] + y * outputs[:, 1],
+            self.table.law.bars(unit) + stated[:, 0] + y * stated[:, 1],
+            np.where(beyond, HOLE, self.state[found]),
+        )
+
+    def _points(self, along: Floats) -> Floats:
+        points = np.zeros((len(along), 3))
+        points[:, self.column] = along
+        return points
+
+
+def _parabola(start: Floats, centre: Floats, end: Floats, over: Floats) -> tuple[Floats, ...]:
+    """Return constant, straight and square part, (s, q) each, from three values of each stretch.
+
+    `over`, (s, 1), is one over the length of the stretch.
+    """
+    square = 2 * (start - 2 * centre + end) * over**2
+    return start, (end - start) * over - square / over, square
+
+
+def _stations(shape: Triangulation, column: int) -> Floats:
+    """Return, ascending, where the line meets faces of the simplices it passes; none or several."""
+    if shape.dimension == 0 or not shape.holds_direction(column):
+        return np.empty(0)
+    near = _around_the_line(shape, column)
+    start = np.zeros((len(near), 3))
+    at_zero = shape.barycentric(near, start)
+    start[:, column] = 1.0
+    slope = shape.barycentric(near, start) - at_zero
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        roots = np.where(slope != 0, -at_zero / slope, np.nan)
+        others = at_zero[:, None, :] + slope[:, None, :] * roots[:, :, None]
+        # A root counts if it lies in the simplex, and so within the points' box.
+        inside = (others > -1e-9).all(axis=2) & (np.abs(roots) <= np.abs(shape.points).max())
+    stations = np.unique(roots[inside])
+    if len(stations) < 2:
+        return np.empty(0)
+    return stations[np.concatenate(([True], np.diff(stations) > APART))]
+
+
+def _around_the_line(shape: Triangulation, column: int) -> NDArray[np.intp]:
+    """Return the simplices that the line may pass, by their boxes: a few in a hundred."""
+    others = [place for place in range(3) if place != column]
+    corners = shape.points[:, others][shape.simplices]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    room = 1e-6 * np.abs(shape.points).max(initial=1.0)  # more than rounding at thin simplices
+    return np.flatnonzero(((low <= room) & (high >= -room)).all(axis=1))

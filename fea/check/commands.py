@@ -1,0 +1,213 @@
+"""The commands ``wrenchbook check``, ``converge``, ``condense`` and ``new``.
+
+A process of the service runs them as a child, so it never imports finite elements itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wrenchbook.fea.accuracy.convergence import studied, write
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.reference import json_schema
+from wrenchbook.fea.check.proposal import propose
+from wrenchbook.fea.check.reporting import as_text, report
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.solver.vibration import Riding
+from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.fea.spec.schema import UNITS
+
+_SHOWN = 5  # frequencies that `condense` prints; the file has all
+
+Reply = tuple[int, Mapping[str, Any], str]
+"""The exit status, the line of JSON, and the text in its place."""
+
+
+def check(options: argparse.Namespace) -> Reply:
+    """Report on a bundle's mesh, groups, supports and the cost of a solve."""
+    if options.schema:
+        schema = json_schema()
+        return 0, schema, json.dumps(schema, indent=2, ensure_ascii=False)
+    if options.folder is None:
+        options.usage_error("name the FOLDER of a component bundle, or --schema")
+    riding = None
+    try:
+        if options.mass is not None:
+            riding = Riding.of(options.mass, options.inertia, options.centre)
+        elif options.inertia is not None or options.centre is not None:
+            raise ValueError("--inertia and --centre need --mass")
+    except ValueError as error:
+        options.usage_error(str(error))
+    summary = report(options.folder, riding, options.nonlinear)
+    return int(not summary["ok"]), summary, as_text(summary)
+
+
+def new(options: argparse.Namespace) -> Reply:
+    """Propose a component for an input deck; status 0 if its check finds no problem."""
+    folder = options.folder or Path(options.deck.stem)
+    proposal = propose(options.deck, folder, options.unit, options.case)
+    summary = proposal["check"]
+    lines = [f"wrote {file}" for file in proposal["files"]]
+    lines += [f"not taken over: {text}" for text in proposal["left"]]
+    lines += [f"decide: {text}" for text in proposal["decide"]]
+    for kind, entries in (("warning", summary["warnings"]), ("error", summary["problems"])):
+        lines += [f"{kind}: {entry['where']}: {entry['message']}" for entry in entries]
+    lines.append("ready to solve" if summary["ok"] else f"then: wrenchbook check {folder}")
+    return int(not summary["ok"]), proposal, "\n".join(lines)
+
+
+def condense(options: argparse.Namespace) -> Reply:
+    """Write a part as stiffness and mass of its frames and modes."""
+    _check_output(options, options.out, (".npz",), f"{options.out}: the file is an .npz")
+    content = vars(Solver(read_bundle(options.folder)).craig_bampton(options.modes))
+    with options.out.open("wb") as file:
+        np.savez(file, **content)
+    first = {name: [float(f"{f:.6g}") for f in content[name][:_SHOWN]] for name in ("free", "held")}
+    header = {"file": str(options.out), "frames": list(content["names"]), "modes": options.modes}
+    lines = [
+        f"{options.out}: frames {', '.join(content['names'])}; {options.modes} modes",
+        f"first frequencies with the first frame held: {first['free']} Hz",
+        f"with all frames held: {first['held']} Hz",
+    ]
+    return 0, header | first, "\n".join(lines)
+
+
+def converge(options: argparse.Namespace) -> Reply:
+    """Solve a part on finer meshes and write the study beside its component."""
+    if options.plot is not None:
+        wanted = f"--plot {options.plot}: the page is an .html file"
+        _check_output(options, options.plot, (".html", ".htm"), wanted)
+    bundle = read_bundle(options.folder)
+    file = write(bundle, studied(bundle, options.finer))
+    study = json.loads(file.read_text(encoding="utf-8"))
+    if options.plot is not None:
+        write_plot(study, options.plot)
+    # A line a mesh, the order, and what the component's own mesh lacks of each response.
+    rows = [("response, SI", study["outputs"])]
+    for count, size, values in zip(study["nodes"], study["sizes"], study["values"], strict=True):
+        rows.append((f"{count} nodes, {1e3 * size:.4g} mm", [f"{value:.6g}" for value in values]))
+    if len(study["nodes"]) > 2:
+        for label, key, digits in (
+            ("order", "order", ".2g"),
+            ("at cells without size", "extrapolated", ".6g"),
+        ):
+            texts = ["none" if value is None else format(value, digits) for value in study[key]]
+            rows.append((label, texts))
+    else:
+        rows.append(("two meshes show no order: give a third by --finer", []))
+    pairs = zip(study["first_lacks"], study["values"][0], strict=True)
+    rows.append(("the first mesh lacks", [f"{100 * lack / value:.2g} %" for lack, value in pairs]))
+    lines = [
+        f"{label:<26}{''.join(f'{text:>13}' for text in texts)}".rstrip() for label, texts in rows
+    ]
+    lines.append(f"{file}: error bars of this component take it from here")
+    return 0, {"file": str(file)} | study, "\n".join(lines)
+
+
+def write_plot(study: dict[str, Any], page: Path) -> None:
+    """Draw each response's distance to its limit, or to the finest mesh, over the cells' size."""
+    import plotly.graph_objects as go  # half a second, which the other commands do not pay
+
+    figure = go.Figure()
+    for i, name in enumerate(study["outputs"]):
+        values = [row[i] for row in study["values"]]
+        limit = study["extrapolated"][i]
+        end, known = (values[-1], values[:-1]) if limit is None else (limit, values)
+        errors = [100 * abs(value / end - 1) for value in known]
+        sizes = [1e3 * size for size in study["sizes"][: len(known)]]
+        figure.add_scatter(x=sizes, y=errors, name=name, mode="lines+markers")
+    figure.update_xaxes(type="log", title="cell size, mm")
+    figure.update_yaxes(type="log", title="off its limit, or the finest mesh, %")
+    figure.write_html(page, include_plotlyjs=True)
+
+
+def _check_output(
+    options: argparse.Namespace, file: Path, endings: tuple[str, ...], wanted: str
+) -> None:
+    """End with a usage error if a file to write has another ending, or no folder."""
+    if file.suffix.lower() not in endings:
+        options.usage_error(wanted)
+    if not file.absolute().parent.is_dir():
+        start = wanted.partition(":")[0]
+        options.usage_error(f"{start}: there is no folder {file.absolute().parent}")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command, print its reply as JSON or text, and return its exit status.
+
+    The status is 1 if something is wrong with the part; a wrong call ends the process with 2.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        status, reply, text = options.run(options)
+    except (BundleError, SolveFailed, ValueError, OSError, MemoryError) as error:
+        text = str(error)
+        status, reply = 1, {"error": {"title": type(error).__name__, "detail": text}}
+    print(json.dumps(reply) if options.json else text)
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="wrenchbook")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    def command(run: Any, description: str) -> Any:
+        subparser = commands.add_parser(run.__name__, description=description)
+        subparser.set_defaults(run=run, usage_error=subparser.error)
+        subparser.add_argument(
+            "--json", action="store_true", help="one line of JSON instead of text"
+        )
+        return subparser.add_argument
+
+    add = command(check, "Check a component bundle: mesh, groups, supports, cost of a solve.")
+    add("--mass", type=float, help="mass at the interface, kg, for the natural frequency")
+    add("--inertia", type=_numbers, help="its inertia about its centre, kg·m^2: xx,yy,zz or six")
+    add("--centre", type=_numbers, help="its centre from the interface point, m: x,y,z")
+    add("--nonlinear", action="store_true", help="nonlinear solves for the stresses over the range")
+    add("--schema", action="store_true", help="the JSON schema of component.toml, for editors")
+    add("folder", type=Path, metavar="FOLDER", nargs="?", help="folder of the component bundle")
+
+    add = command(
+        converge, "Solve a part on finer meshes: order, limit, and the error of its own mesh."
+    )
+    add(
+        "--finer",
+        type=Path,
+        action="append",
+        default=[],
+        help="a finer mesh with the same groups; once or twice, the finest last",
+    )
+    add("--plot", type=Path, help="write errors over cell sizes as a page, .html")
+    add("folder", type=Path, help="folder of the component bundle")
+
+    add = command(condense, "Write stiffness and mass of frames and modes (Craig-Bampton) as npz.")
+    add("--modes", type=int, default=10, help="modes with all frames held (default 10)")
+    add("folder", type=Path, help="folder of the component bundle")
+    add("out", type=Path, help="the file to write, .npz")
+
+    add = command(new, "Propose a component for an input deck, check it, and print what is open.")
+    add("--unit", choices=tuple(UNITS), help="length unit; by default guessed from the constants")
+    add("--case", help="step, load case or subcase to take over; by default the last")
+    add("deck", type=Path, help="Abaqus or CalculiX (.inp), Nastran (.bdf), Ansys (.cdb)")
+    add("folder", type=Path, nargs="?", help="folder to write; by default the deck's name")
+    return parser
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        message = f'"{text}" must be numbers with commas between them, such as 1,1,0.5'
+        raise argparse.ArgumentTypeError(message) from None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

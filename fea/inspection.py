@@ -1,0 +1,405 @@
+"""Shapes of cells, connected bodies and warnings of a mesh, from the component alone.
+
+Four measures of a cell's shape, each with the worst cell and where it is:
+
+``scaled_jacobian``
+    Least over the corners of the volume its three edges span, over that of the ideal cell with
+    edges of those lengths: 1 for cubes, regular tetrahedra and right wedges on regular triangles,
+    0 for flat cells (the measure of Knupp, "Algebraic mesh quality metrics", 2001).
+``jacobian_ratio``
+    Least over largest det(dx/dxi) over a cell's nodes and quadrature points: 1 for straight
+    parallelepipeds and straight tetrahedra; 0 or less is a cell that folds over, an error.
+``aspect_ratio``
+    Longest over shortest edge.
+``edge_curvature``
+    Distance of a midside node from the middle of its edge over the edge's length: 0.1 on a circle
+    cut in eight, 0.21 on one cut in four, 0.25 for a node at the quarter point.
+
+The warnings are those of `fea.check`, and the notes of every solution of the embedded solver. They
+cost one pass over the cells and two searches among the nodes of the surface: less than the symbolic
+analysis before a solve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.mesh.facets import EDGES, FACES, corners_of, facets_within, outer_surface
+from wrenchbook.fea.mesh.mapping import extreme_determinants
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.reference_cell import node_places
+from wrenchbook.fea.spec.problems import BundleProblem
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One measure of the shape of cells."""
+
+    name: str  # its key in the report
+    # From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit
+    of: Callable[[Array, CellBlock], Array]
+    # limit, larger_is_worse: from where on it is bad, and on which side
+    limit: float
+    larger_is_worse: bool
+    words: str  # what a bad cell is called
+
+
+def scaled_jacobian(points: Array, block: CellBlock) -> Array:
+    """Return the least scaled Jacobian of each cell's corners, shape (m,)."""
+    # For each corner itself and its three neighbours, right-handed, and the ideal.
+    places = node_places(block.kind)
+    pairs = EDGES[block.kind]
+    triples = []
+    for corner in range(int(np.max(pairs)) + 1):
+        ends = [b if a == corner else a for a, b in pairs if corner in (a, b)]
+        edges = places[ends] - places[corner]
+        triples.append([corner, *(ends if np.linalg.det(edges) > 0 else ends[::-1])])
+    ideal = {"tet": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}[block.kind[:3]]
+    at = points[block.nodes]
+    triples = np.array(triples)
+    edges = at[:, triples[:, 1:]] - at[:, triples[:, :1]]
+    volume = np.linalg.det(edges)
+    length = np.linalg.norm(edges, axis=3).prod(axis=2)
+    scaled = np.divide(volume, length, out=np.zeros_like(volume), where=length > 0)
+    return np.minimum(scaled.min(axis=1) / ideal, 1.0)
+
+
+def jacobian_ratio(points: Array, block: CellBlock) -> Array:
+    """Return the least over the largest determinant of each cell, shape (m,)."""
+    least, largest = extreme_determinants(points, block)
+    return np.divide(least, largest, out=np.zeros(len(block)), where=largest > 0)
+
+
+def aspect_ratio(points: Array, block: CellBlock) -> Array:
+    """Return the longest over the shortest edge of each cell, shape (m,)."""
+    lengths = edge_lengths(points, block)
+    shortest = np.maximum(lengths.min(axis=1), 1e-300)
+    return lengths.max(axis=1) / shortest
+
+
+def edge_curvature(points: Array, block: CellBlock) -> Array:
+    """Return the largest relative offset of a midside node of each cell, shape (m,)."""
+    pairs = np.array(EDGES[block.kind])
+    corners = pairs.max() + 1
+    if block.nodes.shape[1] < corners + len(pairs):
+        return np.zeros(len(block))
+    ends = points[block.nodes[:, pairs]]
+    middle = points[block.nodes[:, corners : corners + len(pairs)]]
+    offset = np.linalg.norm(middle - ends.mean(axis=2), axis=2)
+    return (offset / np.maximum(edge_lengths(points, block), 1e-300)).max(axis=1)
+
+
+def edge_lengths(points: Array, block: CellBlock) -> Array:
+    """Return the straight lengths of each cell's edges, shape (m, edges), m."""
+    ends = points[block.nodes[:, EDGES[block.kind]]]
+    return np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
+
+
+MEASURES = (
+    Measure("scaled_jacobian", scaled_jacobian, 0.1, False, "nearly flat at a corner"),
+    Measure("jacobian_ratio", jacobian_ratio, 0.1, False, "strongly distorted"),
+    Measure("aspect_ratio", aspect_ratio, 50.0, True, "long and thin"),
+    Measure("edge_curvature", edge_curvature, 0.25, True, "bent too far along an edge"),
+)
+
+
+def quality(mesh: Mesh) -> dict[str, dict[str, Any]]:
+    """Return each measure's worst value, the place of that cell (m), and how many are bad."""
+    return {measure.name: _worst(mesh, measure) for measure in MEASURES}
+
+
+def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
+    """Return a sentence for each measure with cells beyond its limit."""
+    warnings = []
+    for measure in MEASURES:
+        worst = measured[measure.name]
+        if worst["bad"]:
+            place = ", ".join(f"{x:.4g}" for x in worst["at"])
+            warnings.append(
+                f"{worst['bad']} cells are {measure.words} ({measure.name.replace('_', ' ')} "
+                f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
+                f"{worst['kind']} near ({place}) m, has {worst['worst']:.3g}); stresses and "
+                "stiffness there are not to be trusted"
+            )
+    return warnings
+
+
+def _worst(mesh: Mesh, measure: Measure) -> dict[str, Any]:
+    sign = 1.0 if measure.larger_is_worse else -1.0
+    bad = 0
+    worst, kind, place = -np.inf, "", np.zeros(3)
+    for block in mesh.blocks:
+        values = sign * measure.of(mesh.points, block)
+        bad += int((values > sign * measure.limit).sum())
+        if len(values) and values.max() > worst:
+            cell = int(values.argmax())
+            worst, kind = float(values[cell]), block.kind
+            place = mesh.points[block.nodes[cell]].mean(axis=0)
+    return {
+        "worst": sign * worst,
+        "at": place.tolist(),
+        "kind": kind,
+        "bad": bad,
+        "limit": measure.limit,
+    }
+
+
+_SAME_PLACE = 1e-2
+"""Fraction of the shortest edge within which two nodes count as in one place."""
+
+_OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
+"""Opposite faces of a hexahedron, in the order of `fea.mesh.facets.FACES`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Cells that hang together by whole faces."""
+
+    count: int  # how many bodies there are; numbered from the one with the most cells
+    cells: Array  # number of cells of each, shape (count,), int64, dimensionless
+    nodes: list[Array]  # the nodes of each, shape (k,), int64: indices, ascending
+
+
+def bodies_of(mesh: Mesh) -> Bodies:
+    """Group the cells that share faces; cells that share only an edge or a point do not join."""
+    faces, owners = _faces(mesh)
+    total = sum(len(block) for block in mesh.blocks)
+    size = total + int(faces.max(initial=-1)) + 1
+    graph = coo_array((np.ones(len(faces), dtype=np.int8), (owners, total + faces)), (size, size))
+    count, label = connected_components(graph, directed=False)
+    label = label[:total]
+    sizes = np.bincount(label, minlength=count)
+    order = np.argsort(-sizes, kind="stable")
+    rank = np.empty(count, dtype=np.int64)
+    rank[order] = np.arange(count)
+    number = rank[label]
+    pairs, first = [], 0
+    for block in mesh.blocks:
+        bodies = np.repeat(number[first : first + len(block)], block.nodes.shape[1])
+        pairs.append(np.column_stack([bodies, block.nodes.ravel()]))
+        first += len(block)
+    both = np.unique(np.concatenate(pairs), axis=0)
+    cuts = np.searchsorted(both[:, 0], np.arange(1, count))
+    return Bodies(count, sizes[order], np.split(both[:, 1], cuts))
+
+
+def _faces(mesh: Mesh) -> tuple[Array, Array]:
+    """Return a number for each face of each cell, equal where its corners are, and the cell."""
+    corners, owners, first = [], [], 0
+    for block in mesh.blocks:
+        for face in FACES[block.kind]:
+            several = corners_of("tri" if len(face) in (3, 6) else "quad")
+            row = np.full((len(block), 4), -1)
+            row[:, :several] = block.nodes[:, face[:several]]
+            corners.append(np.sort(row, axis=1))
+            owners.append(first + np.arange(len(block)))
+        first += len(block)
+    _, number = np.unique(np.concatenate(corners), axis=0, return_inverse=True)
+    return number.ravel(), np.concatenate(owners)
+
+
+def stacked_singly(mesh: Mesh) -> Array:
+    """Return the middles of hex20 cells that follow each other with none at their sides.
+
+    Shape (k, 3), m: two or more in a row, each joined to others along one direction only.
+    """
+    number, _ = _faces(mesh)
+    shared = np.bincount(number)[number] > 1
+    first, alone, own, middles = 0, np.zeros(len(number), dtype=bool), [], []
+    for block in mesh.blocks:
+        faces = slice(first, first + len(FACES[block.kind]) * len(block))
+        first = faces.stop
+        if block.kind == "hex20":
+            joined = shared[faces].reshape(-1, len(block))[_OPPOSITE].any(axis=1)
+            single = joined.sum(axis=0) <= 1
+            alone[faces] = np.tile(single, len(FACES[block.kind]))
+            own.append(number[faces].reshape(-1, len(block))[:, single])
+            middles.append(mesh.points[block.nodes[single]].mean(axis=1))
+    if not own:
+        return np.empty((0, 3))
+    times = np.bincount(number[alone], minlength=int(number.max()) + 1)
+    return np.concatenate(middles)[(times[np.hstack(own)] > 1).any(axis=0)]
+
+
+def coincident_nodes(mesh: Mesh) -> Array:
+    """Return pairs of surface nodes in one place: joined to the eye only.
+
+    Shape (k, 2), int64: indices of nodes.
+    """
+    surface = outer_surface(mesh.blocks).node_ids
+    shortest = min(float(edge_lengths(mesh.points, b).min()) for b in mesh.blocks if len(b))
+    tree = KDTree(mesh.points[surface])
+    pairs = tree.query_pairs(_SAME_PLACE * shortest, output_type="ndarray")
+    return np.sort(surface[pairs], axis=1) if len(pairs) else np.empty((0, 2), dtype=np.int64)
+
+
+def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
+    """Return the least distance, m, between two sets of nodes, each of shape (k,), int64."""
+    tree = KDTree(mesh.points[nodes])
+    return float(tree.query(mesh.points[others])[0].min())
+
+
+_MOST_REPORTED = 5
+# Pa. From soft rubber to nearly diamond (1.1e12); steel written in MPa or GPa is far below.
+_USUAL_YOUNGS_MODULUS = (1e6, 1e12)
+# Of the mesh's diagonal. Longer levers than this are millimetres written where metres belong.
+_LONGEST_LEVER = 3.0
+
+
+def warnings_of(component: ComponentModel) -> list[BundleProblem]:
+    """Return all that `fea.check` would warn of, in its order, and stacks of single cells."""
+    mesh = component.mesh
+    bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
+    shape = [BundleProblem("mesh", message) for message in quality_warnings(quality(mesh))]
+    problems = shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
+    return problems + stack_problems(component)
+
+
+def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
+    """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
+    problems = place_warnings(component) + support_warnings(component) + unit_warnings(component)
+    for number, material in enumerate(component.bundle.materials if component.bundle else ()):
+        if material.thermal_expansion is not None and component.temperature is None:
+            message = "counts for nothing without [inputs.temperature]"
+            problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
+    return problems
+
+
+def stack_problems(component: ComponentModel) -> list[BundleProblem]:
+    """Return a problem if hex20 cells of reduced integration follow each other singly.
+
+    Such a stack is a mechanism (hourglass) where it is straight. A curved one is held by its
+    curvature alone: an arch of 40 cells turned 24 times too far and buckled at 4e-5 of its load.
+    """
+    if component.analysis.integration != "reduced":
+        return []
+    middles = stacked_singly(component.mesh)
+    if not len(middles):
+        return []
+    message = (
+        f'{len(middles)} hex20 cells of integration = "reduced" follow each other singly, such as '
+        f"the one at {place_in_words(middles[0])} m: such a stack has motions without resistance "
+        '(hourglass). Write integration = "full", or mesh two cells across'
+    )
+    return [BundleProblem("analysis.integration", message)]
+
+
+def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
+    """Return a warning for the unmerged nodes of each two bodies, and of slits within one.
+
+    mesh, bodies: a mesh, and what it falls into.
+    pairs: shape (k, 2), int64: indices of nodes in one place
+    (`fea.inspection.coincident_nodes`).
+    """
+    owner = np.zeros(len(mesh.points), dtype=np.int64)
+    for number, nodes in enumerate(bodies.nodes):
+        owner[nodes] = number
+    between = np.sort(owner[pairs], axis=1)
+    problems = []
+    for first, second in np.unique(between, axis=0)[:_MOST_REPORTED].tolist():
+        here = pairs[(between == [first, second]).all(axis=1)]
+        where = place_in_words(mesh.points[here[0, 0]])
+        if first == second:
+            what = f"inside part {first + 1}, which makes a slit there"
+        else:
+            what = f"of part {first + 1} and part {second + 1}, which touch without being joined"
+        message = (
+            f"{len(here)} pairs of nodes {what} (one near {where} m): each pair is in one place "
+            "but not one node; merge them in the mesher (gmsh: Coherence Mesh or "
+            "removeDuplicateNodes; Abaqus: merge nodes) if the material is to hold together there"
+        )
+        problems.append(BundleProblem("mesh", message))
+    return problems
+
+
+def place_warnings(component: ComponentModel) -> list[BundleProblem]:
+    """Return warnings on where the section and the supports are."""
+    mesh, constrained = component.mesh, component.fixed_nodes
+    surface = outer_surface(mesh.blocks).node_ids
+    problems = []
+    for interface in component.interfaces:
+        section, key = interface.section, f"{interface.key}.section"
+        if not section.by_area:
+            message = (
+                "is a bare set of nodes that bounds no face, so every node counts the same; name "
+                "a facet group, or all nodes of the face, for area weights"
+            )
+            problems.append(BundleProblem(key, message))
+        inside = np.setdiff1d(section.node_ids, surface)
+        if inside.size:
+            message = f"{inside.size} of its nodes are inside the body, not on its surface"
+            problems.append(BundleProblem(key, message))
+        constrained = np.union1d(constrained, section.node_ids)
+    between = sum(int(np.isin(block.nodes, constrained).all(axis=1).sum()) for block in mesh.blocks)
+    if between:
+        message = (
+            f"{between} cells have every node fixed or in the section, so they do not deform; "
+            "mesh more cells between section and supports"
+        )
+        problems.append(BundleProblem("mesh", message))
+    return problems
+
+
+def support_warnings(component: ComponentModel) -> list[BundleProblem]:
+    """Return a warning if the supports hold single nodes only, which answer to mesh size."""
+    surface, nodes = outer_surface(component.mesh.blocks), component.supported_nodes
+    if not nodes.size:  # an interface is held in their place
+        return []
+    if facets_within(surface, nodes).blocks:
+        return []
+    message = (
+        f"holds {len(nodes)} nodes and no whole face: elastic bodies give way "
+        "without limit at points, so the answer depends on the mesh size; fix faces"
+    )
+    only_fixed = len(nodes) == len(component.fixed_nodes)
+    return [BundleProblem("supports.fixed" if only_fixed else "supports", message)]
+
+
+def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
+    """Return warnings on numbers that are rather written in another unit than SI."""
+    problems = []
+    low, high = _USUAL_YOUNGS_MODULUS
+    for number, material in enumerate(component.materials):
+        if not low <= material.youngs_modulus <= high:
+            message = (
+                f"is {material.youngs_modulus:.4g} Pa, softer than rubber or stiffer than "
+                "diamond; if it was meant in MPa or GPa, write it in Pa"
+            )
+            problems.append(BundleProblem(f"material[{number}].youngs_modulus", message))
+    points = component.mesh.points
+    low_corner, high_corner = points.min(axis=0), points.max(axis=0)
+    size = float(np.linalg.norm(high_corner - low_corner))
+    source = component.bundle.mesh if component.bundle else None
+    geometry = source.geometry if source else None
+    if geometry is not None and geometry.size > size:
+        message = (
+            f"is {geometry.size:.4g} m, more than the part's {size:.4g} m; if it was meant in mm, "
+            "write it in m"
+        )
+        problems.append(BundleProblem("mesh.size", message))
+    for interface in component.interfaces:
+        away = interface.point - np.clip(interface.point, low_corner, high_corner)
+        lever = float(np.linalg.norm(away))
+        if lever <= _LONGEST_LEVER * size:
+            continue
+        message = (
+            f"is {lever:.4g} m away from a mesh {size:.4g} m large; if it was meant in the "
+            "mesh's unit, write it in m"
+        )
+        problems.append(BundleProblem(f"{interface.key}.point", message))
+    return problems
+
+
+def place_in_words(place: Array) -> str:
+    """Write a place, shape (3,), in m, to four digits."""
+    return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"

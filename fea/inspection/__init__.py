@@ -1,1 +1,0 @@
-"""Inspection of a component before a solve: its cells, bodies and places."""

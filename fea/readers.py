@@ -1,0 +1,283 @@
+"""Readers of the interface's motion in the files of an outside solver.
+
+Built in are "calculix-dat", of what ``*NODE PRINT`` writes into the .dat file of ccx, and
+"numbers", of six numbers in a file. A new one is a small class with the members of `DeckReader`,
+offered under the entry point group "wrenchbook.deck_readers":
+
+    [project.entry-points."wrenchbook.deck_readers"]
+    my-solver = "my_package:MyReader"
+
+A bundle names it with ``output = {reader = "my-solver", ...}``. Often no reader is needed: let the
+command be a script that runs the solver and writes six numbers, for the reader "numbers".
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoints, entry_points
+from pathlib import Path
+from typing import Protocol
+
+from wrenchbook.fea.spec.schema import Deck
+
+
+class OutputError(ValueError):
+    """The interface's motion is not in the output; the message says what is missing where."""
+
+
+@dataclass(frozen=True)
+class DeckRun:
+    """Where one run of a deck left its files."""
+
+    folder: Path  # all of them
+    job: str  # the deck's name without its ending
+    printed: Path  # the file with the program's standard output and errors
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The motion read from an output."""
+
+    # Six finite numbers: translation (in the deck's length unit) and rotation vector (rad)
+    displacement: tuple[float, ...]
+    unknowns: int = 0  # degrees of freedom solved for; 0 where the solver does not print them
+
+
+@dataclass(frozen=True)
+class Complaint:
+    """An error that a solver reports: its own words, and whether it found no equilibrium."""
+
+    quoted: str
+    not_converged: bool = False
+
+
+class DeckReader(Protocol):
+    """A reader of an outside solver's output; made without arguments."""
+
+    moment: str
+    """The usual moment of this solver: see `fea.spec.schema.Deck`."""
+    keys: tuple[str, ...]
+    """The keys of ``[deck] output`` it needs besides ``reader``."""
+
+    def read(self, run: DeckRun, options: Mapping[str, str]) -> Reading:
+        """Return the motion that the run found; raise `OutputError` if it cannot be read."""
+        ...
+
+    def complaint(self, run: DeckRun) -> Complaint | None:
+        """Return the errors the solver reported, None if it reported none."""
+        ...
+
+    def stage(self, run: DeckRun) -> tuple[float, str] | None:
+        """Return how far a run is, 0 to 1 and a message; None if that is unknown."""
+        ...
+
+    def mistakes(self, text: str, deck: Deck) -> list[str]:
+        """Return mistakes in the text of a deck and its files that show without a run."""
+        ...
+
+
+def number(word: str, where: str) -> float:
+    """Return a word of a solver's output as a finite number.
+
+    Fortran drops the letter of an exponent that has three digits: 0.1234567-101.
+
+    Raises
+    ------
+    OutputError
+        If it is none.
+    """
+    text = word
+    for sign in "+-":
+        head, found, digits = word.rpartition(sign)
+        if found and head[-1:].isdigit() and digits.isdigit():
+            text = f"{head}e{sign}{digits}"
+    try:
+        value = float(text)
+    except ValueError:
+        raise OutputError(f'{where} has "{word}" where a number should be.') from None
+    if not math.isfinite(value):
+        raise OutputError(f'{where} has "{word}": the solver came to no number.')
+    return value
+
+
+_HEAD = re.compile(r"^ displacements \(vx,vy,vz\) for set (\S+) and time\s+(\S+)\s*$")
+_UNKNOWNS = re.compile(r"number of equations\s+(\d+)")
+_NO_EQUILIBRIUM = (
+    "too many cutbacks",
+    "increment size smaller than minimum",
+    "diverge",
+    "max. # of increments",
+    "too many iterations",
+    "no convergence",
+)
+_PRINTED = re.compile(r"^\*NODE\s*PRINT\b.*?\bNSET\s*=\s*([^,\s]+)", re.IGNORECASE | re.MULTILINE)
+_INCLUDED = re.compile(
+    r"^\*INCLUDE\b.*?\bINPUT\s*=\s*\"?([^,\"\n]+?)\"?\s*$", re.IGNORECASE | re.MULTILINE
+)
+_MOST_QUOTED = 400  # characters
+
+
+class CalculixDat:
+    """See the module."""
+
+    # The three freedoms of a ROT NODE are the rotation vector, so what works on them is conjugate
+    # to it. Measured against the embedded solver, whose moment is spatial, in
+    # tests/fea/deck/test_deck_ccx.
+    moment = "conjugate"
+    keys: tuple[str, ...] = ("point", "rotation")
+
+    def read(self, run: DeckRun, options: Mapping[str, str]) -> Reading:
+        """Return the last motion printed of the two sets, which must be of the same time."""
+        name = f"{run.job}.dat"
+        path = run.folder / name
+        if not path.is_file():
+            raise OutputError(f"There is no {name}.")
+        last = {key: _last(path, name, options[key]) for key in self.keys}
+        times = {time for time, _ in last.values()}
+        if len(times) > 1:
+            raise OutputError(f"{name} ends with the two sets at different times: {sorted(times)}.")
+        (_, place), (_, rotation) = last["point"], last["rotation"]
+        counts = _UNKNOWNS.findall(_text(run.printed))
+        return Reading((*place, *rotation), int(counts[-1]) if counts else 0)
+
+    def complaint(self, run: DeckRun) -> Complaint | None:
+        """Return the messages of ccx after ``*ERROR``; it may end with exit code 0 all the same."""
+        errors = list(_errors(_text(run.printed)))
+        if not errors:
+            return None
+        quoted = "; ".join(dict.fromkeys(errors))
+        if len(quoted) > _MOST_QUOTED:
+            quoted = quoted[:_MOST_QUOTED] + " ..."
+        apart = any(phrase in error for error in errors for phrase in _NO_EQUILIBRIUM)
+        return Complaint(quoted, apart)
+
+    def stage(self, run: DeckRun) -> tuple[float, str] | None:
+        """Return the last line of the .sta file: the increment and the time within the step."""
+        fields = (_text(run.folder / f"{run.job}.sta").splitlines() or [""])[-1].split()
+        try:
+            step, increment, time = int(fields[0]), int(fields[1]), float(fields[5])
+        except (IndexError, ValueError):
+            return None
+        return min(max(time, 0.0), 1.0), f"step {step}, increment {increment}, time {time:g}"
+
+    def mistakes(self, text: str, deck: Deck) -> list[str]:
+        """Return the sets that the deck does not print and the files it includes unsaid."""
+        printed = {name.upper() for name in _PRINTED.findall(text)}
+        known = {file.name for file in deck.files}
+        unprinted = [
+            f'does not print the set "{name}"; add "*NODE PRINT, NSET={name}" and "U" to the step'
+            for name in (deck.output[key] for key in self.keys)
+            if name.upper() not in printed
+        ]
+        return unprinted + [
+            f'includes "{name}", which [deck] files does not name; name it, without a folder'
+            for name in _INCLUDED.findall(text)
+            if name not in known
+        ]
+
+
+def _last(path: Path, name: str, node_set: str) -> tuple[str, tuple[float, ...]]:
+    """Return time and motion of the last block that `path` has of a set."""
+    time, rows = "", []
+    inside = False
+    with path.open(encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            head = _HEAD.match(line)
+            if head is not None:
+                inside = head[1].upper() == node_set.upper()
+                time, rows = (head[2], []) if inside else (time, rows)
+            elif inside and line.strip():
+                inside = line.split()[0].isdigit()
+                rows += [line.split()[1:]] if inside else []
+    if len(rows) != 1:
+        count = f"{len(rows)} nodes" if rows else "no displacement"
+        raise OutputError(
+            f'{name} has {count} of the set "{node_set}"; it must have that of one node.'
+        )
+    if len(rows[0]) != 3:
+        raise OutputError(f'{name} is cut off at the set "{node_set}".')
+    return time, tuple(number(word, name) for word in rows[0])
+
+
+def _errors(text: str) -> Iterator[str]:
+    """Yield each message that begins with ``*ERROR``, with its further lines joined."""
+    message: list[str] = []
+    for line in [*text.splitlines(), ""]:
+        begins = "*ERROR" in line
+        if message and (begins or not line.strip() or line.lstrip().startswith("*")):
+            yield " ".join(message)
+            message = []
+        if begins or message:
+            message.append(" ".join(line.split()))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+class NumbersReader:
+    """Reader "numbers": a text file of six numbers, written by the command itself.
+
+    ``file`` names it; ``{job}`` stands for the deck's name without its ending. The numbers are the
+    translation and the rotation vector, separated by blanks, commas or ends of line.
+    """
+
+    moment = "spatial"
+    keys: tuple[str, ...] = ("file",)
+
+    def read(self, run: DeckRun, options: Mapping[str, str]) -> Reading:
+        """Return the six numbers."""
+        name = options["file"].replace("{job}", run.job)
+        try:
+            texts = (run.folder / name).read_text(encoding="utf-8").replace(",", " ").split()
+        except (OSError, UnicodeDecodeError):
+            raise OutputError(f"There is no text file {name}.") from None
+        if len(texts) != 6:
+            raise OutputError(f"{name} has {len(texts)} numbers; it must have six.")
+        return Reading(tuple(number(word, name) for word in texts))
+
+    def complaint(self, run: DeckRun) -> Complaint | None:
+        """Return None: the exit code shows a failure."""
+        return None
+
+    def stage(self, run: DeckRun) -> tuple[float, str] | None:
+        """Return None: nothing is known of the command."""
+        return None
+
+    def mistakes(self, text: str, deck: Deck) -> list[str]:
+        """Return nothing: the deck's language is not known."""
+        return []
+
+
+ENTRY_POINTS = "wrenchbook.deck_readers"
+"""The group of entry points under which packages offer readers."""
+
+_BUILT_IN: dict[str, type[DeckReader]] = {"calculix-dat": CalculixDat, "numbers": NumbersReader}
+
+
+def reader_names() -> tuple[str, ...]:
+    """Return the names of all readers there are."""
+    return tuple(sorted({*_BUILT_IN, *(entry.name for entry in _offered())}))
+
+
+def reader_named(name: str) -> DeckReader:
+    """Return the reader of that name.
+
+    Raises KeyError if there is none.
+    """
+    if name in _BUILT_IN:
+        return _BUILT_IN[name]()
+    for entry in _offered():
+        if entry.name == name:
+            return entry.load()()
+    raise KeyError(name)
+
+
+def _offered() -> EntryPoints:
+    return entry_points(group=ENTRY_POINTS)

@@ -1,1 +1,0 @@
-"""Straight direction influence: three axes to one answer."""

@@ -1,1 +1,0 @@
-"""Scattered data on one axis: triangulation, walks, slopes."""
