@@ -225,6 +225,8 @@ void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const do
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply);
 void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
                          const wb_reply *reply, double *derivative);
+void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
+                      double *derivative);
 int wb_check(const wb_table *t, const wb_options *o, const double *inputs);
 void wb_unmap(wb_table *t);
 

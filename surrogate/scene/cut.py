@@ -15,7 +15,7 @@ from ..packed.format import pieces
 from ..packed.numbering import DIMENSION, FIRST_CELL, buckets_of
 from ..table.axes import AXES
 from ..table.rows import Floats
-from .need import Mask, Need
+from .plan import Mask, Need
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -24,8 +24,7 @@ from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.scene.cut import cut
-from wrenchbook.surrogate.scene.need import Need, need_of
-from wrenchbook.surrogate.scene.plan import design_of, plan_of
+from wrenchbook.surrogate.scene.plan import Need, design_of, need_of, plan_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 PLANAR, ALL = np.isin(np.arange(6), (0, 2, 4)), np.ones(6, dtype=bool)

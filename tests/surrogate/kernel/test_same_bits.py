@@ -21,7 +21,7 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kriging import likelihood
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.scene.cut import cut
-from wrenchbook.surrogate.scene.need import need_of
+from wrenchbook.surrogate.scene.plan import need_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.axes import OffAxis
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance

@@ -18,8 +18,14 @@ from wrenchbook.surrogate.build import AnyTable
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.reasons import UNKNOWN_ERROR
 from wrenchbook.surrogate.packed.writer import pack
-from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
-from wrenchbook.surrogate.scene.plan import design_of, first_solves, plan_of
+from wrenchbook.surrogate.scene.plan import (
+    Need,
+    NeedError,
+    design_of,
+    first_solves,
+    need_of,
+    plan_of,
+)
 from wrenchbook.surrogate.scene.savings import measured
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance

@@ -17,7 +17,7 @@ from wrenchbook.surrogate.build import AnyTable, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.scene.cut import cut
-from wrenchbook.surrogate.scene.need import Need, need_of
+from wrenchbook.surrogate.scene.plan import Need, need_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
