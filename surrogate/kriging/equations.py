@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,7 +122,8 @@ class Equations:
 
     def take(self, which: NDArray[np.intp]) -> Equations:
         """Return the equations of some rows, whose indices have shape (k,)."""
-        return Equations(*(column[which] for column in self._columns), groups=self.groups)
+        names = (field.name for field in fields(self) if field.name != "groups")
+        return replace(self, **{name: getattr(self, name)[which] for name in names})
 
     def with_reading_noise(self, variance: Floats) -> Equations:
         """Return the equations with the noise of readings, whose variance is (6,), dimensionless.
@@ -133,18 +133,6 @@ class Equations:
         unstated = self.readings > 0
         added = np.where(unstated, variance / np.where(unstated, self.readings, 1.0), 0.0)
         return replace(self, noise=self.noise + added)
-
-    @property
-    def _columns(self) -> tuple[NDArray[Any], ...]:
-        return (
-            self.x,
-            self.known,
-            self.data,
-            self.measured,
-            self.noise,
-            self.readings,
-            self.scatter,
-        )
 
 
 def within(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Rows:
@@ -185,25 +173,22 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     # An output that nothing moves is judged by its own size, where no other of its kind moves.
     size = np.maximum(largest, np.abs(offset) * settings.rounding)
     silent = spread <= settings.rounding * size
+    # Loads that have a range and, where slopes tell, move some output.
+    active = load_range.high > load_range.low
+    tangents = rows.compliance[_with_slopes(rows)]
+    if len(tangents) == len(rows):
+        moved = np.abs(tangents).max(axis=0) * load_range.scale
+        moved = moved / np.where(silent, np.inf, spread)[:, None]
+        active = active & (moved > settings.rounding).any(axis=0)
     return Scaling(
         centre=centre,
         half=load_range.scale,
-        active=_active(rows, load_range, np.where(silent, np.inf, spread), settings),
+        active=active,
         offset=offset,
         spread=np.where(spread > 0, spread, 1.0),
         silent=silent,
         space=load_range.space,
     )
-
-
-def _active(rows: Rows, load_range: LoadRange, spread: Floats, settings: KrigingSettings) -> Mask:
-    """Return which loads have a range and, where slopes tell, move some output."""
-    ranged = load_range.high > load_range.low
-    tangents = rows.compliance[_with_slopes(rows)]
-    if len(tangents) < len(rows):
-        return ranged
-    moved = np.abs(tangents).max(axis=0) * load_range.scale / spread[:, None]
-    return ranged & (moved > settings.rounding).any(axis=0)
 
 
 def _with_slopes(rows: Rows) -> Mask:
@@ -212,28 +197,12 @@ def _with_slopes(rows: Rows) -> Mask:
     return np.logical_and(finite, np.isfinite(rows.displacement).all(axis=1))
 
 
-def _with_second_derivatives(rows: Rows) -> Mask:
-    """Return which rows bring the second derivatives too, shape (n,)."""
-    if not rows.curvature.shape[1]:
-        return np.zeros(len(rows), dtype=bool)
-    return _with_slopes(rows) & np.isfinite(rows.curvature).all(axis=1)
-
-
-def _scaled_second(rows: Rows, scaling: Scaling) -> Floats:
-    """Return the second derivatives of rows, (n, pairs of loads, 6), in spreads."""
-    found = second_derivatives(
-        rows.wrench, rows.displacement, rows.compliance, rows.curvature, scaling.space
-    )
-    one, other = np.array(indices(len(scaling.half), 2)[1 + len(scaling.half) :]).T
-    scaled = found[:, :, one, other] * (scaling.half[one] * scaling.half[other])
-    return (scaled / scaling.spread[:, None]).transpose(0, 2, 1)
-
-
 def equations_of(
     rows: Rows, scaling: Scaling, readings: Readings, settings: KrigingSettings = DEFAULTS
 ) -> Equations:
     """Return the equations of rows of distinct wrenches, and of the readings behind each."""
-    sloped, bent = _with_slopes(rows), _with_second_derivatives(rows)
+    sloped = _with_slopes(rows)
+    bent = np.isfinite(rows.curvature).all(axis=1) & sloped & (rows.curvature.shape[1] > 0)
     measured = np.isfinite(rows.displacement)
     loads, outputs = rows.wrench.shape[1], rows.displacement.shape[1]
     places = places_of(loads, 2 if bent.any() else 1)
@@ -247,7 +216,12 @@ def equations_of(
     if bent.any():
         one, other = np.array(indices(loads, 2)[1 + loads :]).T
         known[:, 1 + loads :] = bent[:, None] & scaling.active[one] & scaling.active[other]
-        data[bent, 1 + loads :] = _scaled_second(rows.take(np.flatnonzero(bent)), scaling)
+        some = rows.take(np.flatnonzero(bent))
+        second = second_derivatives(
+            some.wrench, some.displacement, some.compliance, some.curvature, scaling.space
+        )
+        scaled = second[:, :, one, other] * (scaling.half[one] * scaling.half[other])
+        data[bent, 1 + loads :] = (scaled / scaling.spread[:, None]).transpose(0, 2, 1)
     data[~known] = 0.0
     half_widths = np.nan_to_num(rows.uncertainty) / scaling.spread
     whole = Equations(

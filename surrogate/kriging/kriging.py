@@ -139,12 +139,9 @@ class Kriging:
             held, noise_scale, reading = estimated(equations, scaling, settings)
             equations = equations.with_reading_noise(reading)
             x, known, span = equations.x, equations.known, span_of(equations, scaling, settings)
-            outputs = equations.data.shape[2]
-            weights, coefficients = (
-                np.zeros(equations.data.shape),
-                np.empty((1 + x.shape[1], outputs)),
-            )
-            deviation, rounding = np.empty((2, outputs))
+            weights = np.zeros(equations.data.shape)
+            coefficients = np.empty((1 + x.shape[1], weights.shape[2]))
+            deviation, rounding = np.empty((2, weights.shape[2]))
             errors = np.full(equations.measured.shape, np.nan)
             table = covariance(x, known, x, known, held)
             values = np.zeros_like(known)
@@ -239,21 +236,25 @@ class Kriging:
         """
         others, x = self.scaling.loads(pending), self.scaling.loads(at)
         bars = np.empty((len(x), len(self.scaling.spread)))
-        factor = max((share.factor for share in self.shares), key=lambda own: len(own.rows))
-        held, doubt, places = self.hyperparameters, factor.mean_covariance, self.equations.places
-        known = np.zeros((len(others), places), dtype=bool)
-        known[:, 0], known[:, 1:] = True, self.equations.known[:, 1:].any(axis=0)
         with one_thread():
-            if len(pending):
-                new, new_left = factor.explained_at(others, known)
-                within = covariance(others, known, others, known, held) - new @ new.T
-                within += new_left @ doubt @ new_left.T
-                prior = np.tile(held.prior(places), (len(others), 1))[known]
-                within[np.diag_indices_from(within)] += factor.nugget * prior
             for part in self._chunks(len(x)):
                 bars[part] = self._scaled_answers(x[part])[1] * self.scaling.spread
-                if not len(pending):
-                    continue
+            if not len(pending):
+                return bars
+            factor = max((share.factor for share in self.shares), key=lambda own: len(own.rows))
+            held, doubt, places = (
+                self.hyperparameters,
+                factor.mean_covariance,
+                self.equations.places,
+            )
+            known = np.zeros((len(others), places), dtype=bool)
+            known[:, 0], known[:, 1:] = True, self.equations.known[:, 1:].any(axis=0)
+            new, new_left = factor.explained_at(others, known)
+            within = covariance(others, known, others, known, held) - new @ new.T
+            within += new_left @ doubt @ new_left.T
+            prior = np.tile(held.prior(places), (len(others), 1))[known]
+            within[np.diag_indices_from(within)] += factor.nugget * prior
+            for part in self._chunks(len(x)):
                 value = np.zeros((len(x[part]), places), dtype=bool)
                 value[:, 0] = True
                 here, left = factor.explained_at(x[part], value)

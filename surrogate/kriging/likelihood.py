@@ -32,6 +32,7 @@ from .factor import KrigingFactor, Share, SingularCovarianceError, factorise, sh
 from .settings import DEFAULTS, KrigingSettings
 
 REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
+DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
 
 
 class Profile(NamedTuple):
@@ -267,10 +268,16 @@ def reading_noise(
             for part in settings.noise_rough
         ]
     variance, reading = before.copy(), np.zeros_like(before)
+    fine = np.arange(ratios[0], ratios[-1], settings.ratio_accuracy)
     for output in np.flatnonzero(~scaling.silent):
+        # Half the negative log likelihood, and the logarithm of a reading's variance, (k, r) each.
         values = np.array([found[:, output] for found, _ in curves])
         readings = np.array([ratios + found[:, output] for _, found in curves])
-        least = _least(values, readings, ratios, settings)
+        known = (values < REFUSED).all(axis=1)
+        smooth = np.array([CubicSpline(ratios, one)(fine) for one in values[known]])
+        likely = smooth <= smooth.min() + settings.ratio_caution
+        at = np.array([np.interp(fine, ratios, one) for one in readings[known]])
+        least = float(at[likely].min())
         own = np.maximum.accumulate(readings[0])  # it grows with the ratio but for rounding
         ratio = np.interp(least, own, ratios)
         reading[output], variance[output] = np.exp(least), np.exp(least - ratio)
@@ -305,25 +312,6 @@ def _curves(
             values[place, share.outputs] = found.values
             variances[place, share.outputs] = np.log(found.variance)
     return values, variances
-
-
-def _least(values: Floats, readings: Floats, ratios: Floats, settings: KrigingSettings) -> float:
-    """Return the logarithm of the least variance of a reading that is nearly as likely as any.
-
-    Parameters
-    ----------
-    values, readings : ndarray, shape (k, r)
-        Half the negative log likelihood and the logarithm of a reading's variance, of k kernels.
-    """
-    fine = np.arange(ratios[0], ratios[-1], settings.ratio_accuracy)
-    known = (values < REFUSED).all(axis=1)
-    curves = np.array([CubicSpline(ratios, one)(fine) for one in values[known]])
-    likely = curves <= curves.min() + settings.ratio_caution
-    at = np.array([np.interp(fine, ratios, one) for one in readings[known]])
-    return float(at[likely].min())
-
-
-DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
 
 
 def estimated(
