@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .answer import allowed_by
-from .build import AnyTable, build
+from .build import Table, build
 from .kernel.packing import packed_of
 from .table.axes import AXES
 from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance, is_too_far
@@ -137,7 +137,7 @@ class Design:
 
 
 def next_wrenches(
-    table: AnyTable,
+    table: Table,
     budget: int,
     *,
     pending: ArrayLike | None = None,
@@ -168,7 +168,7 @@ def next_wrenches(
     span, outputs = span or table.load_range, outputs or range(table.rows.displacement.shape[1])
     known = Known(table.load_range, wrenches, waiting.reshape(-1, wrenches.shape[1]))
     # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
-    _, surrogate = table.groups[0]
+    surrogate = table.groups[0]
     if surrogate.linear:
         # One wrench, since any solve of a linear component brings the whole compliance. Where
         # solves bring none (an expert's deck), the single loads, of those that the span has if it
@@ -222,7 +222,7 @@ class _Refinement:
 
     def __init__(
         self,
-        table: AnyTable,
+        table: Table,
         known: Known,
         tolerance: Tolerance | None,
         span: LoadRange,
@@ -230,7 +230,7 @@ class _Refinement:
         joint: NDArray[np.intp] | None = None,
     ) -> None:
         """Take, for a joint, also the places of the loads and outputs that its part moves by."""
-        self.table, surrogate = table, table.groups[0][1]
+        self.table, surrogate = table, table.groups[0]
         assert surrogate.kriging is not None
         self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
         self.tolerance, self.span, self.outputs = tolerance, span, outputs
@@ -326,7 +326,7 @@ class _Refinement:
         """
         rows, before = self.surrogate.rows, np.nan
         count, some = len(rows), len(rows) // 2
-        half = build(rows.take(np.arange(some)), self.surrogate.load_range).groups[0][1]
+        half = build(rows.take(np.arange(some)), self.surrogate.load_range).groups[0]
         if half.kriging is not None:
             bars = half.kriging.sigma_with(sample[:0], sample) / self.allowed
             before = float(np.quantile(bars[:, self.outputs].max(axis=1), ENOUGH))

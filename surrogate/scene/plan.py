@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..answer import allowed_by
-from ..build import AnyTable
+from ..build import Table
 from ..design import Design, Known, first_count, first_design, next_wrenches
 from ..kernel.packing import packed_of
 from ..packed.reasons import UNKNOWN_ERROR
@@ -190,7 +190,7 @@ class ScenePlan:
     solves: tuple[int, int]
 
 
-def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
+def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
     """Return the plan of a scene's need of a component, from the rows there are, if any.
 
     Parameters
@@ -200,7 +200,7 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
     """
     solves = first_solves(table, table.load_range), first_solves(table, need.span)
     need, space = replace(need, tolerance=need.tolerance or table.tolerance), need.span.space
-    hangs = any(group.fit.offset.any() for _, group in table.groups)
+    hangs = any(group.fit.offset.any() for group in table.groups)
     if solved and not need.occurring.any() and not hangs:
         still = np.zeros(len(space.outputs))
         return ScenePlan(need, "rigid", NO_LOAD, still, None, (solves[0], 0))
@@ -217,11 +217,11 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
             )
             return ScenePlan(need, "rigid", reason, bound, None, (solves[0], 0))
     if table.linear:
-        is_known = "it is known" if table.fit.complete else "one solve tells it"
+        is_known = "it is known" if table.groups[0].fit.complete else "one solve tells it"
         reason = f"the component is linear: one compliance answers, and {is_known}"
         compliance = None
-        if table.fit.known[need.occurring].all() and not hangs:  # C w alone is no answer
-            compliance = np.where(need.occurring, table.fit.matrix, 0.0)
+        if table.groups[0].fit.known[need.occurring].all() and not hangs:  # C w alone is no answer
+            compliance = np.where(need.occurring, table.groups[0].fit.matrix, 0.0)
         return ScenePlan(need, "linear", reason, bound, compliance, solves)
     if not space.is_default:
         return ScenePlan(need, "table", LOOKED_UP, bound, None, solves)
@@ -231,7 +231,7 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
 
 
 def design_of(
-    table: AnyTable, plan: ScenePlan, budget: int, pending: ArrayLike | None = None
+    table: Table, plan: ScenePlan, budget: int, pending: ArrayLike | None = None
 ) -> Design:
     """Return at most `budget` wrenches to solve next for a scene, none where it needs none.
 
@@ -250,7 +250,7 @@ def design_of(
     )
 
 
-def first_solves(table: AnyTable, span: LoadRange) -> int:
+def first_solves(table: Table, span: LoadRange) -> int:
     """Return how many solves the first design of a span has, from an empty table.
 
     A solve of a linear component brings its whole compliance.
@@ -262,7 +262,7 @@ def first_solves(table: AnyTable, span: LoadRange) -> int:
     return len(first_design(span, known, first_count(span, table.rows)))
 
 
-def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
+def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     """Return what the displacement does not exceed, (m,), m and rad, and why it is not known.
 
     The larger of two: the answers with their errors at corners and wrenches of the scene; and the
@@ -279,8 +279,8 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
         return bound, LOOKED_UP  # corners of many inputs are too many to look at
     sample = _sample(need)
     found = None if table.linear else packed_of(table).batch(sample)
-    for outputs, surrogate in table.groups:
-        own, fit = list(outputs), surrogate.fit
+    for surrogate in table.groups:
+        own, fit = list(surrogate.outputs), surrogate.fit
         if not len(surrogate.used):
             continue
         unknown = np.flatnonzero(need.occurring & ~fit.known)
@@ -312,7 +312,7 @@ def _sample(need: Need) -> Floats:
     return np.concatenate((corners, inner))
 
 
-def _one_compliance(table: AnyTable, need: Need) -> tuple[Floats | None, str]:
+def _one_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
     """Return the compliance (6, 6), SI, that answers within the tolerance, if one does, and why.
 
     The least-squares one through the answers at wrenches of the scene; it must miss each of them,

@@ -20,7 +20,7 @@ import pytest
 from tests.surrogate.calibrating import shipped
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE
-from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.scene.cut import cut
@@ -75,7 +75,7 @@ def us(table: PackedTable, wrenches: np.ndarray) -> float:
     return 1e6 * seconds(lambda: [table.answer(wrench) for wrench in asked]) / len(asked)
 
 
-def packed_of(table: AnyTable) -> PackedTable:
+def packed_of(table: Table) -> PackedTable:
     return PackedTable.from_bytes(b"".join(pack(table)))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tests.surrogate.law.methods import AxesReference, StraightDirection
-from wrenchbook.surrogate.axes.axes import build_composition
+from wrenchbook.surrogate.axes.axes import build_axes
 from wrenchbook.surrogate.methods import interaction_of
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.compliance import fit_compliance
@@ -76,7 +76,7 @@ def axes_of(rows: Rows, method: str = "griddata") -> StraightDirection:
     """
     used, *_ = merge(rows, RANGE).usable()
     fit = fit_compliance(used, RANGE, linear=False)
-    composition = build_composition(used, RANGE, fit, "correct")
+    composition = build_axes(used, RANGE, fit, "correct")
     reference = AxesReference(composition, interaction_of(used, RANGE, composition))
     return StraightDirection(composition, reference, method)
 

@@ -17,7 +17,7 @@ from tests.surrogate.kriging.responses import Response, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE
 from wrenchbook.surrogate import build as product
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
@@ -122,7 +122,7 @@ def corner(count: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0, 1, (count, 6))
 
 
-def _table(truth: Truth, parts: np.ndarray) -> AnyTable:
+def _table(truth: Truth, parts: np.ndarray) -> Table:
     rows = truth.rows(truth.at(parts))
     return build(rows, truth.load_range, tolerance=truth.tolerance)
 

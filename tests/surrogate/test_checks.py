@@ -10,7 +10,6 @@ from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches
 from tests.surrogate.tables.write import HERE
 from tests.surrogate.test_space import range_of
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.compliance import fit_compliance
 from wrenchbook.surrogate.table.merging import row_conflicts
 from wrenchbook.surrogate.table.physics_checks import check_physics
@@ -35,7 +34,7 @@ TANGENTS = np.tile(MATRIX, (len(SCALED), 1, 1))
 
 def gaps_of(rows, load_range):
     """Return the gaps of a table's axes."""
-    return axis_gaps(build(rows, load_range).composition, load_range)
+    return build(rows, load_range).groups[0].axes.gaps(load_range)
 
 
 def test_a_linear_elastic_table_passes_and_a_6x6_suffices() -> None:
@@ -130,7 +129,7 @@ def test_rows_without_all_outputs_are_left_out_of_the_checks() -> None:
     partial = LINEAR.copy()
     partial[::2, 3:] = np.nan
     rows = Rows.of(SCALED * HIGH, partial)
-    told = check_physics(rows, RANGE, build(rows, RANGE).fit)
+    told = check_physics(rows, RANGE, build(rows, RANGE).groups[0].fit)
     assert told["rows_checked"] == len(SCALED) // 2
 
 

@@ -23,7 +23,7 @@ def made(request):
 
 def test_values_of_several_interfaces_and_further_inputs_are_those_of_numpy(made):
     table, packed, asked = made
-    kriging = table.thinnest.kriging
+    kriging = table.groups[0].kriging
     lost = kriging.rounding * kriging.scaling.spread
     near = SAME * np.abs(table.rows.displacement).max(axis=0) + lost
     expected, _ = kriging.answer_many(asked)
@@ -32,7 +32,7 @@ def test_values_of_several_interfaces_and_further_inputs_are_those_of_numpy(made
 
 def test_error_bars_of_several_interfaces_and_further_inputs_are_those_of_numpy(made):
     table, packed, asked = made
-    _, expected = table.thinnest.kriging.answer_many(asked)
+    _, expected = table.groups[0].kriging.answer_many(asked)
     found = packed.batch(asked, None, "kriging").errors
     assert np.isfinite(expected).any()
     np.testing.assert_allclose(found, expected, rtol=SIGMA)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wrenchbook.surrogate import build as product
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN
+from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.packed.reasons import (
     EMPTY,
@@ -20,7 +21,6 @@ from wrenchbook.surrogate.packed.reasons import (
     TOO_FAR,
     UNKNOWN_ERROR,
 )  # fmt: skip
-from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.rows import (
     Floats,
     Tolerance,
@@ -46,16 +46,16 @@ def build(*arguments: Any, before: Any = None, **more: Any) -> Any:
 class Law:
     """A table's answers in numpy; all else is the table's."""
 
-    def __init__(self, table: product.AnyTable) -> None:
+    def __init__(self, table: product.Table) -> None:
         self.table = table
-        self.parts = [(outputs, GroupLaw(group)) for outputs, group in table.groups]
+        self.parts = [(group.outputs, GroupLaw(group)) for group in table.groups]
         held = {output for outputs, _ in self.parts for output in outputs}
         self.unmeasured = tuple(name for k, name in enumerate(OUTPUTS) if k not in held)
 
     def __getattr__(self, name: str) -> Any:
         if name == "table":  # while a copy or a pickle is made
             raise AttributeError(name)
-        return getattr(self.table if hasattr(self.table, name) else self.table.thinnest, name)
+        return getattr(self.table if hasattr(self.table, name) else self.table.groups[0], name)
 
     def answer(
         self,
@@ -137,7 +137,7 @@ class Law:
         tolerance: Tolerance | None = None,
         method: str | None = None,
     ) -> list[dict[str, Any]]:
-        """Return per group and axis what `Surrogate.explain` does, for the outputs there are.
+        """Return per group and axis what `GroupLaw.explain` does, for the outputs there are.
 
         The wrench is six floats, N and N·m.
         """
@@ -178,10 +178,10 @@ class Law:
 class GroupLaw:
     """The answers of the outputs that the same rows hold."""
 
-    def __init__(self, table: Surrogate) -> None:
+    def __init__(self, table: Group) -> None:
         self.table = table
-        self.by_row = RowLaw(table.exact, table.load_range, table.locked)
-        self.doubts = DoubtLaw(table.evidence, table.load_range)
+        self.by_row = RowLaw(table)
+        self.doubts = DoubtLaw(table)
         self._made: dict[str, Method] = {}
 
     def __getattr__(self, name: str) -> Any:
@@ -272,7 +272,7 @@ class GroupLaw:
             found = self.answer(wrench, tolerance, name)
             return explain_linear(self.fit, self.used, self.members, asked, found)
         limit = tolerance or self.tolerance
-        return explain_axes(self.table.composition, self.members, asked, limit)
+        return explain_axes(self.table.axes, self.members, asked, limit)
 
     def source_of(self, wrench: Sequence[float]) -> str | None:
         """Return the source of the row at or beside a wrench, N and N·m; None if none is.

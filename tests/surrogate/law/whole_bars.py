@@ -55,7 +55,7 @@ def solved(
         bars = np.full(6, np.nan)
         if told == "row":
             place = part.by_row.index.place(acting_one(wrench, table.locked))
-            bars = part.exact.uncertainty[part.exact.owner[place]]
+            bars = part.row_uncertainty[part.merged.owner[place]]
         elif told == "linear" and table.linear and part.fit.complete:
             most = np.abs(part.fit.matrix) @ table.load_range.scale
             bars = np.where(part.fit.error <= ROUNDING * most, 0.0, part.fit.error)
