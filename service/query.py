@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
-from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.client.replies import EXACT, ROUNDED
 from wrenchbook.service.contract import OnThin, by_part
 from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError

@@ -139,9 +139,9 @@ class Kriging:
             held, noise_scale, reading = estimated(equations, scaling, settings)
             equations = equations.with_reading_noise(reading)
             x, known, span = equations.x, equations.known, span_of(equations, scaling, settings)
-            weights = np.zeros(equations.data.shape)
-            coefficients = np.empty((1 + x.shape[1], weights.shape[2]))
-            deviation, rounding = np.empty((2, weights.shape[2]))
+            weights, outputs = np.zeros(equations.data.shape), equations.data.shape[2]
+            coefficients = np.empty((1 + x.shape[1], outputs))
+            deviation, rounding = np.empty((2, outputs))
             errors = np.full(equations.measured.shape, np.nan)
             table = covariance(x, known, x, known, held)
             values = np.zeros_like(known)
