@@ -1,6 +1,6 @@
 /* What the files of the kernel share. MIT license, as all of wrenchbook.
  *
- * Arrays point into the mapped file; surrogate/packed/writer.py names their shapes and units. The
+ * Arrays point into the mapped file; surrogate/packed/arrays.py names their shapes and units. The
  * order of all sums is fixed, so that one wrench, a batch and any number of threads give the same
  * bits.
  */
@@ -87,6 +87,7 @@ typedef struct {
     int bent, readings; /* whether rows bring second derivatives; how many numbers one brings */
     const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
     const double *deviation, *lost, *floor, *tangent, *span;
+    const int32_t *smoothness, *factors; /* NULL without second derivatives; how many shares */
     wb_share *share;
 } wb_kriging;
 
@@ -101,7 +102,7 @@ typedef struct {
 typedef struct {
     int method, reference, knows_interaction, rest_unknown, exact_fit, used;
     int full, needed, has_rows, has_composition, has_kriging, has_missed;
-    const int32_t *outputs;
+    const int32_t *flags, *outputs;
     const double *allowed;
     wb_fit fit;
     wb_rows rows;
@@ -111,6 +112,7 @@ typedef struct {
 
 typedef struct {
     int asks, mesh_known, linear, linearity_known, whole, none;
+    const int32_t *flags;
     const double *mesh, *square, *one_over, *stiffness;
     const double *zero; /* (n) from where inputs count, NULL for none */
 } wb_solver;
@@ -123,7 +125,7 @@ struct wb_table {
     const char *json;
     int inputs, outputs, groups, most_stride, most_flat, most_terms, most_padded;
     int vectors; /* triples of outputs whose length is limited */
-    const int32_t *locked, *vector_first;
+    const int32_t *sizes, *locked, *vector_first;
     const double *ends, *scale, *small, *tolerance, *limit, *vector_limit;
     const double *rig_error; /* (m), NULL for none */
     const double *scene_ends; /* (2, n) of a table cut to a scene, else NULL */

@@ -25,23 +25,7 @@ Array = NDArray[np.generic]
 
 
 def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tuple[str, Array]]:
-    """Yield the names and arrays of the axes, of the default space.
-
-    With p points, s simplices, f facets of hulls, of all axes one after another: ``simplex``
-    (s, 16): four vertices and four neighbours as 32-bit integers, the slopes (3, 3) of the
-    barycentric coordinates but the last, the place of the last vertex; ``state`` (s), how sound
-    it is; ``vertex`` (p, 16): place, nothing, outputs, uncertainty; ``slopes`` (p, 6, 3) by the
-    scaled loads; ``grid``, where walks start; ``ints`` (3, 5) and ``floats`` (3, 22), the frames,
-    see `numbering`; ``facets`` (f, 4): vertices and the simplex behind; ``simplex_first``,
-    ``point_first``, ``facet_first`` (4); ``fewest`` (3), points that an axis needs; ``together``
-    (3), points of an axis with several loads at once; ``largest``
-    (4), the largest part of the range of a simplex by dimension; ``span`` (3, 3, 2), N and N·m;
-    ``rest_point`` (2, 6), the answer at no load and its error; ``error`` (3, 2, 6), A and C of the
-    error of interpolation; ``left_out`` (4), points left out an axis, and how many are needed;
-    ``cutMK``, the answers to moment M alone by the axis it comes first (K = 0) or second in;
-    ``member_first`` (p + 1), ``members``, the rows behind each point. Outputs and errors are m and
-    rad, scaled loads dimensionless.
-    """
+    """Yield the names and arrays of the axes, of the default space."""
     tables = axes.tables
     first_simplex = _first([0 if table is None else len(table.state) for table in tables])
     # Points, simplices and hulls, of all axes one after another.

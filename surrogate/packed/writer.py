@@ -1,7 +1,6 @@
 """From what was built of a table to its packed file: everything that an answer needs.
 
-n inputs, m outputs and g groups of outputs are data; today's builder makes 6 and 6. Arrays of group
-k are named ``gK/...``: `_group_arrays`, `axes_arrays` and `kriging_arrays` state their shapes.
+`arrays` describes each array; those of group k of outputs are named ``gK/...``.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from ..build import Group, Table
 from ..kriging import Kriging
 from ..methods import ENOUGH_FULL
 from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats
+from .arrays import check
 from .axes_arrays import axes_arrays
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays
@@ -79,7 +79,7 @@ def pack(
             "linear": table.linear,
         },
     }
-    return pieces(arrays, _plain(words))
+    return pieces(check(arrays), _plain(words))
 
 
 def _plain(value: Any) -> Any:
@@ -105,13 +105,7 @@ def write(table: Table, path: Path, **about: Any) -> None:
 
 
 def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
-    """Yield what is the same for all outputs.
-
-    ``sizes`` (n, m, g); ``range`` and ``ends`` (2, n), ``scale`` and ``small`` (n), N and N·m;
-    ``locked`` (n); ``tolerance`` (m), NaN where there is none; ``limit`` (m), and ``vector_limit``
-    of the length of three outputs from ``vector_first``, and ``rig_error`` (m) where there
-    is one: m and rad.
-    """
+    """Yield what is the same for all outputs."""
     span, space = table.load_range, table.load_range.space
     inputs, outputs = len(space.inputs), len(space.outputs)
     yield "space/sizes", np.array([inputs, outputs, groups], dtype=np.int32)
@@ -132,13 +126,7 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
-    """Yield the solver's share of errors.
-
-    ``mesh`` (m, n), ``square`` (m), ``one_over`` (n), ``stiffness`` (n, m), SI, see
-    `SolverError.packed`; ``zero`` (n), from where inputs count, if one is not 0; ``flags``: when
-    an answer's tangent is needed, whether the discretisation error is known, whether the component
-    is linear, whether its linearity is known, whether all parts of the error are known.
-    """
+    """Yield the solver's share of errors."""
     error, shape = table.solver_error, table.groups[0].fit.matrix.shape
     matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
     stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
@@ -190,13 +178,7 @@ class _Sources:
 
 
 def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]]:
-    """Yield what answers one group of outputs.
-
-    ``outputs`` (m), which; ``flags``: the default method, the bits of its reference, whether rows
-    show interaction, whether the answer at no load is unknown, whether the fit is exact, whether
-    there are rows to answer from, full wrenches, full wrenches needed, whether there are rows in
-    the load range; ``allowed`` (m), the largest interpolation error of a covered answer, m and rad.
-    """
+    """Yield what answers one group of outputs."""
     used, exact = group.can_answer, group.is_exact
     mode, missed = _reference(group, exact) if used else (0, None)
     flags = [
@@ -217,12 +199,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
         sloped = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2)))
         members = tuple(members[place] for place in sloped.tolist())
     yield "fit/rows", np.array(sorted(chain.from_iterable(members)), dtype=np.int64)
-    # The rows (r) that answer at their own wrenches, in the order of a key. ``row/key`` (r),
-    # ``row/rates`` (n), 1/N and 1/(N·m); ``row/steepest`` (m), the most that an output moves over
-    # half the range, m and rad; ``row/wrench`` (r, n), N and N·m; ``row/moved`` and ``row/bar``
-    # (r, m), m and rad, NaN of a reading whose uncertainty is not known; ``row/tangent`` (t, m,
-    # n), SI, by ``row/tangent_of`` (r), -1 without; ``row/seq`` and ``row/number`` (r), the row's
-    # number in the ledger and its place; ``row/source`` (r), see `_Sources`.
+    # The rows that answer at their own wrenches, in the order of a key.
     index, merged = group.row_index, group.merged.rows
     order = index.order
     owner = group.merged.owner[order]
