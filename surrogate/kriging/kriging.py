@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..table.merging import Readings, merge
-from ..table.rows import Floats, LoadRange, Rows
+from ..table.rows import NEAR, Floats, LoadRange, Rows
 from .calibration import Calibration, calibrated
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
@@ -139,9 +139,9 @@ class Kriging:
             held, noise_scale, reading = estimated(equations, scaling, settings)
             equations = equations.with_reading_noise(reading)
             x, known, span = equations.x, equations.known, span_of(equations, scaling, settings)
-            weights = np.zeros(equations.data.shape)
-            coefficients = np.empty((1 + x.shape[1], weights.shape[2]))
-            deviation, rounding = np.empty((2, weights.shape[2]))
+            weights, outputs = np.zeros(equations.data.shape), equations.data.shape[2]
+            coefficients = np.empty((1 + x.shape[1], outputs))
+            deviation, rounding = np.empty((2, outputs))
             errors = np.full(equations.measured.shape, np.nan)
             table = covariance(x, known, x, known, held)
             values = np.zeros_like(known)
@@ -316,6 +316,6 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     a^(1/n) of their interval with the probability 1 - a. A load that takes no part has no ends.
     """
     low, high = equations.x.min(axis=0), equations.x.max(axis=0)
-    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + settings.same
+    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
     ends = np.stack((low - beyond, high + beyond))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])

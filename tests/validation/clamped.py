@@ -13,14 +13,8 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.schema import (
-    Analysis,
-    Bundle,
-    DeclaredRange,
-    Interface,
-    Material,
-    Supports,
-)
+from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.spec.schema import Analysis, Bundle, DeclaredRange, Interface, Supports
 
 Array = np.ndarray
 Warp = Callable[[Array], Array]
@@ -56,7 +50,7 @@ def clamped(
     """
     part = section_of_facets(mesh.points, mesh.facet_groups[section])
     place = part.centre if point is None else point
-    interface = Interface(section, place, np.eye(3) if axes is None else axes, coupling)
+    interface = Interface(section, coupling, place, np.eye(3) if axes is None else axes)
     bundle = _bundle(Material("all", *material), fixed, interface, nonlinear)
     return ComponentModel(
         bundle=bundle,

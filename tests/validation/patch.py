@@ -15,7 +15,7 @@ from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.spec.material import Material
 
 Array = np.ndarray
 
