@@ -22,7 +22,7 @@ from scipy.spatial.distance import pdist
 
 from ..calibration import common_quantile, widening
 from ..table.axes import CLEAN, has_levels
-from ..table.rows import Floats, LoadRange
+from ..table.rows import NEAR, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
 from .equations import Equations, Scaling
@@ -237,7 +237,7 @@ def calibrated(
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
     # A load that no row varies stays as the rows have it: off that the mean is unsettled.
-    still = high - low <= STILL * settings.same
+    still = high - low <= STILL * NEAR
     low, high = np.where(still, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
     if full.sum() < min(settings.full_rows, len(full) / 2):

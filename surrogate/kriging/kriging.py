@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..table.merging import Readings, merge
-from ..table.rows import Floats, LoadRange, Rows
+from ..table.rows import NEAR, Floats, LoadRange, Rows
 from .calibration import Calibration, calibrated
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
@@ -314,6 +314,6 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     a^(1/n) of their interval with the probability 1 - a. A load that takes no part has no ends.
     """
     low, high = equations.x.min(axis=0), equations.x.max(axis=0)
-    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + settings.same
+    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
     ends = np.stack((low - beyond, high + beyond))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
