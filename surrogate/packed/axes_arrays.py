@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..axes.axes import Axes
-from ..axes.axis_table import LARGEST, AxisTable
-from ..error_law import FEWEST
+from ..axes.axis_table import FEWEST, LARGEST, AxisTable
 from ..table.rows import Floats
 from .numbering import DIMENSION, FIRST_CELL, FLOATS, INTS, SCALE, buckets_of, numbered_of
 
