@@ -6,6 +6,7 @@ The kernel has one routine for all of them, `wb_reply_of`; random tables of ever
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
