@@ -264,6 +264,10 @@ class _Reader:
             ranges = [self.read("range")]
             if ranges == [None]:
                 return None
+            for name, unit in (("force", "N"), ("moment", "N·m")):
+                for i, ends in enumerate(getattr(ranges[0], name)):
+                    if ends == (0.0, 0.0):
+                        self.wrong(f"range.{name}[{i}]", f"must be above 0 ({unit}), not 0")
         else:
             self.wrong("range", "missing; write a table")
             return None
