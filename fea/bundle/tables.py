@@ -55,31 +55,40 @@ class ComponentFile:
     title: Text = key("", '"Gripper bracket, 6061-T6"')
     """for people"""
     mesh: Mesh | None = key(
-        "", '{generator = "bar", length = 1.0, width = 0.02, height = 0.02}', None
+        "", '{generator = "bar", length = 1.0, width = 0.02, height = 0.02}', default=None
     )
     """the table `[mesh]`; without it (and `[deck]`) the component is a table only"""
     materials: Annotated[tuple[MaterialTable, ...], Field(min_length=1)] | None = key(
-        "", '[{region = "all", youngs_modulus = 70e9, poisson_ratio = 0.33}]', None, name="material"
+        "",
+        '[{region = "all", youngs_modulus = 70e9, poisson_ratio = 0.33}]',
+        default=None,
+        name="material",
     )
     """one `[[material]]` a region; with a mesh a must"""
-    supports: Supports | None = key("", '{fixed = ["rim"]}', None)
+    supports: Supports | None = key("", '{fixed = ["rim"]}', default=None)
     """the table `[supports]`; with a mesh a must, unless an interface is `held`"""
     interface: Interface | tuple[NamedInterface, ...] | tuple[MeasuredInterface, ...] | None = key(
-        "", '{section = "tip", coupling = "rigid"}', None
+        "", '{section = "tip", coupling = "rigid"}', default=None
     )
     """the table `[interface]`, or `[[interface]]` of each of several; with a mesh a must; several
     of a measured part have `name` and `range` alone"""
-    inputs: Inputs | None = key("", "{temperature = {range = [-20, 60], reference = 20}}", None)
+    inputs: Inputs | None = key(
+        "", "{temperature = {range = [-20, 60], reference = 20}}", default=None
+    )
     """the table `[inputs]`: inputs besides the loads"""
-    analysis: Analysis | None = key("", "{nonlinear = true}", None)
+    analysis: Analysis | None = key("", "{nonlinear = true}", default=None)
     """the table `[analysis]`; with a mesh a must"""
-    range: Range | None = key("", "{force = [100, 100, 500], moment = [5, 5, 5]}", None, absent="-")
+    range: Range | None = key(
+        "", "{force = [100, 100, 500], moment = [5, 5, 5]}", default=None, absent="-"
+    )
     """the table `[range]`; of several interfaces each has its own"""
-    tolerance: DeclaredTolerance | None = key("", "{translation = 1e-5, rotation = 1e-4}", None)
+    tolerance: DeclaredTolerance | None = key(
+        "", "{translation = 1e-5, rotation = 1e-4}", default=None
+    )
     """the table `[tolerance]`"""
     deck: Deck | None = key(
         "",
         '{file = "a.inp", command = ["ccx", "{job}"], output = {reader = "numbers", file = "u"}}',
-        None,
+        default=None,
     )
     """the table `[deck]`: solves in place of the embedded solver"""

@@ -270,11 +270,11 @@ class Bar(Generator):
     """bar: along y"""
     height: Positive = key("m", "0.02")
     """bar: along z"""
-    cells_along: Whole = key("cells", "20", 40, ge=1)
+    cells_along: Whole = key("cells", "20", default=40, ge=1)
     """bar: along x"""
-    cells_across: Whole = key("cells", "3", 2, ge=1)
+    cells_across: Whole = key("cells", "3", default=2, ge=1)
     """bar: along each of y and z"""
-    generator: Literal["bar"] = key("", '"bar"', "bar", kw_only=True, absent="none")
+    generator: Literal["bar"] = key("", '"bar"', default="bar", kw_only=True, absent="none")
     """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
@@ -314,17 +314,17 @@ class Plate(Generator):
     """plate: along z"""
     patch: Positive = key("m", "0.12")
     """plate: diameter of the round patch, facet group `patch`"""
-    corner: Positive = key("m", "0.03", 0.04)
+    corner: Positive = key("m", "0.03", default=0.04)
     """plate: side of the corner squares, facet group `corners`"""
-    cells: Whole = key("cells", "8", 6, ge=2)
+    cells: Whole = key("cells", "8", default=6, ge=2)
     """plate: across the patch's core, and along each side between two corners"""
-    rings: Whole = key("cells", "4", 3, ge=1)
+    rings: Whole = key("cells", "4", default=3, ge=1)
     """plate: from the patch out to the corners"""
-    corner_cells: Whole = key("cells", "2", 1, ge=1)
+    corner_cells: Whole = key("cells", "2", default=1, ge=1)
     """plate: along each side of a corner square"""
-    layers: Whole = key("cells", "3", 2, ge=1)
+    layers: Whole = key("cells", "3", default=2, ge=1)
     """plate: through the thickness"""
-    generator: Literal["plate"] = key("", '"plate"', "plate", kw_only=True, absent="none")
+    generator: Literal["plate"] = key("", '"plate"', default="plate", kw_only=True, absent="none")
     """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
@@ -415,12 +415,14 @@ class Spring(Generator):
     """spring: height of that helix"""
     active_turns: Positive = key("turns", "5.5")
     """spring: from cut to cut"""
-    cells_per_turn: Whole = key("cells", "12", 26, ge=6)
+    cells_per_turn: Whole = key("cells", "12", default=26, ge=6)
     """spring: layers of cells in one turn"""
     # The section has core^2 + 4 core cells
-    core: Whole = key("cells", "2", 1, ge=1)
+    core: Whole = key("cells", "2", default=1, ge=1)
     """spring: across the core of the wire's section"""
-    generator: Literal["spring"] = key("", '"spring"', "spring", kw_only=True, absent="none")
+    generator: Literal["spring"] = key(
+        "", '"spring"', default="spring", kw_only=True, absent="none"
+    )
     """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:

@@ -61,9 +61,9 @@ class Solid:
 
     region: Text = key("", '"all"')
     """a cell group of the mesh; `all` is what no other material fills"""
-    density: Positive | None = key("kg/m^3", "2700.0", None, kw_only=True)
+    density: Positive | None = key("kg/m^3", "2700.0", default=None, kw_only=True)
     """for mass and natural frequency; a must with `gravity` and `[inputs.acceleration]`"""
-    yield_strength: Positive | None = key("Pa", "240e6", None, kw_only=True)
+    yield_strength: Positive | None = key("Pa", "240e6", default=None, kw_only=True)
     """compared with the von Mises stress; `check` prints the largest under the full range"""
 
 
@@ -76,10 +76,10 @@ class Material(Solid):
     poisson_ratio: Number = key("", "0.33", gt=-1, lt=0.5)
     """Poisson's ratio, above -1 and below 0.5"""
     law: Literal["isotropic", "neo-hookean"] = key(
-        "", '"neo-hookean"', "isotropic", among=LAWS, kw_only=True
+        "", '"neo-hookean"', default="isotropic", among=LAWS, kw_only=True
     )
     """or `neo-hookean` (rubber; the constants are those of small strains)"""
-    thermal_expansion: Expansion | None = key("1/K", "23e-6", None, kw_only=True)
+    thermal_expansion: Expansion | None = key("1/K", "23e-6", default=None, kw_only=True)
     """a must with `[inputs.temperature]`"""
 
     @property
@@ -110,15 +110,15 @@ class Orthotropic(Solid):
     """orthotropic: `[nu12, nu13, nu23]`; nu12 is along 2 when pulled along 1"""
     shear_moduli: ThreePositive = key("Pa", "[5e9, 5e9, 3.5e9]", name="shear_modulus")
     """orthotropic only: `[G12, G13, G23]`"""
-    axes: Axes = key("", "[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]", mesh_axes, absent="mesh's")
+    axes: Axes = key("", "[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]", default=mesh_axes, absent="mesh's")
     """orthotropic only: the directions 1, 2, 3 in the mesh's axes"""
-    cylinder: Cylinder | None = key("", "{point = [0, 0, 0], axis = [0, 0, 1]}", None)
+    cylinder: Cylinder | None = key("", "{point = [0, 0, 0], axis = [0, 0, 1]}", default=None)
     """orthotropic only, in place of `axes`: 1, 2, 3 are radial, circumferential and axial about
     this axis, at each integration point"""
-    law: Literal["orthotropic"] = key("", '"orthotropic"', "orthotropic", kw_only=True)
+    law: Literal["orthotropic"] = key("", '"orthotropic"', default="orthotropic", kw_only=True)
     """or `orthotropic`"""
     thermal_expansion: Annotated[Three, AfterValidator(_small)] | None = key(
-        "1/K", "[1e-6, 30e-6, 30e-6]", None, kw_only=True
+        "1/K", "[1e-6, 30e-6, 30e-6]", default=None, kw_only=True
     )
     """orthotropic: three, along 1, 2, 3"""
 

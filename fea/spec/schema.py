@@ -123,15 +123,15 @@ class FaceSelector(Selector):
     """Faces of a geometry."""
 
     ways = ("faces", "near", "plane", "radius")
-    faces: Numbers = key("", "[3, 7]", (), absent="none")
+    faces: Numbers = key("", "[3, 7]", default=(), absent="none")
     """by number"""
-    near: Near = key("m", "[[0.05, 0.0, 0.01]]", (), absent="none")
+    near: Near = key("m", "[[0.05, 0.0, 0.01]]", default=(), absent="none")
     """for each point (or the one point) the face nearest to it"""
-    plane: Literal["x", "y", "z"] | None = key("", '"x"', None)
+    plane: Literal["x", "y", "z"] | None = key("", '"x"', default=None)
     """every plane face square to this axis, `at` that place"""
-    at: Number | None = key("m", "0.0", None, absent="-")
+    at: Number | None = key("m", "0.0", default=None, absent="-")
     """with `plane`: where it is along its axis"""
-    radius: Positive | None = key("m", "0.008", None)
+    radius: Positive | None = key("m", "0.008", default=None)
     """every cylindrical face of that radius"""
 
     def __post_init__(self) -> None:
@@ -148,9 +148,9 @@ class BodySelector(Selector):
     """Bodies of a geometry."""
 
     ways = ("bodies", "near")
-    bodies: Numbers = key("", "[1, 2]", (), absent="none")
+    bodies: Numbers = key("", "[1, 2]", default=(), absent="none")
     """by number, as `wrenchbook check` lists them"""
-    near: Near = key("m", "[0.05, 0.0, 0.01]", (), absent="none")
+    near: Near = key("m", "[0.05, 0.0, 0.01]", default=(), absent="none")
     """for each point (or the one point) the body it lies in"""
 
 
@@ -166,7 +166,7 @@ class MeshFile:
     """gmsh, Abaqus/CalculiX .inp, VTK and what else meshio reads; or .step, .stp"""
     unit: LengthUnit = key("", '"mm"')
     """the mesh file's length unit: m, dm, cm, mm, um, in, ft; a STEP file has its own"""
-    order: Order | None = key("", "2", None)
+    order: Order | None = key("", "2", default=None)
     """gives the cells of a first-order mesh file midside nodes, in the middle of straight edges
     (STEP is meshed so anyway)"""
 
@@ -183,12 +183,14 @@ class GeometryMeshing:
 
     size: Positive = key("m", "0.004")
     """STEP: edge length of the cells"""
-    curvature: Curvature = key("cells", "16", 0, absent="none")
+    curvature: Curvature = key("cells", "16", default=0, absent="none")
     """STEP: least number of cells round a full turn of a curved face, 3 or more"""
-    groups: Mapping[str, FaceSelector] = key("", "{tip = {radius = 0.008}}", dict, absent="none")
+    groups: Mapping[str, FaceSelector] = key(
+        "", "{tip = {radius = 0.008}}", default=dict, absent="none"
+    )
     """STEP: named facet groups, each `[mesh.groups.NAME]`"""
     regions: Annotated[Mapping[str, BodySelector], AfterValidator(_no_all)] = key(
-        "", "{steel = {bodies = [1]}}", dict, absent="none"
+        "", "{steel = {bodies = [1]}}", default=dict, absent="none"
     )
     """STEP: named cell groups, each `[mesh.regions.NAME]`"""
     # Least number of cells round a full circle, however small; no key of a bundle sets it
@@ -203,7 +205,7 @@ class GeometryFile(GeometryMeshing):
     refused: ClassVar = {"unit": "a STEP file holds its own length unit; leave this key out"}
     file: BundleFile = key("", '"bracket.step"', kw_only=True)
     """a STEP file"""
-    order: Order | None = key("", "2", None, kw_only=True)
+    order: Order | None = key("", "2", default=None, kw_only=True)
     """STEP: always 2"""
 
     @property
@@ -282,9 +284,9 @@ class Temperature:
     """the temperatures expected"""
     reference: Number = key("degC or K", "20")
     """where nothing is strained by it"""
-    unit: Literal["degC", "K"] = key("", '"K"', "degC")
+    unit: Literal["degC", "K"] = key("", '"K"', default="degC")
     """`"degC"` or `"K"`"""
-    field: BundleFile | None = key("", '"hot.csv"', None, absent="uniform")
+    field: BundleFile | None = key("", '"hot.csv"', default=None, absent="uniform")
     """temperatures at points: one line of names, then x, y, z (m, the mesh's axes) and the
     temperature in `unit`. The input is the temperature where the file's rise over `reference` is
     largest; all others rise in proportion"""
@@ -312,9 +314,9 @@ class Acceleration:
 class Inputs:
     """Inputs besides the loads."""
 
-    temperature: Temperature | None = key("", "{range = [-20, 60], reference = 20}", None)
+    temperature: Temperature | None = key("", "{range = [-20, 60], reference = 20}", default=None)
     """the table `[inputs.temperature]`"""
-    acceleration: Acceleration | None = key("", "{range = [20, 20, 20]}", None)
+    acceleration: Acceleration | None = key("", "{range = [20, 20, 20]}", default=None)
     """the table `[inputs.acceleration]`"""
 
     @property
@@ -341,7 +343,9 @@ class Sliding:
         tuple[Literal["x", "y", "z"], ...], Field(min_length=1), AfterValidator(different)
     ] = key("", '["x"]', name="directions")
     """its displacements along these are zero: of x, y, z"""
-    axes: Axes = key("", "[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]", mesh_axes, absent="mesh's")
+    axes: Axes = key(
+        "", "[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]", default=mesh_axes, absent="mesh's"
+    )
     """x, y, z of the directions, in the mesh's axes"""
 
     @property
@@ -378,13 +382,17 @@ class Attached:
     coupling: Coupling = key("", '"distributed"', kw_only=True)
     """least-squares mean of the group; or `rigid`"""
     point: Point | None = key(
-        "m", "[0.0, 0.0, 0.01]", None, absent="the group's area centre", kw_only=True
+        "m", "[0.0, 0.0, 0.01]", default=None, absent="the group's area centre", kw_only=True
     )
     """where an interface's wrench acts and its displacement is measured, or a spring is, in the
     mesh's axes"""
     # Shape (3, 3): row i is the direction of the frame's axis i, orthonormal and right-handed
     axes: Axes = key(
-        "", "[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]", mesh_axes, absent="mesh's", kw_only=True
+        "",
+        "[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]",
+        default=mesh_axes,
+        absent="mesh's",
+        kw_only=True,
     )
     """x, y and z of the frame in the mesh's axes"""
 
@@ -410,16 +418,16 @@ class Bushing(Attached):
 class Supports:
     """The groups whose nodes do not move, those that slide, and those on springs."""
 
-    fixed: Annotated[Texts, Field(min_length=1)] = key("", '["rim"]', (), absent="none")
+    fixed: Annotated[Texts, Field(min_length=1)] = key("", '["rim"]', default=(), absent="none")
     """facet or node groups that do not move"""
     sliding: tuple[Sliding, ...] = key(
-        "", '[{group = "symmetry", directions = ["x"]}]', (), absent="none"
+        "", '[{group = "symmetry", directions = ["x"]}]', default=(), absent="none"
     )
     """groups held in single directions, each `[[supports.sliding]]`"""
     bushings: tuple[Bushing, ...] = key(
         "",
         '[{group = "hole", coupling = "rigid", stiffness = [1e6, 1e6, 1e6, 50, 50, 50]}]',
-        (),
+        default=(),
         absent="none",
         name="bushing",
     )
@@ -447,7 +455,7 @@ class Interface(Attached):
         tuple[Literal["ux", "uy", "uz", "rx", "ry", "rz"], ...],
         AfterValidator(different),
         AfterValidator(_known_freedoms),
-    ] = key("", '["ux", "rz"]', ())
+    ] = key("", '["ux", "rz"]', default=())
     """freedoms that a guide locks: ux uy uz rx ry rz"""
 
     def __post_init__(self) -> None:
@@ -513,9 +521,11 @@ class NamedInterface(Interface):
     refused: ClassVar = {}
     name: Name = key("", '"left"', absent="none", kw_only=True)
     """of several interfaces each must have its own: a-z, 0-9, _ and -"""
-    held: Flag = key("", "true", False, kw_only=True)
+    held: Flag = key("", "true", default=False, kw_only=True)
     """of several, one may be: it does not move, and the others move relative to it"""
-    range: Range | None = key("", "{force = [20, 20, 200], moment = [5, 5, 5]}", None, kw_only=True)
+    range: Range | None = key(
+        "", "{force = [20, 20, 200], moment = [5, 5, 5]}", default=None, kw_only=True
+    )
     """of several, each that is not held: as `[range]`"""
 
     def __post_init__(self) -> None:
@@ -541,14 +551,14 @@ class Analysis:
     nonlinear: Flag = key("", "true")
     """large displacements, and of rubber large strains; false: the 6x6 compliance is all"""
     integration: Literal["reduced", "full"] = key(
-        "", '"full"', "reduced", absent='the deck\'s, else `"reduced"`'
+        "", '"full"', default="reduced", absent='the deck\'s, else `"reduced"`'
     )
     """hex20: 2x2x2 points, or 3x3x3; a deck's C3D20 is full, its C3D20R reduced"""
     gravity: Annotated[Three | None, AfterValidator(_no_weight)] = key(
-        "m/s^2", "[0, 0, -9.81]", None
+        "m/s^2", "[0, 0, -9.81]", default=None
     )
     """own weight as a constant load, in the mesh's axes; each material needs `density`"""
-    on_yield: Literal["warn", "fail"] = key("", '"fail"', "warn")
+    on_yield: Literal["warn", "fail"] = key("", '"fail"', default="warn")
     """where a `yield_strength` is exceeded: a note with the share of the volume beyond it, or a
     failed solve and no row"""
 
@@ -605,15 +615,15 @@ class Deck:
     )
     """what reads the answer: `[deck.output]`"""
     files: Annotated[tuple[FileBeside, ...], AfterValidator(different)] = key(
-        "", '["mesh.inp"]', ()
+        "", '["mesh.inp"]', default=()
     )
     """other files of the bundle that the run needs"""
-    unit: LengthUnit = key("", '"mm"', "m")
+    unit: LengthUnit = key("", '"mm"', default="m")
     """the deck's length unit; moments go in as N times it"""
-    timeout: Annotated[Positive, Field(lt=1e7)] = key("s", "600", 3600.0)
+    timeout: Annotated[Positive, Field(lt=1e7)] = key("s", "600", default=3600.0)
     """after which a run is ended"""
     moment: Literal["spatial", "conjugate"] | None = key(
-        "", '"spatial"', None, absent="the reader's"
+        "", '"spatial"', default=None, absent="the reader's"
     )
     """about fixed axes; or `conjugate`, which works on the rotation vector"""
 
