@@ -44,6 +44,18 @@ def widening(freedom: Floats | float, outputs: int = 1) -> Floats:
     return np.sqrt(half / gammaincinv(half, (1 - CONFIDENCE) / outputs))
 
 
+def common_quantile(ratios: Floats, sizes: Floats, weights: Floats | None = None) -> float:
+    """Return the `quantile` of ratios (k, q) over their outputs' sizes (q,), all outputs together.
+
+    Alone, the largest of ten ratios of an output is small by chance in every fourth table (on five
+    made-up responses 20 % of the tables of 30 rows held less than 0.9, with all together 8 %). An
+    output of size zero says nothing, unless all are.
+    """
+    seen = sizes > 0 if (sizes > 0).any() else np.ones_like(sizes, dtype=bool)
+    alike = ratios[:, seen] / np.where(sizes[seen] > 0, sizes[seen], 1.0)
+    return quantile(alike.ravel(), None if weights is None else weights.repeat(alike.shape[1]))
+
+
 def conformal_factor(ratios: Floats) -> Floats:
     """Return per output the factor on predicted errors that holds a level of errors, shape (q,).
 

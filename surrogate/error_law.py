@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import conformal_factor, quantile, widening
+from .calibration import common_quantile, conformal_factor, widening
 
 Floats = NDArray[np.float64]
 
@@ -89,24 +89,12 @@ def error_law(left: LeftOutErrors, least: Floats) -> ErrorLaw:
     noise, growth = 1.0 + left.noise_shares[:, None], left.unit_errors[:, None] ** 2
     a, c = _variances(left.size**2, noise, growth)
     bars = np.maximum(np.sqrt(a * noise + c * growth), least)
-    factor = _factor(np.maximum(left.size - left.stated, 0.0), bars) ** 2
+    ratios = np.maximum(left.size - left.stated, 0.0) / np.maximum(bars, np.finfo(float).tiny)
+    # Each output by itself, or, where that is more, with the quantile that all have in common.
+    sizes = np.sqrt((ratios**2).mean(axis=0))
+    common = sizes * common_quantile(ratios, sizes) * widening(len(ratios))
+    factor = np.maximum(conformal_factor(ratios), common) ** 2
     return ErrorLaw(np.maximum(factor * a, least**2), factor * c)
-
-
-def _factor(errors: Floats, bars: Floats) -> Floats:
-    """Return by how much to multiply error bars so that they hold a level of errors, (k, q) each.
-
-    The conformal factor of each output, or, where that is more, its mean square times the quantile
-    that all outputs have in common: the largest of ten ratios is small by chance in every fourth
-    table (measured on five made-up responses: 20 % of the tables of 30 rows below 0.9, then 8 %).
-    """
-    ratios = errors / np.maximum(bars, np.finfo(float).tiny)
-    size = np.sqrt((ratios**2).mean(axis=0))
-    seen = size > 0
-    if not seen.any():
-        return np.zeros(errors.shape[1])
-    common = size * quantile((ratios[:, seen] / size[seen]).ravel()) * widening(len(errors))
-    return np.maximum(conformal_factor(ratios), common)
 
 
 def _variances(squares: Floats, noise: Floats, growth: Floats) -> tuple[Floats, Floats]:

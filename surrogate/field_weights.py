@@ -17,28 +17,11 @@ import numpy as np
 
 from .kriging.correlation import Hyperparameters
 from .kriging.equations import DECIMALS, Equations
-from .kriging.factor import KrigingFactor, factorise, left_out
+from .kriging.factor import KrigingFactor, Share, factorise, left_out
 from .kriging.settings import DEFAULTS, KrigingSettings
 from .table.rows import Floats, LoadRange
 
 COLUMNS = 4096  # numbers of a field of which rows are left out at once: 14 MB of 60 rows
-
-
-@dataclass(frozen=True)
-class Weights:
-    """What the rows' values and slopes are multiplied by, and how unsure that is.
-
-    Attributes
-    ----------
-    values : ndarray, shape (k,)
-    slopes : ndarray, shape (k, 6), N and N·m
-    sigma : float
-        Posterior deviation over the process deviation.
-    """
-
-    values: Floats
-    slopes: Floats
-    sigma: float
 
 
 @dataclass(frozen=True)
@@ -83,22 +66,25 @@ class FieldWeights:
         blank, none = np.zeros((count, 1 + loads, 1)), np.zeros((count, 1))  # no values, no noise
         x, measured = _scaled(wrenches, load_range), np.ones((count, 1), dtype=bool)
         equations = Equations(x, known, blank, measured, none, none, none, groups)
-        one, rows = np.arange(1), np.arange(count)
-        factor = factorise(equations, hyperparameters, one, rows, np.zeros(count), settings)
+        share = Share(np.arange(1), np.arange(count), np.zeros(count))
+        factor = factorise(equations, hyperparameters, share, settings)
         return cls(np.array(wrenches, dtype=float), load_range, factor)
 
-    def at(self, wrench: Floats) -> Weights:
-        """Return the weights for one wrench (6,), N and N·m."""
+    def at(self, wrench: Floats) -> tuple[Floats, float]:
+        """Return what rows' values and slopes are multiplied by for a wrench (6,), N and N·m.
+
+        Shape (k, 7): of values, then of slopes, N and N·m; and the posterior deviation over the
+        process deviation.
+        """
         factor, known = self.factor, self.factor.equations.known
         x = _scaled(np.asarray(wrench, dtype=float).reshape(1, -1), self.load_range)
         value = np.zeros((1, known.shape[1]), dtype=bool)
         value[:, 0] = True
         reduced, left = factor.explained_at(x, value)
         weights = np.zeros(known.shape)
-        by_mean = factor.TF @ factor.mean_covariance @ left[0]
-        weights[known] = factor.T.T @ (reduced[0] + by_mean)
+        weights[known] = factor.T.T @ (reduced[0] + factor.TF @ factor.mean_covariance @ left[0])
         sigma = np.sqrt(factor.variance_of(reduced, left, factor.mean_covariance)[0])
-        return Weights(weights[:, 0], weights[:, 1:] * self.load_range.scale, float(sigma))
+        return weights * np.append(1.0, self.load_range.scale), float(sigma)
 
     def left_out(self, values: Floats) -> tuple[Floats, Floats]:
         """Return errors (k, d) of rows left out, and their posterior deviations (k,).

@@ -350,15 +350,14 @@ class Blend:
 
     def at(self, wrench: Floats) -> BlendedFields:
         """Return the fields at a wrench (6,), N and N·m."""
-        at = self.weights.at(wrench)
-        lambdas = np.concatenate((at.values[:, None], at.slopes), axis=1)
-        fields = np.tensordot(lambdas, self.values, axes=2)
+        weights, sigma = self.weights.at(wrench)
+        fields = np.tensordot(weights, self.values, axes=2)
         moved = 3 * len(self.geometry.vertices)
         displacement = fields[:moved].reshape(-1, 3)
-        error = None if self.spread is None else self.factor * at.sigma * self.spread
+        error = None if self.spread is None else self.factor * sigma * self.spread
         stress = fields[moved:].reshape(-1, 6) if len(fields) > moved else None
         factor = self.stress_factor
-        stress_error = None if factor is None else factor * at.sigma
+        stress_error = None if factor is None else factor * sigma
         return BlendedFields(displacement, error, stress, stress_error)
 
     def nearest(self, wrench: Floats) -> tuple[int, Floats]:

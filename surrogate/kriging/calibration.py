@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
 
-from ..calibration import quantile, widening
+from ..calibration import common_quantile, widening
 from ..table.axes import CLEAN, has_levels
-from ..table.rows import Floats, LoadRange
+from ..table.rows import NEAR, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
 from .equations import Equations, Scaling
@@ -165,9 +165,8 @@ def _factors(
     """Return the factors (q,) that hold 95 % of one level's errors; None if it shows no size.
 
     The ratios |error| / sigma have a size, one an output, and a tail, whose shape the outputs
-    share. The size comes from slopes as well as from values: seven numbers a row. The tail's
-    quantile is that of all ratios over their output's size, at the rank that holds for one more
-    (split conformal prediction: Lei et al. 2018). Groups count alike, however many rows they have.
+    share. The size comes from slopes as well as from values: seven numbers a row. Groups count
+    alike, however many rows they have.
 
     Parameters
     ----------
@@ -182,6 +181,7 @@ def _factors(
         [np.bincount(group, weights * column**2, count) for column in level.sizes.T], axis=1
     )
     square = squares.mean(axis=0)
+    tail = common_quantile(ratios, np.sqrt(square), weights)
     size = np.sqrt(np.where(square > 0, square, 1.0))
     scatter = (squares**2).mean(axis=0) / size**4 - 1
     # Values and slopes of a row are up to seven independent numbers; rows of one group are alike.
@@ -193,10 +193,6 @@ def _factors(
     # times that where values and slopes of single rows are alike, and few where a few groups make
     # most of the size.
     widened = widening(2 * least / scatter, level.outputs)
-    missed = square > 0  # an output of which nothing is missed says nothing of the tail
-    columns = missed if missed.any() else np.ones_like(missed)
-    alike = (ratios / size)[:, columns]
-    tail = quantile(alike.ravel(), np.repeat(weights, alike.shape[1]))
     factors = tail * size * (widened if sure else 1.0)
     inside = (weights[:, None] * (ratios <= factors)).sum(axis=0) / count
     # Below the deviation that the nugget allows errors are rounding, whose size means nothing.
@@ -222,7 +218,7 @@ def calibrated(
     settings: KrigingSettings,
 ) -> Calibration:
     """Return by how much a share's deviations are multiplied for its error bars."""
-    own, outputs = spread.factor.equations, len(spread.factor.outputs)
+    own, outputs = spread.factor.equations, len(spread.factor.share.outputs)
     if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
     full = full_rows(own, scaling)
@@ -241,7 +237,7 @@ def calibrated(
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
     # A load that no row varies stays as the rows have it: off that the mean is unsettled.
-    still = high - low <= STILL * settings.same
+    still = high - low <= STILL * NEAR
     low, high = np.where(still, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
     if full.sum() < min(settings.full_rows, len(full) / 2):
@@ -270,7 +266,7 @@ def _level(
         return None
     out = left_out(factor, labels)
     anchors = spread.nearest_others(rows, labels)
-    squared, number = np.full(len(rows), np.nan), numbers(equations.known)[factor.rows, 0]
+    squared, number = np.full(len(rows), np.nan), numbers(equations.known)[factor.share.rows, 0]
     lists = spread.members(own.x[anchors], labels, labels[rows])
     for place, (row, near) in enumerate(zip(rows, lists, strict=True)):
         local = spread.local_factor(near, table)
@@ -283,7 +279,7 @@ def _level(
     if not len(known):
         return None
     sigma, known_rows = np.sqrt(squared[known]), rows[known]
-    own_noise = factor.noise[known_rows]
+    own_noise = factor.share.noise[known_rows]
     errors = out.errors[known_rows] / np.sqrt(factor.variance)
     # A reading misses its answer by its own noise besides the error of the mean, and both
     # variances add up to that of its error: variances and noise have shape (k,), process

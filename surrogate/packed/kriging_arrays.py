@@ -59,7 +59,7 @@ def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
 def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
     """Yield the calibration of one factor."""
     factors = np.zeros((len(found.sigma), outputs))
-    factors[:, share.factor.outputs] = found.factors.reshape(len(found.sigma), -1)
+    factors[:, share.factor.share.outputs] = found.factors.reshape(len(found.sigma), -1)
     yield "sigma", found.sigma
     yield "factors", factors
     yield "reach", np.array([found.reach])
@@ -76,7 +76,7 @@ def _share_arrays(
     places = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
     unsettled = np.zeros((count, share.around[0].TF.shape[1], padded))
-    for place, (row, local) in enumerate(zip(share.factor.rows, share.around, strict=True)):
+    for place, (row, local) in enumerate(zip(share.factor.share.rows, share.around, strict=True)):
         size = len(local.places)
         at_row, of_row = np.divmod(local.places, places_of_row)
         places[place, :size] = of_row * stride + at_row
@@ -88,7 +88,7 @@ def _share_arrays(
         )
         unsettled[place, :, :size] = local.TF.T
         number[row], least[row] = place, local.least
-    yield "outputs", np.isin(np.arange(outputs), share.factor.outputs).astype(np.int32)
+    yield "outputs", np.isin(np.arange(outputs), share.factor.share.outputs).astype(np.int32)
     yield "number", number
     yield "places", places
     yield "panels", panels
