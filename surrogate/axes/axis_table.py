@@ -8,12 +8,11 @@ out cross-validation"), and one point stands for all within a cell of that size.
 neighbours are farther than r the unit error is at least r^2 / 2, so the radius for a typical unit
 error S of the table is sqrt(2 PART S).
 
-How the error of piecewise linear interpolation grows with the size of a simplex.
-
-Linear interpolation of a function with second derivatives H errs by half the barycentric mean of
-(x - x_v)' H (x - x_v) over the vertices x_v. Of the function |x|^2 / 2, whose H is one, that is the
-*unit error* S(x) = 1/2 sum_v l_v |x - x_v|^2. So the error of any response is taken for noise of
-variance A and curvature of variance C:
+The error of piecewise linear interpolation grows with the size of a simplex. Linear interpolation
+of a function with second derivatives H errs by half the barycentric mean of (x - x_v)' H (x - x_v)
+over the vertices x_v. Of the function |x|^2 / 2, whose H is one, that is the *unit error* S(x) =
+1/2 sum_v l_v |x - x_v|^2. So the error of any response is taken for noise of variance A and
+curvature of variance C:
 
     95 % error bar = sqrt(A + C S^2)
 

@@ -173,7 +173,7 @@ typedef struct {
 static inline double wb_larger(double a, double b) { return isnan(a) || a > b ? a : b; }
 
 /* The bucket of a number among ascending ones: start[bucket] to start[bucket + 1] bound its place.
- * `buckets_of` in surrogate/packed/numbering.py makes the starts. */
+ * `buckets_of` in surrogate/packed/axes_arrays.py makes the starts. */
 static inline int64_t wb_bucket(double value, const double *bucket, int64_t buckets) {
     double place = (value - bucket[0]) * bucket[1];
     if (!(place > 0.0)) return 0;
