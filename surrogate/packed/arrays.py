@@ -148,7 +148,7 @@ BLOCKS = {
         Array("point_first", "i4", "4", "first point of each axis, and the end"),
         Array("simplex_first", "i4", "4", "first simplex of each axis, and the end"),
         Array("facet_first", "i4", "4", "first facet of each axis, and the end"),
-        Array("floats", "f8", "3 22", "wb_axis_floats: frames, see `numbering`"),
+        Array("floats", "f8", "3 22", "wb_axis_floats: frames, see `axes_arrays`"),
         Array("ints", "i4", "3 5", "wb_axis_ints: dimension, -1 without rows; first cell; cells"),
         Array("grid", "i4", "g", "simplex close to each cell: where walks start"),
         Array("together", "i4", "3", "points of an axis with several loads at once"),
