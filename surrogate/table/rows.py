@@ -135,18 +135,6 @@ def acting_one(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[float
     return [0.0 if load in locked else amount for load, amount in enumerate(wrench)]
 
 
-def without_locked(slopes: Floats, locked: Sequence[int]) -> Floats:
-    """Return du/dw, shape (..., 6, 6), SI, with zeros for the loads on locked freedoms.
-
-    NaN stays: an output without a value has no slope either.
-    """
-    if not locked:
-        return slopes
-    found = slopes.copy()
-    found[..., list(locked)] = np.where(np.isnan(found[..., list(locked)]), np.nan, 0.0)
-    return found
-
-
 @dataclass(frozen=True)
 class Tolerance:
     """The largest error bar an answer may have and still be `covered`.
