@@ -7,7 +7,6 @@ from itertools import combinations
 
 import numpy as np
 
-from wrenchbook.fea.coupling.rotation import rotation_less_identity
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
 from wrenchbook.fea.mesh.cad.meshing import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
@@ -30,6 +29,7 @@ from wrenchbook.fea.spec.schema import (
     ScalarInput,
     Supports,
 )
+from wrenchbook.fea.tensors import rotation_less_identity
 
 Array = np.ndarray
 

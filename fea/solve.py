@@ -27,10 +27,15 @@ from wrenchbook.fea.inspection import warnings_of
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
-from wrenchbook.fea.recovery.stress import most_used, small_stress, stress_of, yielding
-from wrenchbook.fea.recovery.weight import material_of_parts, pull_of
+from wrenchbook.fea.recovery.stress import (
+    material_of_parts,
+    most_used,
+    pull_of,
+    small_stress,
+    stress_of,
+    yielding,
+)
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
-from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath, hang
 from wrenchbook.fea.solver.newton import Equilibrium
@@ -39,6 +44,7 @@ from wrenchbook.fea.solver.vibration import (
     CraigBampton,
     Riding,
     Vibration,
+    buckling_factors,
     consistent_mass,
     craig_bampton,
     first_vibration,
@@ -238,7 +244,7 @@ class Solver:
     def buckling(self, wrench: Loads) -> tuple[float, float]:
         """Return how many times a wrench, and its opposite, the part carries before it buckles.
 
-        The wrench is as of `solve`. As linear buckling has it (`fea.solver.buckling`);
+        The wrench is as of `solve`. As linear buckling has it (`fea.solver.vibration`);
         infinite where it does not.
 
         Raises

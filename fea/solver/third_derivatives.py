@@ -14,8 +14,8 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contra
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
-from wrenchbook.fea.coupling.rotation import spin_per_vector, spin_slope
 from wrenchbook.fea.element.cell_state import every_place
+from wrenchbook.fea.tensors import spin_per_vector, spin_slope
 
 Array = np.ndarray
 

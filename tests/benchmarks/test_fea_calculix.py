@@ -11,8 +11,8 @@ from tests.validation import calculix
 from tests.validation.calculix import same_mesh
 from tests.validation.clamped import shipped
 from tests.validation.plate import WRENCH
-from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.tensors import von_mises
 
 pytestmark = pytest.mark.skipif(not calculix.installed(), reason=calculix.ABSENT)
 

@@ -9,7 +9,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from wrenchbook.fea.coupling.rotation import spin_per_vector
+from wrenchbook.fea.tensors import spin_per_vector
 
 ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10"}
 # Corner numbers of the faces S1 to S6 of a hexahedron.

@@ -13,13 +13,13 @@ from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check.findings import motion_problems
 from wrenchbook.fea.check.reporting import as_text, report
 from wrenchbook.fea.component import build
-from wrenchbook.fea.coupling.rotation import rotation, rotation_vector, skew, spin_per_vector
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import bodies_of, coincident_nodes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.fea.tensors import rotation, rotation_vector, skew, spin_per_vector
 
 COUPLINGS = ["rigid", "distributed"]
 TURN = rotation(np.array([0.4, -0.7, 0.3]))

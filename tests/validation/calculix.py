@@ -17,9 +17,9 @@ import numpy as np
 from tests.validation.finding import Finding
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.coupling import each_interface
-from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.export.calculix import deck_of, further_placeholder, placeholders
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.tensors import spin_per_vector
 
 Array = np.ndarray
 

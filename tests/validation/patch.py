@@ -12,10 +12,10 @@ from tests.validation.clamped import Warp, clamped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.tensors import rotation
 
 Array = np.ndarray
 

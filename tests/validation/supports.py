@@ -13,8 +13,8 @@ from tests.validation.clamped import clamped
 from tests.validation.finding import Finding, case
 from tests.validation.patch import MATERIAL, distort
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.coupling.rotation import rotation, skew
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.tensors import rotation, skew
 
 Array = np.ndarray
 

@@ -6,9 +6,9 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.coupling import CoupledState
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.fea.tensors import rotation
 
 RNG = np.random.default_rng(7)
 COUPLINGS = ["rigid", "distributed"]

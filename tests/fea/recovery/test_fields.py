@@ -11,10 +11,10 @@ from tests.fea.components import component
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import build
-from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.mesh.facets import outer_surface
 from wrenchbook.fea.recovery import fields as recovery
 from wrenchbook.fea.solve import Solver, solve
+from wrenchbook.fea.tensors import von_mises
 
 KINDS = ["hex8", "hex20", "hex27", "tet10", "wedge15"]
 WRENCH = np.array([3e3, -2e3, 4e4, 200.0, -300.0, 150.0])

@@ -11,12 +11,12 @@ from tests.fea.components import component
 from tests.fea.two_interfaces import column, with_second
 from tests.validation import calculix
 from wrenchbook.fea import solve
-from wrenchbook.fea.coupling.rotation import rotation, skew
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.load_steps import LoadPath
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.fea.tensors import rotation, skew
 
 COUPLINGS = ["rigid", "distributed"]
 PAIRS = [(one, other) for one in COUPLINGS for other in COUPLINGS]
