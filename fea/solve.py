@@ -408,7 +408,7 @@ def system_of(component: ComponentModel, active: Array) -> System:
     `active` has shape (k,): indices of the freedoms that are not locked, dimensionless.
     """
     mesh = component.mesh
-    mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
+    mesh = replace(mesh, points=(mesh.points - component.interfaces[0].point) @ component.axes.T)
     # Each interface's coupling, its nodes, and its axes in the body's if they differ.
     sections: list[tuple[SectionCoupling, Array, Array | None]] = []
     for attached in (*component.interfaces, *(bushing for bushing, _ in component.bushings)):
@@ -425,7 +425,7 @@ def system_of(component: ComponentModel, active: Array) -> System:
     free[coupling.tied] = False
     materials, numbers = component.materials, component.material_of_cells
     integration = component.analysis.integration
-    frame = component.axes, component.point
+    frame = component.axes, component.interfaces[0].point
     filled = filled_cells(mesh, materials, numbers, integration, *frame)
     if component.warmth is not None:
         warmth = component.warmth

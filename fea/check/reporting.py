@@ -209,7 +209,7 @@ def _look_at_component(
         "supports": {"nodes": len(component.fixed_nodes)}
         | {name: count for name, count in counts.items() if count},
         **inputs,
-        **({"sections": attached} if component.others else {"section": attached[0]}),
+        **({"sections": attached} if attached[1:] else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
     }
     summary["warnings"] += set_up_warnings(component)

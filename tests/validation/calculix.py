@@ -105,9 +105,9 @@ def solve_distributed(
     wrench goes in as nodal forces w_i (F + m x rho_i), area-weighted, and the interface
     displacement is the least-squares rigid motion of the section's nodes.
     """
-    weights = part.section.weights / part.section.weights.sum()
-    places = (part.mesh.points - part.point) @ part.axes.T
-    own = places[part.section.node_ids]
+    weights = part.interfaces[0].section.weights / part.interfaces[0].section.weights.sum()
+    places = (part.mesh.points - part.interfaces[0].point) @ part.axes.T
+    own = places[part.interfaces[0].section.node_ids]
     centre = weights @ own
     arms = own - centre
     inertia = (weights * (arms**2).sum(axis=1)).sum() * np.eye(3) - (arms.T * weights) @ arms
@@ -115,7 +115,7 @@ def solve_distributed(
     spin = np.linalg.solve(inertia, moment - np.cross(centre, force))
     loads = weights[:, None] * (force + np.cross(spin, arms))
     rows, seconds = _run(_with_loads(part, loads), timeout)
-    moved = np.array([rows[int(node) + 1] for node in part.section.node_ids])
+    moved = np.array([rows[int(node) + 1] for node in part.interfaces[0].section.node_ids])
     rotation = np.linalg.solve(inertia, weights @ np.cross(arms, moved))
     return CalculixResult(
         np.concatenate([weights @ moved - np.cross(rotation, centre), rotation]), seconds
@@ -129,7 +129,7 @@ def _with_loads(part: ComponentModel, loads: Array) -> str:
     above = deck[: deck.index("*CLOAD")].splitlines()
     lines = [line for line in above if not line.startswith("*RIGID BODY, NSET=SECTION")]
     lines.append("*CLOAD")
-    for node, load in zip(part.section.node_ids + 1, loads, strict=True):
+    for node, load in zip(part.interfaces[0].section.node_ids + 1, loads, strict=True):
         lines += [f"{node}, {i + 1}, {load[i]:.12e}" for i in range(3)]
     return "\n".join([*lines, f"{_ENDING}, NSET=SECTION", "U", "*END STEP"]) + "\n"
 
@@ -175,12 +175,12 @@ def same_mesh(
     """Compare one solve on one mesh: the largest relative difference of the six components."""
     part = replace(part, analysis=replace(part.analysis, nonlinear=nonlinear))
     kind = "nonlinear" if nonlinear else "linear"
-    quantity = f"{name}, {part.coupling}, {kind}: worst of six components, relative"
+    quantity = f"{name}, {part.interfaces[0].coupling}, {kind}: worst of six components, relative"
     if not installed():
         yield Finding(quantity, _SOURCE, missing=ABSENT)
         return
     found = Solver(part).solve(wrench).displacement
-    if part.coupling == "rigid":
+    if part.interfaces[0].coupling == "rigid":
         reply = solve_rigid(part, wrench, found[3:] if nonlinear else None)
     else:
         reply = solve_distributed(part, wrench)

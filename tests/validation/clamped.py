@@ -10,7 +10,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.component import ComponentModel, build
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.schema import (
@@ -56,7 +56,8 @@ def clamped(
     """
     part = section_of_facets(mesh.points, mesh.facet_groups[section])
     place = part.centre if point is None else point
-    interface = Interface(section, place, np.eye(3) if axes is None else axes, coupling)
+    frame = np.eye(3) if axes is None else axes
+    interface = Interface(section, place, frame, coupling)
     bundle = _bundle(Material("all", *material), fixed, interface, nonlinear)
     return ComponentModel(
         bundle=bundle,
@@ -64,11 +65,7 @@ def clamped(
         materials=bundle.materials,
         material_of_cells=tuple(np.zeros(len(block), dtype=int) for block in mesh.blocks),
         fixed_nodes=mesh.facet_groups[fixed].node_ids,
-        section=part,
-        point=place,
-        axes=interface.axes,
-        coupling=coupling,
-        locked=(),
+        interfaces=(AttachedInterface("interface", "", part, place, frame, coupling, ()),),
         analysis=bundle.analysis,
     )
 

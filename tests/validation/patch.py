@@ -133,8 +133,9 @@ def turned_component() -> Iterator[Finding]:
         moved = replace(
             part,
             mesh=replace(mesh, points=mesh.points @ R.T + shift),
-            point=R @ point + shift,
-            axes=part.axes @ R.T,
+            interfaces=(
+                replace(part.interfaces[0], point=R @ point + shift, axes=part.axes @ R.T),
+            ),
         )
         first, second = (Solver(p).solve(wrench).displacement for p in (part, moved))
         gap = float(np.abs(second - first).max() / np.abs(first).max())

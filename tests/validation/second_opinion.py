@@ -74,7 +74,7 @@ class Opinion:
 
 def comparable(part: ComponentModel) -> tuple[ComponentModel, tuple[str, ...]]:
     """Return the component that both can solve, and how it differs from the user's."""
-    if part.coupling == "rigid" or not part.analysis.nonlinear:
+    if part.interfaces[0].coupling == "rigid" or not part.analysis.nonlinear:
         return part, ()
     notes = (
         "CalculiX does not report the motion of a distributing coupling: both solve the component "
@@ -100,7 +100,7 @@ def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIM
     tolerance = NONLINEAR if nonlinear else LINEAR
     try:
         own = solver.solve(loads)
-        if part.coupling == "rigid":
+        if part.interfaces[0].coupling == "rigid":
             rotation = own.displacement[3:] if nonlinear else None
             reply = calculix.solve_rigid(part, loads, rotation, timeout=timeout)
         else:
