@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tests.validation.clamped import attached
 from tests.validation.finding import Finding
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.coupling import each_interface
@@ -125,7 +126,7 @@ def solve_distributed(
 def _with_loads(part: ComponentModel, loads: Array) -> str:
     """Return the deck with nodal loads, shape (k, 3), N, in place of the rigid body."""
     linear = replace(part.analysis, nonlinear=False)
-    deck = deck_of(replace(part, coupling="rigid", analysis=linear))
+    deck = deck_of(attached(replace(part, analysis=linear), coupling="rigid"))
     above = deck[: deck.index("*CLOAD")].splitlines()
     lines = [line for line in above if not line.startswith("*RIGID BODY, NSET=SECTION")]
     lines.append("*CLOAD")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -68,6 +69,12 @@ def clamped(
         interfaces=(AttachedInterface("interface", "", part, place, frame, coupling, ()),),
         analysis=bundle.analysis,
     )
+
+
+def attached(part: ComponentModel, **changes: Any) -> ComponentModel:
+    """Return a component whose first interface has another coupling, locked freedoms or point."""
+    first, *others = part.interfaces
+    return replace(part, interfaces=(replace(first, **changes), *others))
 
 
 def _bundle(material: Material, fixed: str, interface: Interface, nonlinear: bool) -> Bundle:

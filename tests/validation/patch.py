@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.validation.boxes import box
-from tests.validation.clamped import Warp, clamped
+from tests.validation.clamped import Warp, attached, clamped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
@@ -130,12 +130,10 @@ def turned_component() -> Iterator[Finding]:
             mesh, "x0", "x1", (70e9, 0.33), coupling=coupling, nonlinear=True, point=point
         )
         shift = np.array([1.0, -2.0, 3.0])
-        moved = replace(
-            part,
-            mesh=replace(mesh, points=mesh.points @ R.T + shift),
-            interfaces=(
-                replace(part.interfaces[0], point=R @ point + shift, axes=part.axes @ R.T),
-            ),
+        moved = attached(
+            replace(part, mesh=replace(mesh, points=mesh.points @ R.T + shift)),
+            point=R @ point + shift,
+            axes=part.axes @ R.T,
         )
         first, second = (Solver(p).solve(wrench).displacement for p in (part, moved))
         gap = float(np.abs(second - first).max() / np.abs(first).max())

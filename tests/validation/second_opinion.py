@@ -16,13 +16,14 @@ import math
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tests.validation import calculix
 from tests.validation.calculix import LINEAR, NONLINEAR
+from tests.validation.clamped import attached
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.element.pressure_projection import projects
@@ -80,7 +81,7 @@ def comparable(part: ComponentModel) -> tuple[ComponentModel, tuple[str, ...]]:
         "CalculiX does not report the motion of a distributing coupling: both solve the component "
         'with coupling = "rigid" in its place, so the answers are not those of the component',
     )
-    return replace(part, coupling="rigid"), notes
+    return attached(part, coupling="rigid"), notes
 
 
 def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIMEOUT) -> Opinion:
@@ -224,7 +225,7 @@ def _made_ready(
         raise BundleError([BundleProblem(key, message)])
     part, notes = comparable(build(bundle))
     wrenches = chosen_wrenches(part, texts)
-    deck_of(replace(part, coupling="rigid"))  # what CalculiX has no counterpart of, before a solve
+    deck_of(attached(part, coupling="rigid"))  # what CalculiX has no counterpart of, before a solve
     return Solver(part), wrenches, [*notes, *_projections(part)]
 
 
