@@ -11,11 +11,11 @@ from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets,
 from wrenchbook.fea.mesh.cad.meshing import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import facets_within, group_nodes, missing, outer_surface
-from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.material import AnyMaterial
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
@@ -23,8 +23,8 @@ from wrenchbook.fea.spec.schema import (
     TEMPERATURE,
     Analysis,
     Bundle,
+    Generator,
     Interface,
-    Material,
     MeshSource,
     ScalarInput,
     Supports,
@@ -63,7 +63,7 @@ class ComponentModel:
     mesh: Mesh  # every point belongs to a cell
     # materials, material_of_cells: the materials, and for each block of the mesh an array of shape
     # (m,) with the number of each cell's material.
-    materials: tuple[Material, ...]
+    materials: tuple[AnyMaterial, ...]
     material_of_cells: tuple[Array, ...]
     fixed_nodes: Array  # sorted nodes that do not move, shape (k,), int64
     interfaces: tuple[AttachedInterface, ...]  # in the order of their loads and displacements
@@ -206,18 +206,18 @@ def mesh_of(source: MeshSource) -> Mesh:
 
     Raises BundleError if the file cannot be read, or its geometry not be meshed.
     """
-    if source.file is not None and source.geometry is not None:
-        return mesh_geometry(source.file, source.geometry)
-    if source.file is not None:
-        mesh = read_mesh(source.file, source.unit)
-        return mesh if source.order is None else second_order(mesh)
-    if source.generator is None or source.parameters is None:
+    if isinstance(source, Generator):
+        return source.mesh()
+    if source.file is None:
         raise ValueError("a mesh source needs a file or a generator with its parameters")
-    return GENERATORS[source.generator](**source.parameters).mesh()
+    if source.geometry is not None:
+        return mesh_geometry(source.file, source.geometry)
+    mesh = read_mesh(source.file, source.unit)
+    return mesh if source.order is None else second_order(mesh)
 
 
 def _fill_the_rest(
-    numbers: tuple[Array, ...], materials: tuple[Material, ...], problems: list[BundleProblem]
+    numbers: tuple[Array, ...], materials: tuple[AnyMaterial, ...], problems: list[BundleProblem]
 ) -> None:
     general = [i for i, material in enumerate(materials) if material.region == "all"]
     if len(general) > 1:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
-from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.client.replies import EXACT, ROUNDED
 from wrenchbook.service.contract import OnThin, by_part
 from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError
@@ -32,11 +32,11 @@ from wrenchbook.service.tables.mapped import (
     row_table,
 )
 from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.findings.find import error_of_a_reading
 from wrenchbook.surrogate.kernel.explain import explain
 from wrenchbook.surrogate.kernel.replies import Replies, Reply
-from wrenchbook.surrogate.rig_error import error_of_a_reading
 from wrenchbook.surrogate.solver_error import UNKNOWN
-from wrenchbook.surrogate.table.row_index import RowIndex
+from wrenchbook.surrogate.table.merging import RowIndex
 from wrenchbook.surrogate.table.rows import Rows, Tolerance, acting_one, why_beyond
 
 Floats = NDArray[np.float64]

@@ -34,8 +34,7 @@ from wrenchbook.service.tables.mapped import MappedTables, ServedTable, TableBeh
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.service.tables.store import TableStore
 from wrenchbook.surrogate.design import Design, next_wrenches
-from wrenchbook.surrogate.scene.need import Need
-from wrenchbook.surrogate.scene.plan import design_of, plan_of
+from wrenchbook.surrogate.scene.plan import Need, design_of, plan_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 

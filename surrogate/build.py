@@ -1,88 +1,312 @@
-"""From the rows of one version of a table to the interpolators that are packed.
+"""A version of a table: the interpolators of its rows, which are then packed.
 
 Rows may lack outputs, such as those of a test rig that measured only u_z. Outputs that the same
-rows have make one group with a surrogate of just those rows, so no NaN enters an interpolator.
+rows have make one group with the interpolators of just those rows, so no NaN enters one.
+
+Where a table does not cover a wrench, a row of it, or within 1e-6 of the range of it, does. Rows
+within 1e-6 of the range of each other are one row (`table.merging`), so a wrench as near to a row
+is that row's: a queue rounds wrenches so, and a load that comes to rest is a rounding error off the
+wrench that was solved. The row's tangent leads from its wrench to that of the query; the bar grows
+by that step, from the row's own at the row itself. Where a row has no tangent its displacement
+stays, and the bar grows by twice what a response in proportion moves: to the range of each output
+over the load range, or to the row's own displacement (the largest of its translations, and of its
+rotations: a small load may move most) over its wrench, the steeper.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from time import thread_time
 from typing import Any
 
 import numpy as np
 
-from .axes.axes import Composition
-from .rig_error import rig_error
+from .answer import Allowed, allowed_of
+from .axes.axes import Axes, build_axes
+from .findings.find import rig_error
+from .kriging import (
+    Kriging,
+    SingularCovarianceError,
+    TooFewRowsError,
+    equation_count,
+    fits_one_factor,
+    too_large_in_words,
+)
+from .methods import (
+    MethodChoice,
+    choose,
+    choose_without_axes,
+    full_needed,
+    interaction_of,
+    linear_choice,
+    without_kriging,
+)
 from .solver_error import SolverError, bars_are_whole
-from .surrogate import Surrogate
-from .table.axes import OffAxis
-from .table.compliance import ComplianceFit
-from .table.conflicts import row_conflicts
-from .table.rows import Floats, LoadRange, Rows, Tolerance, without_locked
+from .table.axes import OffAxis, count_full
+from .table.compliance import ComplianceFit, fit_compliance
+from .table.merging import RowIndex, merge, row_conflicts
+from .table.rows import Floats, LoadRange, Rows, Tolerance
+
+SOLVED = "fea"  # the source of rows that a solver gave
+STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there are
 
 
-class AnyTable:
-    """The surrogates of one version of a table; `build` makes one.
+class Group:
+    """The interpolators of outputs that the same rows have.
+
+    Attributes
+    ----------
+    outputs : tuple of int
+        Places, in `OUTPUTS`, of the outputs it answers; the others are 0 and count for nothing.
+    rows : Rows
+        All rows that have them, in ascending order of `seq`.
+    merged : Merged
+        Those rows, repeated ones merged.
+    used : Rows
+        Those that answers are made of: merged, and within the load range.
+    members : tuple of tuple of int
+        The numbers (`seq`) of the rows behind each of `used`.
+    fit : ComplianceFit
+    equations : int
+        How many a kriging of the rows has.
+    one_factor : bool
+        Whether one factor holds them: error bars then come from the kriging.
+    choice : MethodChoice
+        The default method, and why.
+    has_axes : bool
+        Whether straight direction influence is defined: of one interface without further inputs.
+    knows_interaction, rest_unknown : bool
+        Whether rows show what loads of several axes do together, and whether nothing tells what
+        the component does without load.
+    full_wrenches, full_needed : int
+        How many rows load more than one axis, and how many must for `knows_interaction`.
+    row_index : RowIndex
+        Which of `rows` is at or next to a wrench.
+    row_uncertainty : ndarray, shape (k, 6), m and rad
+        Of the rows of `merged`; NaN where it is not known.
+    steepest : ndarray, shape (6,), m and rad
+        What each output moves over half the load range, at most, by a row without a tangent.
+    build_s : float, s
+        Processor time that building it took.
+    """
+
+    def __init__(
+        self,
+        rows: Rows,
+        load_range: LoadRange,
+        *,
+        tolerance: Tolerance | None = None,
+        linear: bool = False,
+        off_axis: OffAxis = "correct",
+        before: Group | None = None,
+        locked: Sequence[int] = (),
+        outputs: tuple[int, ...] = (),
+    ) -> None:
+        """Build from rows; axes that another version has as well are taken from it."""
+        started = thread_time()
+        self.has_axes = load_range.space.is_default
+        self.outputs = outputs or tuple(range(len(load_range.space.outputs)))
+        self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
+        self.linear, self.locked = linear, tuple(locked)
+        self.off_axis: OffAxis = off_axis
+        self.merged = merge(rows, load_range)
+        self.used, self.members, self._readings = self.merged.usable()
+        self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
+        try:
+            self.equations = 0 if linear else equation_count(self.used, load_range)
+        except TooFewRowsError:
+            self.equations = 0
+        self.one_factor = fits_one_factor(self.equations)
+        if self.has_axes and len(self.used) and not (linear and self.fit.complete):
+            # Not kept: versions would hold each other without end.
+            self.axes = self._axes(before and vars(before).get("axes"))
+        self.choice = self._choice()
+        if self.by_axes:
+            _ = self.interaction
+        if self.by_axes and (thinning := self.axes.thinning):
+            self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
+        # Without axes the kriging's own error bars tell what interaction is not known; loads of a
+        # linear component act by themselves.
+        self.full_wrenches = count_full(self.used, load_range) if self.has_axes else 0
+        self.full_needed = full_needed(self.used) if self.has_axes else 0
+        self.knows_interaction = linear or self.full_wrenches >= self.full_needed
+        self.rest_unknown = self.by_axes and not linear and not self.axes.at_rest.known
+        self.row_index, self.steepest = (
+            RowIndex(rows.wrench, load_range.scale),
+            STEEPER * self.ranges,
+        )
+        # A solve repeats itself; how far a reading is off is not known where nobody stated it.
+        stated = self.merged.rows.uncertainty
+        unstated = np.where(self.merged.rows.source == SOLVED, 0.0, np.nan)[:, None]
+        self.row_uncertainty = np.where(np.isnan(stated), unstated, stated)
+        self.build_s = thread_time() - started
+
+    @property
+    def default(self) -> str:
+        """The method that answers where a query names none."""
+        return self.choice.method
+
+    @cached_property
+    def axes(self) -> Axes:
+        """The three axes of the straight direction influence."""
+        return self._axes(None)
+
+    def _axes(self, before: Axes | None) -> Axes:
+        return build_axes(self.used, self.load_range, self.fit, self.off_axis, before)
+
+    @property
+    def by_axes(self) -> bool:
+        """Whether the default method is one of the axes'."""
+        return len(self.used) > 0 and self.default in ("griddata", "additive")
+
+    @property
+    def reading(self) -> Floats:
+        """Noise of one reading, 95 %, (6,), m and rad; NaN where it is not known."""
+        if not self.by_kriging or self.kriging is None:
+            return np.full(self.rows.displacement.shape[1], np.nan)
+        return self.kriging.reading
+
+    @property
+    def by_kriging(self) -> bool:
+        """Whether the kriging answers by default: then its own error bars hold."""
+        return self.default == "kriging" and self.kriging is not None
+
+    @cached_property
+    def interaction(self) -> Kriging | None:
+        """The kriging of what the additive composition of the axes leaves out."""
+        return interaction_of(self.used, self.load_range, self.axes)
+
+    @cached_property
+    def kriging(self) -> Kriging | None:
+        """The kriging; None where one factor does not hold it.
+
+        That is of linear components, and where rows are too few or too many, or contradict.
+        """
+        if self.linear or not self.one_factor:
+            return None
+        try:
+            return Kriging.build(self.used, self.load_range, readings=self._readings)
+        except (TooFewRowsError, SingularCovarianceError):
+            return None
+
+    @cached_property
+    def allowed(self) -> Allowed:
+        """How large the bars of covered answers may be."""
+        return allowed_of(self.used, self.tolerance, self.outputs)
+
+    @property
+    def ranges(self) -> Floats:
+        """What each output varies by over the rows and from zero, shape (m,), m and rad."""
+        return self.allowed.ranges
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the compliance answers by itself, with its own error bars."""
+        by_compliance = self.linear or (not self.has_axes and self.default == "linear")
+        return by_compliance and self.fit.complete
+
+    @property
+    def can_answer(self) -> bool:
+        """Whether there are rows to answer from, and a method that does."""
+        by_axes_or_kriging = self.has_axes or self.by_kriging
+        return len(self.used) > 0 and (by_axes_or_kriging or self.is_exact)
+
+    def coverage_summary(self) -> dict[str, Any]:
+        """Return how the rows cover the load range, as JSON-able values; seconds for 100,000."""
+        fit, no_axes = self.fit, self.default == "linear" or not self.has_axes
+        return {
+            "rows": len(self.rows),
+            "beyond_range": int((~self.load_range.holds(self.rows.wrench)).sum()),
+            "used_rows": len(self.used),
+            "compliance": {
+                "origin": fit.origin,
+                "loads": [self.rows.space.input_names[load] for load in np.flatnonzero(fit.known)],
+                "error": fit.error.tolist(),
+            },
+            **row_conflicts(self.rows, self.load_range),
+            "axes": [] if no_axes else self.axes.summary(),
+            "method": self.default,
+            "method_reason": self.choice.reason,
+            "method_detail": self._kriging_detail,
+            "errors_left_out": self.choice.errors,
+            "full_wrench_rows": self.full_wrenches,
+            "tells_full_wrenches": self.knows_interaction,
+        }
+
+    def _choice(self) -> MethodChoice:
+        if not len(self.used):
+            method = "griddata" if self.has_axes else "linear"
+            return MethodChoice(method, "there are no rows", {})
+        if not self.has_axes:
+            return choose_without_axes(self.used, self.fit, lambda: self.kriging, self.linear)
+        if self.linear:
+            return linear_choice(self.used, self.load_range, self.fit, vars(self).get("axes"))
+        if not self.one_factor:
+            detail = self._kriging_detail
+            return without_kriging(self.used, self.load_range, self.axes, detail)
+        return choose(self.used, self.load_range, self.axes, lambda: self.kriging)
+
+    @property
+    def _kriging_detail(self) -> str:
+        if not self.one_factor:
+            return too_large_in_words(len(self.used), self.equations)
+        return self.kriging.detail if self.by_kriging and self.kriging else ""
+
+
+@dataclass
+class Table:
+    """One version of a table; `build` makes one.
 
     Attributes
     ----------
     rows : Rows
         All of them, in ascending order of `seq`; NaN where an output was not measured.
     load_range : LoadRange
-    groups : tuple of (tuple of int, Surrogate)
-        Outputs that the same rows have, and the surrogate of those rows, the fewest first. An
-        output that no row has is in no group.
-    thinnest : Surrogate
-        That of the fewest rows: where it is thin, some output is.
-    composition, fit, used, default
-        Those of the thinnest surrogate.
-    packed : surrogate.kernel.binding.PackedTable or None
-        The same table packed; None until it is made.
+    groups : tuple of Group
+        Outputs that the same rows have, those of the fewest rows first: where they are thin, some
+        output is. An output that no row has is in no group.
+    tolerance : Tolerance or None, m and rad
+    linear : bool
+        Whether the component is linear, so that its 6x6 compliance is the whole truth.
+    version : int
+    locked : tuple of int
+        Places, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
     solver_error : SolverError or None
         Error of the solver: in no error bar here; `bars_are_whole` says whether it is known.
-    rig_error : ndarray, shape (6,), m and rad
-        See `rig_error.rig_error`: in no error bar here.
-    reading : ndarray, shape (6,), m and rad
-        Noise of one measured reading, 95 %; NaN where it is not known.
+    packed : surrogate.kernel.binding.PackedTable or None
+        The same table packed; None until it is made.
     """
 
+    rows: Rows
+    load_range: LoadRange
+    groups: tuple[Group, ...]
+    tolerance: Tolerance | None
+    linear: bool
+    version: int
+    locked: tuple[int, ...]
+    solver_error: SolverError | None
+    bars_are_whole: bool
     packed: Any = None
 
-    def __init__(
-        self,
-        rows: Rows,
-        load_range: LoadRange,
-        groups: Sequence[tuple[tuple[int, ...], Surrogate]],
-        solver_error: SolverError | None,
-    ) -> None:
-        self.rows, self.load_range = rows, load_range
-        self.groups = tuple(sorted(groups, key=lambda group: len(group[1].rows)))
-        thinnest = self.thinnest = self.groups[0][1]
-        self.tolerance, self.linear = thinnest.tolerance, thinnest.linear
-        self.version = thinnest.version
-        self.fit: ComplianceFit = thinnest.fit
-        self.used, self.default = thinnest.used, thinnest.default
-        self.solver_error = None if solver_error is None else solver_error.grown(rows, load_range)
-        self.bars_are_whole = bars_are_whole(rows, solver_error)
-        self.rig_error = rig_error(rows, load_range)
-        self.reading = np.full(rows.displacement.shape[1], np.nan)
-        for outputs, group in self.groups:
-            self.reading[list(outputs)] = group.reading[list(outputs)]
+    @cached_property
+    def rig_error(self) -> Floats:
+        """See `findings.find.rig_error`: in no error bar here; shape (6,), m and rad."""
+        return rig_error(self.rows, self.load_range)
 
-    @property
-    def locked(self) -> tuple[int, ...]:
-        """Places, in `LOADS`, of the loads on locked freedoms, which change no answer."""
-        return self.thinnest.locked
-
-    @property
-    def composition(self) -> Composition:
-        """The axes of the thinnest surrogate."""
-        return self.thinnest.composition
+    @cached_property
+    def reading(self) -> Floats:
+        """Noise of one measured reading, 95 %, (6,), m and rad; NaN where it is not known."""
+        noise = np.full(self.rows.displacement.shape[1], np.nan)
+        for group in self.groups:
+            noise[list(group.outputs)] = group.reading[list(group.outputs)]
+        return noise
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the table covers the load range, as JSON-able values."""
-        summary = self.thinnest.coverage_summary() | {
+        summary = self.groups[0].coverage_summary() | {
+            "table_version": self.version,
             "rig_error": self.rig_error.tolist(),
             "noise_of_a_reading": [None if one != one else one for one in self.reading.tolist()],
         }
@@ -107,10 +331,10 @@ def build(
     linear: bool = False,
     off_axis: OffAxis = "correct",
     version: int = 0,
-    before: AnyTable | None = None,
+    before: Table | None = None,
     solver_error: SolverError | None = None,
     locked: Sequence[int] = (),
-) -> AnyTable:
+) -> Table:
     """Build the table of valid rows of one fingerprint.
 
     Parameters
@@ -120,7 +344,7 @@ def build(
         Whether the component is linear, so that its 6x6 compliance is the whole truth.
     off_axis : {"correct", "ignore", "exclude"}
         What becomes of rows that are clean for no axis.
-    before : AnyTable, optional
+    before : Table, optional
         Another version: axes with the same points are taken from it, to the last bit the same.
     solver_error : SolverError, optional
         What the solver of those rows may be wrong by; in no error bar of the table itself.
@@ -129,14 +353,23 @@ def build(
     """
     if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
         rows = rows.take(np.argsort(rows.seq, kind="stable"))
-    known = dict(before.groups) if before is not None else {}
+    known = {group.outputs: group for group in before.groups} if before is not None else {}
     how: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
-    how |= {"version": version, "locked": locked}
     groups = [
-        (outputs, Surrogate(own, load_range, before=known.get(outputs), outputs=outputs, **how))
+        Group(own, load_range, before=known.get(outputs), outputs=outputs, locked=locked, **how)
         for outputs, own in _by_output(rows)
     ]
-    return AnyTable(rows, load_range, groups, solver_error)
+    return Table(
+        rows,
+        load_range,
+        tuple(sorted(groups, key=lambda group: len(group.rows))),
+        tolerance,
+        linear,
+        version,
+        tuple(locked),
+        None if solver_error is None else solver_error.grown(rows, load_range),
+        bars_are_whole(rows, solver_error),
+    )
 
 
 def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
@@ -167,46 +400,3 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
             }
             parts.append((tuple(outputs), replace(some, **changed)))
     return parts
-
-
-def tangent_at_zero(table: AnyTable) -> tuple[Floats, str]:
-    """Return the compliance at zero load, and what tells it.
-
-    It is the tangent of the row at zero load, else du/dw of the table's default method there. The
-    fitted compliance (`AnyTable.fit`) is another one: the mean over the load range.
-
-    Returns
-    -------
-    matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
-        NaN where unknown: for a load that no row tells, and an output that no row holds.
-    origin : str
-        ``row``, a method, or ``none``.
-    """
-    space = table.load_range.space
-    found, row = np.full((2, len(space.outputs), len(space.inputs)), np.nan)
-    for outputs, group in table.groups:
-        own = list(outputs)
-        row[own] = group.exact.tangent([0.0] * len(space.inputs))[own]
-        found[own] = _slopes_at_zero(group)[own]
-    known = np.isfinite(row)
-    if known.any():
-        return np.where(known, row, found), "row"
-    return found, table.default if np.isfinite(found).any() else "none"
-
-
-def _slopes_at_zero(group: Surrogate) -> Floats:
-    """Return du/dw (6, 6), SI, of a group's default method; NaN by loads that no row tells."""
-    shape = group.fit.matrix.shape
-    if not group.can_answer:
-        return np.full(shape, np.nan)
-    zero, name = np.zeros((1, shape[1])), group.default
-    if name == "linear":
-        found = group.fit.matrix[None]
-    elif group.by_kriging and group.kriging is not None:
-        found = group.kriging.derivatives(zero)
-    else:
-        found = group.composition.derivatives(zero, name)
-    found = without_locked(found, group.locked)[0]
-    unknown = ~group.fit.known
-    unknown[list(group.locked)] = False  # no output depends on them: zero
-    return np.where(unknown, np.nan, found)

@@ -16,7 +16,7 @@ wrench is evenly spread, for the bars' sake.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log
 from typing import Literal
@@ -25,13 +25,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .answer import allowed_by
-from .build import AnyTable, build
-from .limits import is_too_far
-from .surrogate import Surrogate
+from .build import Table, build
+from .kernel.packing import packed_of
 from .table.axes import AXES
-from .table.definite import sample_of, weakest
-from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance
-from .table.spread import spread_wrenches
+from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance, is_too_far
+from .table.spread import sample_of, spread_wrenches, weakest
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors
@@ -139,7 +137,7 @@ class Design:
 
 
 def next_wrenches(
-    table: AnyTable,
+    table: Table,
     budget: int,
     *,
     pending: ArrayLike | None = None,
@@ -170,7 +168,7 @@ def next_wrenches(
     span, outputs = span or table.load_range, outputs or range(table.rows.displacement.shape[1])
     known = Known(table.load_range, wrenches, waiting.reshape(-1, wrenches.shape[1]))
     # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
-    _, surrogate = table.groups[0]
+    surrogate = table.groups[0]
     if surrogate.linear:
         # One wrench, since any solve of a linear component brings the whole compliance. Where
         # solves bring none (an expert's deck), the single loads, of those that the span has if it
@@ -196,7 +194,7 @@ def next_wrenches(
             fresh[:budget], "first", "the compliance of a linear component needs no more solves"
         )
     if not (span.high > span.low).any():
-        return _one_wrench(span, known, budget)
+        return _first(known.new(span.low[None])[:budget], "the scene has one wrench")
     left = first_count(span, surrogate.used) - len(surrogate.used) - len(known.pending)
     if left > 0:
         more = first_design(span, known, min(budget, left))
@@ -208,26 +206,15 @@ def next_wrenches(
         return _first(more, "too few rows for error bars: these wrenches are evenly spread")
     limit = tolerance or surrogate.tolerance
     places = np.delete(np.arange(len(outputs)), surrogate.locked) if for_joint else None
-    return _Refinement(surrogate, known, limit, span, list(outputs), places).design(budget)
+    return _Refinement(table, known, limit, span, list(outputs), places).design(budget)
 
 
 def _first(wrenches: Floats, reason: str) -> Design:
     """Return a first design, met where its span has no wrench that is not known."""
-    if not len(wrenches):
-        return Design(
-            wrenches,
-            "met",
-            "the range is so narrow that all its wrenches are solved or being solved",
-        )
-    return Design(wrenches, "first", reason)
-
-
-def _one_wrench(span: LoadRange, known: Known, budget: int) -> Design:
-    """Return the one wrench of a span in which no load varies, unless it is known."""
-    fresh = known.new(span.low[None])[:budget]
-    if not len(fresh):
-        return Design(fresh, "met", "the scene has one wrench, and it is solved or being solved")
-    return Design(fresh, "first", "the scene has one wrench")
+    if len(wrenches):
+        return Design(wrenches, "first", reason)
+    reason = "the range is so narrow that all its wrenches are solved or being solved"
+    return Design(wrenches, "met", reason)
 
 
 class _Refinement:
@@ -235,7 +222,7 @@ class _Refinement:
 
     def __init__(
         self,
-        surrogate: Surrogate,
+        table: Table,
         known: Known,
         tolerance: Tolerance | None,
         span: LoadRange,
@@ -243,36 +230,37 @@ class _Refinement:
         joint: NDArray[np.intp] | None = None,
     ) -> None:
         """Take, for a joint, also the places of the loads and outputs that its part moves by."""
+        self.table, surrogate = table, table.groups[0]
         assert surrogate.kriging is not None
         self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
         self.tolerance, self.span, self.outputs = tolerance, span, outputs
         spread = np.maximum(surrogate.ranges, np.finfo(float).tiny)
         self.allowed = np.array(allowed_by(tolerance, span.space)) if tolerance else spread
-        self.ends = tolerance is not None or joint is not None
         self.joint, self.indefinite = joint, span.low[None][:0]
         if joint is not None:
             sample = sample_of(span.ends, span.space.zero, joint)
             turned = self.kriging.answer_many(sample)[0][:, span.space.is_rotation]
             sample = sample[~is_too_far(np.linalg.norm(turned, axis=1))]
-            slopes = self.kriging.derivatives(sample)[:, joint][:, :, joint]
-            self.indefinite = sample[weakest(slopes, span.scale[joint])[0] < 0.0]
+            smallest = weakest(self._slopes(sample), span.scale[joint])[0]
+            self.indefinite = sample[smallest < 0.0]
+        self.may_end = (tolerance is not None or joint is not None) and not len(self.indefinite)
 
     def design(self, budget: int) -> Design:
         """Return the next round, or none where the tolerance is met once all pending is solved."""
-        sample = spread_wrenches(self.span, SAMPLE)
-        losses = self._losses(sample) * self._left(self.known.pending, sample)
+        sample, pending = spread_wrenches(self.span, SAMPLE), self.known.pending
+        losses = self._losses(sample) * self._left(pending, sample)
         # Where errors are not known nothing is covered, however small the deviation is.
         known = np.isfinite(self.kriging.answer_many(sample)[1]).all(axis=1)
-        within = float(((losses <= 1.0) & (known | (len(self.known.pending) > 0))).mean())
+        within = float(((losses <= 1.0) & (known | (len(pending) > 0))).mean())
         worst = float(np.quantile(losses, ENOUGH))
-        if self.ends and within >= ENOUGH and not len(self.indefinite):
+        if self.may_end and within >= ENOUGH:
             reason = (
                 f"the interpolation error of {within:.0%} of a sample of the range is within the "
                 "tolerance"
             )
             if self.joint is not None:
-                share = f"{FORCE_ERROR:.0%} of the load range"
-                reason += f", that of a joint's wrench {share}, the compliance positive definite"
+                part = f"{FORCE_ERROR:.0%} of the load range"
+                reason += f", that of a joint's wrench {part}, the compliance positive definite"
             return Design(sample[:0], "met", reason)
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
         unit += " or a joint's share of the load range" if self.joint is not None else ""
@@ -280,136 +268,102 @@ class _Refinement:
         if not np.isfinite(worst):
             reason = "the rows do not yet show how large errors are"
         elif self.tolerance is not None and not self.span.space.is_default:
-            reason += estimate_of_solves(self.surrogate, worst, self._worst_of, budget)
+            reason += self._estimate_of_solves(sample, worst, budget)
         if len(self.indefinite):
             reason += f"; not positive definite: the compliance at {len(self.indefinite)} wrenches"
-        # At most `budget` candidates, shape (k, 6), N and N·m. Fewer where these will leave bars
-        # within the tolerance. Solved wrenches only ever lower a bar, so a candidate computed
-        # before some were chosen is at most what it was: only those that may still be the largest
-        # are computed anew (Minoux 1978).
-        candidates = np.concatenate((self.indefinite, _candidates(self.surrogate, self.span)))
-        candidates = self.known.new(candidates)
+        return Design(self._largest(sample, budget), "refine", reason)
+
+    def _largest(self, sample: Floats, budget: int) -> Floats:
+        """Return at most `budget` candidates, shape (k, 6), N and N·m, each the largest loss.
+
+        Fewer where these will leave bars at the sample within the tolerance. Solved wrenches only
+        ever lower a bar, so a candidate computed before some were chosen is at most what it was:
+        only those that may still be the largest are computed anew (Minoux 1978).
+        """
+        # Evenly spread, and moved on with each row. Where rows bring no tangents, wrenches of one
+        # axis are worth as much as full ones.
+        start = 1 + CANDIDATES + len(self.surrogate.rows)
+        parts = [self.indefinite, spread_wrenches(self.span, CANDIDATES, start)]
+        has_tangents = np.isfinite(self.surrogate.used.compliance).all(axis=(1, 2)).any()
+        if self.surrogate.has_axes and not has_tangents:
+            at_rest = np.clip(self.span.space.zero, self.span.low, self.span.high)
+            single = spread_wrenches(self.span, AXIS_CANDIDATES, start)
+            parts += [
+                np.where(np.isin(np.arange(6), axis.inputs), single, at_rest) for axis in AXES
+            ]
+        candidates = self.known.new(np.concatenate(parts))
         losses, pending = self._losses(candidates), self.known.pending
         if not np.isfinite(losses).all():  # the kriging's own error bars order them all the same
             own = self.kriging.answer_many(candidates)[1] / self.allowed
             losses = own[:, self.outputs].max(axis=1)
-        left = losses * self._left(pending, candidates)
-        before, start = len(self.surrogate.used) + len(pending), len(pending)
-        now = self._losses(sample)
-        while (count := len(pending) - start) < min(budget, len(candidates)):
-            if (
-                count
-                and count % BETWEEN_LOOKS == 0
-                and self._met(now * self._left(pending, sample))
-            ):
-                break
-            number = before + len(pending) - start
+        left, now = losses * self._left(pending, candidates), self._losses(sample)
+        first, before = len(pending), len(pending) + len(self.surrogate.used)
+        while (count := len(pending) - first) < min(budget, len(candidates)):
+            if self.may_end and count and count % BETWEEN_LOOKS == 0:
+                within = now * self._left(pending, sample) <= 1.0
+                if float(within.mean()) >= ENOUGH:
+                    break
+            number = before + count
             even = spread_wrenches(self.span, 1, FAR + number // EVENLY)
             fresh = self.known.new(even) if number % EVENLY == 0 else even[:0]
             if not len(fresh):
-                best = self._largest(candidates, losses, left, pending)
+                computed = np.zeros(len(left), dtype=bool)
+                while not computed[best := int(np.argmax(left))]:
+                    top = np.argsort(-left)[:LOOKED_AT]
+                    top = top[~computed[top]]
+                    left[top] = losses[top] * self._left(pending, candidates[top])
+                    computed[top] = True
                 losses[best] = left[best] = -1.0
                 fresh = candidates[best : best + 1]
             pending = np.concatenate((pending, fresh))
-        return Design(pending[start:], "refine", reason)
+        return pending[first:]
 
-    def _met(self, losses: Floats) -> bool:
-        """Return whether bars over what is allowed, (n,), are within the tolerance, if any."""
-        within = float((losses <= 1.0).mean()) >= ENOUGH
-        return self.ends and within and not len(self.indefinite)
+    def _estimate_of_solves(self, sample: Floats, worst: float, budget: int) -> str:
+        """Return in words how many solves the tolerance takes, empty where the budget has as many.
 
-    def _worst_of(self, surrogate: Surrogate) -> float:
-        """Return the error over what is allowed that 95 % of a sample have by another table."""
-        assert surrogate.kriging is not None
-        sample = spread_wrenches(self.span, SAMPLE)
-        bars = surrogate.kriging.sigma_with(sample[:0], sample) / self.allowed
-        return float(np.quantile(bars[:, self.outputs].max(axis=1), ENOUGH))
-
-    def _largest(self, candidates: Floats, losses: Floats, left: Floats, solved: Floats) -> int:
-        """Return the place of the largest loss once `solved` are; update `left` to it.
-
-        `losses` (n,) are without them.
+        Errors over solves are taken as a straight line on logarithmic scales, through the error by
+        the first half of the rows and that by all of them, `worst`, over the tolerance.
         """
-        known = np.full(len(left), -np.inf)
-        while True:
-            best = int(np.argmax(left))
-            if known[best] > -np.inf:
-                return best
-            top = np.argsort(-left)[:LOOKED_AT]
-            top = top[known[top] == -np.inf]
-            left[top] = known[top] = losses[top] * self._left(solved, candidates[top])
+        rows, before = self.surrogate.rows, np.nan
+        count, some = len(rows), len(rows) // 2
+        half = build(rows.take(np.arange(some)), self.surrogate.load_range).groups[0]
+        if half.kriging is not None:
+            bars = half.kriging.sigma_with(sample[:0], sample) / self.allowed
+            before = float(np.quantile(bars[:, self.outputs].max(axis=1), ENOUGH))
+        if not (np.isfinite(before) and before > worst > 1.0):
+            return "; its rows do not show yet how many solves the tolerance takes"
+        rate = log(before / worst) / log(count / some)
+        more = count * (min(worst ** (1 / rate), MAX_SOLVES) - 1) if rate > 0.01 else np.inf
+        if more <= budget:
+            return ""
+        number = (
+            f"about {int(float(f'{more:.2g}')):,}" if more <= MAX_SOLVES else "more than a million"
+        )
+        return (
+            f"; the tolerance takes {number} further solves, an estimate by the rate so far: "
+            f"{before:.3g} times the tolerance with {some} rows, {worst:.3g} with {count}"
+        )
 
     def _losses(self, wrenches: Floats) -> Floats:
         """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""
-        bars = self._errors(wrenches[:0], wrenches)
+        bars = self.kriging.sigma_with(wrenches[:0], wrenches)
         over = (bars / self.allowed)[:, self.outputs].max(axis=1)
         if self.joint is None or not len(wrenches):
             return over
-        slopes = self.kriging.derivatives(wrenches)[:, self.joint][:, :, self.joint]
-        forces = np.sqrt(np.linalg.pinv(slopes) ** 2 @ bars[:, self.joint, None] ** 2)[:, :, 0]
-        share = forces / (FORCE_ERROR * self.span.scale[self.joint])
-        return np.maximum(over, share.max(axis=1))
+        stiffness = np.linalg.pinv(self._slopes(wrenches))
+        forces = np.sqrt(stiffness**2 @ bars[:, self.joint, None] ** 2)[:, :, 0]
+        return np.maximum(over, (forces / (FORCE_ERROR * self.span.scale[self.joint])).max(axis=1))
 
-    def _errors(self, solved: Floats, wrenches: Floats) -> Floats:
-        """Return the error bars (n, 6), m and rad, at wrenches (n, 6) once others are solved."""
-        return self.kriging.sigma_with(solved, wrenches)
+    def _slopes(self, wrenches: Floats) -> Floats:
+        """Return the kriging's du/dw (n, k, k), SI, of the part of a joint at wrenches (n, 6)."""
+        packed = packed_of(self.table)
+        slopes = packed.derivatives(wrenches, method="kriging", without_rows=True)
+        return slopes[:, self.joint][:, :, self.joint]
 
     def _left(self, solved: Floats, wrenches: Floats) -> Floats:
         """Return the part of their bars (n,) that is left at wrenches (n, 6) once others are."""
         if not len(solved):
             return np.ones(len(wrenches))
-        now = self._errors(solved[:0], wrenches).sum(axis=1)
-        later = self._errors(solved, wrenches).sum(axis=1)
+        now = self.kriging.sigma_with(solved[:0], wrenches).sum(axis=1)
+        later = self.kriging.sigma_with(solved, wrenches).sum(axis=1)
         return np.divide(later, now, out=np.ones_like(now), where=now > 0)
-
-
-def _candidates(surrogate: Surrogate, span: LoadRange) -> Floats:
-    """Return wrenches to choose from, shape (k, 6): evenly spread, moved on with each row.
-
-    Where rows bring no tangents, wrenches of one axis are worth as much as full ones.
-    """
-    start = 1 + CANDIDATES + len(surrogate.rows)
-    full = spread_wrenches(span, CANDIDATES, start)
-    has_tangents = np.isfinite(surrogate.used.compliance).all(axis=(1, 2)).any()
-    if has_tangents or not surrogate.has_axes:
-        return full
-    parts = [full]
-    at_rest = np.clip(span.space.zero, span.low, span.high)
-    for axis in AXES:
-        own = np.isin(np.arange(6), axis.inputs)
-        parts.append(np.where(own, spread_wrenches(span, AXIS_CANDIDATES, start), at_rest))
-    return np.concatenate(parts)
-
-
-def estimate_of_solves(
-    surrogate: Surrogate, worst: float, worst_of: Callable[[Surrogate], float], budget: int
-) -> str:
-    """Return in words how many solves the tolerance takes, empty where the budget has as many.
-
-    Errors over solves are taken as a straight line on logarithmic scales, through the error by the
-    first half of the rows and that by all of them.
-
-    Parameters
-    ----------
-    worst : float
-        The error of the table over the tolerance; above 1.
-    worst_of : callable
-        Returns that of another table, NaN where its rows do not show it.
-    budget : int
-        Solves that may be made now.
-    """
-    rows = surrogate.rows
-    count, some = len(rows), len(rows) // 2
-    half = build(rows.take(np.arange(some)), surrogate.load_range).groups[0][1]
-    before = worst_of(half) if half.kriging is not None else np.nan
-    if not (np.isfinite(before) and before > worst > 1.0):
-        return "; its rows do not show yet how many solves the tolerance takes"
-    rate = log(before / worst) / log(count / some)
-    more = count * (min(worst ** (1 / rate), MAX_SOLVES) - 1) if rate > 0.01 else np.inf
-    if more <= budget:
-        return ""
-    number = "more than a million" if more > MAX_SOLVES else f"about {int(float(f'{more:.2g}')):,}"
-    return (
-        f"; the tolerance takes {number} further solves, an estimate by the rate so far: "
-        f"{before:.3g} times the tolerance with {some} rows, {worst:.3g} with {count}"
-    )

@@ -15,12 +15,13 @@ answer has the noise a sum_v l_v^2, at most a.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .calibration import common_quantile, conformal_factor, widening
 
 Floats = NDArray[np.float64]
 
@@ -28,30 +29,6 @@ FEWEST = 5  # left-out errors; the conformal factor of five is already 2.2 times
 ROUNDS = 10  # of reweighting: the fit changes by less than a part in 100 after five
 LEAST_WEIGHT = 1e-6  # of the largest variance: what rounding leaves of small ones fits nothing
 ALIKE = 1e-12  # of its largest value, a determinant that tells A from C no more
-
-LEVEL = 0.95  # what bars are meant to hold; at least 0.9 is then held on rows not in the table
-# A quantile of h errors is uncertain by about 1 / h of itself; six times that keeps bars from 15
-# errors above 0.9 in nine of ten tables (`make bench NAME=calibration`).
-CAUTION = 6.0
-
-
-def conformal_factor(errors: Floats, deviations: Floats, level: float = LEVEL) -> Floats:
-    """Return, per output, the factor on deviations (h, q) that holds a level of errors (h, q).
-
-    Split conformal prediction (Vovk, Gammerman and Shafer 2005; Lei et al. 2018): the quantile of
-    their ratios at ceil(level (h + 1)) of h, the largest if h is too small for that, enlarged the
-    more, the fewer there are. It is infinite if too many deviations are zero where errors are not,
-    and zero without errors. Shape (q,), dimensionless where both are in one unit, such as m and
-    rad.
-    """
-    ratios = np.full(errors.shape, np.inf)
-    np.divide(errors, deviations, out=ratios, where=deviations > 0)
-    ratios[errors == 0] = 0.0
-    count = len(ratios)
-    if not count:
-        return np.zeros(errors.shape[1])
-    rank = min(math.ceil(level * (count + 1)), count) - 1
-    return np.partition(ratios, rank, axis=0)[rank] * (1 + CAUTION / count)
 
 
 @dataclass(frozen=True)
@@ -112,25 +89,12 @@ def error_law(left: LeftOutErrors, least: Floats) -> ErrorLaw:
     noise, growth = 1.0 + left.noise_shares[:, None], left.unit_errors[:, None] ** 2
     a, c = _variances(left.size**2, noise, growth)
     bars = np.maximum(np.sqrt(a * noise + c * growth), least)
-    factor = _factor(np.maximum(left.size - left.stated, 0.0), bars) ** 2
+    ratios = np.maximum(left.size - left.stated, 0.0) / np.maximum(bars, np.finfo(float).tiny)
+    # Each output by itself, or, where that is more, with the quantile that all have in common.
+    sizes = np.sqrt((ratios**2).mean(axis=0))
+    common = sizes * common_quantile(ratios, sizes) * widening(len(ratios))
+    factor = np.maximum(conformal_factor(ratios), common) ** 2
     return ErrorLaw(np.maximum(factor * a, least**2), factor * c)
-
-
-def _factor(errors: Floats, bars: Floats) -> Floats:
-    """Return by how much to multiply error bars so that they hold a level of errors, (k, q) each.
-
-    The conformal factor of each output, or, where that is more, its mean square times the quantile
-    that all outputs have in common: the largest of ten ratios is small by chance in every fourth
-    table (measured on five made-up responses: 20 % of the tables of 30 rows below 0.9, then 8 %).
-    """
-    ratios = errors / np.maximum(bars, np.finfo(float).tiny)
-    size = np.sqrt((ratios**2).mean(axis=0))
-    common = ratios[:, size > 0] / size[size > 0]
-    if not common.size:
-        return np.zeros(errors.shape[1])
-    quantile = conformal_factor(common.reshape(-1, 1), np.ones((common.size, 1)))[0]
-    widened = size * quantile * (1 + CAUTION / len(errors))
-    return np.maximum(conformal_factor(errors, bars), widened)
 
 
 def _variances(squares: Floats, noise: Floats, growth: Floats) -> tuple[Floats, Floats]:

@@ -7,46 +7,21 @@ at w with all values and slopes of the rows, f(w) = lambda' y with
 
 in the words of `surrogate.kriging.factor`. One lambda serves every vertex of a surface and every
 integration point of a body, with the length scales that the table's own outputs have settled.
-
-Bars come from rows left out (Dubrule 1983): a row's error is inv(Q_bb) (Q y)_b, its posterior
-variance the corner of inv(Q_bb), with Q = inv(K) - inv(K) F inv(A) F' inv(K).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from .kriging.correlation import (
-    Hyperparameters,
-    covariance,
-    mean_terms,
-)
+from .kriging.correlation import Hyperparameters
 from .kriging.equations import DECIMALS, Equations
-from .kriging.factor import KrigingFactor, factorise
+from .kriging.factor import KrigingFactor, factorise, left_out
 from .kriging.settings import DEFAULTS, KrigingSettings
 from .table.rows import Floats, LoadRange
 
-MIN_LEFT_OUT = 4  # rows left out below which they say nothing of an error's size
-
-
-@dataclass(frozen=True)
-class Weights:
-    """What the rows' values and slopes are multiplied by, and how unsure that is.
-
-    Attributes
-    ----------
-    values : ndarray, shape (k,)
-    slopes : ndarray, shape (k, 6), N and N·m
-    sigma : float
-        Posterior deviation over the process deviation.
-    """
-
-    values: Floats
-    slopes: Floats
-    sigma: float
+COLUMNS = 4096  # numbers of a field of which rows are left out at once: 14 MB of 60 rows
 
 
 @dataclass(frozen=True)
@@ -60,8 +35,6 @@ class FieldWeights:
 
     wrenches: Floats
     load_range: LoadRange
-    hyperparameters: Hyperparameters
-    equations: Equations
     factor: KrigingFactor
 
     @classmethod
@@ -95,56 +68,43 @@ class FieldWeights:
         equations = Equations(x, known, blank, measured, none, none, none, groups)
         one, rows = np.arange(1), np.arange(count)
         factor = factorise(equations, hyperparameters, one, rows, np.zeros(count), settings)
-        return cls(np.array(wrenches, dtype=float), load_range, hyperparameters, equations, factor)
+        return cls(np.array(wrenches, dtype=float), load_range, factor)
 
-    def at(self, wrench: Floats) -> Weights:
-        """Return the weights for one wrench (6,), N and N·m."""
+    def at(self, wrench: Floats) -> tuple[Floats, float]:
+        """Return what rows' values and slopes are multiplied by for a wrench (6,), N and N·m.
+
+        Shape (k, 7): of values, then of slopes, N and N·m; and the posterior deviation over the
+        process deviation.
+        """
+        factor, known = self.factor, self.factor.equations.known
         x = _scaled(np.asarray(wrench, dtype=float).reshape(1, -1), self.load_range)
-        value = np.zeros((1, self.equations.places), dtype=bool)
+        value = np.zeros((1, known.shape[1]), dtype=bool)
         value[:, 0] = True
-        own, factor = self.equations, self.factor
-        reduced = factor.T @ covariance(own.x, own.known, x, value, self.hyperparameters)[:, 0]
-        loose = mean_terms(x, value)[0] - factor.TF.T @ reduced
-        by_mean = factor.mean_covariance @ loose
-        weights = np.zeros(own.known.shape)
-        weights[own.known] = factor.T.T @ (reduced + factor.TF @ by_mean)
-        squared = float(self.hyperparameters.prior(1)[0]) - reduced @ reduced + loose @ by_mean
-        sigma = float(np.sqrt(max(squared, factor.nugget)))
-        return Weights(weights[:, 0], weights[:, 1:] * self.load_range.scale, sigma)
+        reduced, left = factor.explained_at(x, value)
+        weights = np.zeros(known.shape)
+        weights[known] = factor.T.T @ (reduced[0] + factor.TF @ factor.mean_covariance @ left[0])
+        sigma = np.sqrt(factor.variance_of(reduced, left, factor.mean_covariance)[0])
+        return weights * np.append(1.0, self.load_range.scale), float(sigma)
 
-    def left_out(self, column: Callable[[int], Floats], size: int) -> tuple[Floats, Floats]:
-        """Return errors of rows left out whole, and their posterior deviations.
+    def left_out(self, values: Floats) -> tuple[Floats, Floats]:
+        """Return errors (k, d) of rows left out, and their posterior deviations (k,).
+
+        The errors are in the unit of the values, the deviations over the process deviation.
 
         Parameters
         ----------
-        column : callable
-            Gives of a row, by its place, what it tells: shape (7, size), its values, then their
-            change with each load, per N and N·m.
-        size : int
-            Numbers of a field.
-
-        Returns
-        -------
-        errors : ndarray, shape (k, size), in the unit of the values
-        sigmas : ndarray, shape (k,), over the process deviation
+        values : ndarray, shape (k, 7, d)
+            Of each row a field's d numbers, then their change with each load, per N and N·m.
         """
-        own, factor = self.equations, self.factor
-        shares = factor.TF.T @ factor.T
-        whole = factor.T.T @ factor.T - shares.T @ factor.mean_covariance @ shares
-        ends = np.cumsum(own.known.sum(axis=1))
-        starts = np.append(0, ends[:-1])
-        count = len(ends)
-        tops, sigmas = np.empty((count, len(whole))), np.empty(count)
-        for row, (start, end) in enumerate(zip(starts, ends, strict=True)):
-            inverse = np.linalg.inv(whole[start:end, start:end])
-            tops[row] = inverse[0] @ whole[start:end]
-            sigmas[row] = np.sqrt(max(inverse[0, 0], factor.nugget))
-        errors = np.zeros((count, size))
+        count, _, size = values.shape
         scale = np.append(1.0, self.load_range.scale)[:, None]
-        for row, (start, end) in enumerate(zip(starts, ends, strict=True)):
-            data = (column(row) * scale)[own.known[row]]
-            errors += tops[:, start:end] @ data
-        return errors, sigmas
+        errors, variances = np.empty((count, size)), np.empty(count)
+        for start in range(0, size, COLUMNS):
+            part = slice(start, start + COLUMNS)
+            data = (values[:, :, part] * scale)[self.factor.equations.known]
+            found = left_out(self.factor.of_data(data), np.arange(count))
+            errors[:, part], variances = found.errors, found.variances
+        return errors, np.sqrt(variances)
 
 
 def nearest_rows(wrenches: Floats, wrench: Floats, load_range: LoadRange, most: int) -> list[int]:

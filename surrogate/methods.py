@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .axes.axes import Composition
+from .axes.axes import Axes
 from .axes.axis_table import AxisTable
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from .table.axes import AXES, LoadAxis, clean_rows, count_full
 from .table.compliance import ComplianceFit
-from .table.rows import Floats, LoadRange, Rows
+from .table.rows import ROUNDING, Floats, LoadRange, Rows
 from .table.space import LOADS, OUTPUTS
 
 CLEARLY = 0.8  # of the axes' error: a kriging that is no better than that is not worth its cost
@@ -31,7 +31,6 @@ INTERACTION_UNKNOWN = (
     "several axes do together"
 )
 LEFT_OUT = 0.95  # quantile of what griddata leaves out: as its error bars hold
-ROUNDING = 1e-12  # of the largest translation: what moves less does not move
 
 MOST_INTERACTION = 200  # full wrenches that tell what the axes miss: one quick factor
 
@@ -45,23 +44,23 @@ class AxesErrors(NamedTuple):
     additive: Floats
 
 
-def axes_errors(rows: Rows, composition: Composition) -> AxesErrors:
+def axes_errors(rows: Rows, axes: Axes) -> AxesErrors:
     """Return the errors at the rows that each axis they belong to was triangulated without.
 
-    Composition is linear in what the axes answer: an answer without a row differs from that with
+    Axes is linear in what the axes answer: an answer without a row differs from that with
     it by what its axes then miss at it. A full wrench that is no axis' own is in no answer anyway.
     """
     deviation, used, left = np.zeros((3, len(rows), 6)), *np.zeros((2, 3, len(rows)), dtype=bool)
-    for index, table in enumerate(composition.tables):
+    for index, table in enumerate(axes.tables):
         if table is not None:
             _put_deviations(table, deviation[index], used[index], left[index])
     known = np.flatnonzero((left | ~used).all(axis=0))
     if len(known) > MOST:
         known = known[np.linspace(0, len(known) - 1, MOST).astype(np.intp)]
     some, deviation, used = rows.take(known), deviation[:, known], used[:, known]
-    composed = composition.evaluate(some.wrench)
+    composed = axes.evaluate(some.wrench)
     clean = np.zeros(len(rows), dtype=bool)
-    for table in composition.tables:
+    for table in axes.tables:
         if table is not None:
             clean[[group[0] for group in table.rows.members]] |= table.rows.clean
     # A moment alone belongs to two axes, and both answer it once together.
@@ -122,12 +121,12 @@ def knows_interaction(rows: Rows, load_range: LoadRange) -> bool:
 
 
 def linear_choice(
-    rows: Rows, load_range: LoadRange, fit: ComplianceFit, composition: Composition | None
+    rows: Rows, load_range: LoadRange, fit: ComplianceFit, axes: Axes | None
 ) -> MethodChoice:
     """Return the default of a linear component, by what of its compliance is known."""
-    if fit.complete or composition is None:
+    if fit.complete or axes is None:
         return MethodChoice("linear", "the component is linear: its compliance is exact", {})
-    method, why = _of_the_axes(rows, load_range, composition, axes_errors(rows, composition))
+    method, why = _of_the_axes(rows, load_range, axes, axes_errors(rows, axes))
     reason = "the component is linear, but its compliance is not known in all loads yet"
     return MethodChoice(method, f"{reason}; {why}", {})
 
@@ -135,7 +134,7 @@ def linear_choice(
 def choose(
     rows: Rows,
     load_range: LoadRange,
-    composition: Composition,
+    axes: Axes,
     kriging: Callable[[], Kriging | None],
 ) -> MethodChoice:
     """Return the default of a nonlinear component's rows inside the load range.
@@ -145,8 +144,8 @@ def choose(
     kriging
         Makes the kriging, if the rows allow one.
     """
-    errors = axes_errors(rows, composition)
-    method, why = _of_the_axes(rows, load_range, composition, errors)
+    errors = axes_errors(rows, axes)
+    method, why = _of_the_axes(rows, load_range, axes, errors)
     # Pushes beside a point have loads of one axis alone, and no moment alone for the other axes.
     clean = clean_rows(rows, load_range)
     moments_alone = bool((clean.sum(axis=1) == 2).any())
@@ -159,22 +158,20 @@ def choose(
         return MethodChoice(method, f"there are too few rows for kriging; {why}", {})
     left = made.left_out()
     size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
-    axes = _scores(errors, size)
+    others = _scores(errors, size)
     if np.isnan(own := _score(left, size)):
-        return MethodChoice(method, f"kriging answers no row that is left out; {why}", axes)
-    scores = {"kriging": own} | axes
-    if not axes or len(rows) <= 1 + rows.wrench.shape[1]:
+        return MethodChoice(method, f"kriging answers no row that is left out; {why}", others)
+    scores = {"kriging": own} | others
+    if not others or len(rows) <= 1 + rows.wrench.shape[1]:
         # The axes' fitted compliance passes through so few rows, the left-out one too.
         return MethodChoice("kriging", "the axes have too few rows to leave one out", scores)
-    if made.knows_errors and not all(
-        table is None or table.law.known for table in composition.tables
-    ):
+    if made.knows_errors and not all(table is None or table.law.known for table in axes.tables):
         return MethodChoice(
             "kriging", "the axes have too few rows to tell the error of answers", scores
         )
-    best = min(axes, key=lambda name: axes[name])
-    compared = f"{scores['kriging']:.2g} of the range against {best}'s {axes[best]:.2g}"
-    if not scores["kriging"] < max(CLEARLY * axes[best], EXACT):
+    best = min(others, key=lambda name: others[name])
+    compared = f"{scores['kriging']:.2g} of the range against {best}'s {others[best]:.2g}"
+    if not scores["kriging"] < max(CLEARLY * others[best], EXACT):
         return MethodChoice(method, f"kriging errs at left-out rows by {compared}; {why}", scores)
     return MethodChoice("kriging", f"its error at left-out rows is {compared}", scores)
 
@@ -195,12 +192,10 @@ def choose_without_axes(
     return MethodChoice("kriging", "griddata and additive are of one interface alone", scores)
 
 
-def without_kriging(
-    rows: Rows, load_range: LoadRange, composition: Composition, detail: str
-) -> MethodChoice:
+def without_kriging(rows: Rows, load_range: LoadRange, axes: Axes, detail: str) -> MethodChoice:
     """Return the default of rows that one factor does not hold, which `detail` says."""
-    errors = axes_errors(rows, composition)
-    method, why = _of_the_axes(rows, load_range, composition, errors)
+    errors = axes_errors(rows, axes)
+    method, why = _of_the_axes(rows, load_range, axes, errors)
     scores = _scores(errors, np.ptp(rows.displacement, axis=0))
     if _interaction_unknown(rows, load_range):
         return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
@@ -208,7 +203,7 @@ def without_kriging(
 
 
 def _of_the_axes(
-    rows: Rows, load_range: LoadRange, composition: Composition, errors: AxesErrors
+    rows: Rows, load_range: LoadRange, axes: Axes, errors: AxesErrors
 ) -> tuple[str, str]:
     """Return `griddata` or `additive`, and why.
 
@@ -218,12 +213,12 @@ def _of_the_axes(
     clean = clean_rows(rows, load_range)
     size = float(np.abs(rows.displacement[:, :3]).max(initial=0.0))
     shown = False
-    for index, (axis, table) in enumerate(zip(AXES, composition.tables, strict=True)):
+    for index, (axis, table) in enumerate(zip(AXES, axes.tables, strict=True)):
         others, own = clean.any(axis=1) & ~clean[:, index], axis.outputs[0]
         if not others.any():
             continue
         shown = True
-        most = float(np.quantile(_left_out_by(axis, rows.take(others), composition), LEFT_OUT))
+        most = float(np.quantile(_left_out_by(axis, rows.take(others), axes), LEFT_OUT))
         typical = np.nan if table is None else float(table.typical_error[own])
         if most > ROUNDING * size and not most <= typical:
             loads = ", ".join(LOADS[load] for load in axis.others)
@@ -242,14 +237,14 @@ def _interaction_unknown(rows: Rows, load_range: LoadRange) -> bool:
     return full_needed(rows) == ENOUGH_FULL and not knows_interaction(rows, load_range)
 
 
-def _left_out_by(axis: LoadAxis, rows: Rows, composition: Composition) -> Floats:
+def _left_out_by(axis: LoadAxis, rows: Rows, axes: Axes) -> Floats:
     """Return how far rows of other axes, (k,), move an axis' translation beyond its error bar, m.
 
     By other loads than those that such a row shares with the axis: one moment, or none.
     """
     own = axis.outputs[0]
     shared = np.where(np.isin(np.arange(6), axis.inputs), rows.wrench, 0.0)
-    alone = composition.evaluate(shared)
+    alone = axes.evaluate(shared)
     moved = np.abs(rows.displacement[:, own] - alone.griddata[:, own])
     return np.maximum(moved - np.nan_to_num(alone.rest[:, own]), 0.0)
 
@@ -274,19 +269,19 @@ def _score(errors: Floats, size: Floats) -> float:
     return float(np.sqrt(np.nanmean((errors[known][:, varying] / size[varying]) ** 2)))
 
 
-def interaction_of(rows: Rows, load_range: LoadRange, composition: Composition) -> Kriging | None:
+def interaction_of(rows: Rows, load_range: LoadRange, axes: Axes) -> Kriging | None:
     """Return the kriging of what `additive` misses the full wrenches by that no axis has.
 
     None where such wrenches are too few, or contradict each other.
     """
     full = np.flatnonzero(~clean_rows(rows, load_range).any(axis=1))
-    tables = [table for table in composition.tables if table is not None]
+    tables = [table for table in axes.tables if table is not None]
     taken = [place for table in tables for group in table.rows.members for place in group]
     free = np.setdiff1d(full, taken)
     if len(free) < ENOUGH_FULL:
         return None
     some = rows.take(free[:MOST_INTERACTION])
-    missed = some.displacement - composition.evaluate(some.wrench).additive
+    missed = some.displacement - axes.evaluate(some.wrench).additive
     blank = np.full_like(some.compliance, np.nan)
     try:
         return Kriging.build(replace(some, displacement=missed, compliance=blank), load_range)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.spec.material import Material
 from wrenchbook.surrogate.table.rows import Rows
 
 NUMBERS = ("wrench", "displacement", "compliance", "curvature", "uncertainty")

@@ -1,8 +1,9 @@
-"""The files that a request passes in a server: ``python -m tests.walks [-v]``.
+"""The files that requests and the numerics pass: ``python -m tests.walks [-v]``.
 
 A file counts if a Python function of it runs between the first byte of the request and the end of
 what follows from it (the reply, the build of a new table, the row of a job), in any thread of a
-server in this process. Files that run in an idle server do not count after the reply.
+server in this process. Files that run in an idle server do not count after the reply. The numerics
+go from component.toml to a solution, and from 16 solved rows to one answer of the kernel.
 """
 
 from __future__ import annotations
@@ -19,8 +20,15 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numpy as np
+
 from tests.service.live import add_table, served
 from tests.until import until
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.solve import solve
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = tuple(f"{ROOT / name}/" for name in ("service", "surrogate", "fea"))
@@ -39,9 +47,9 @@ class Passed:
 
     def record(self) -> None:
         """Have all threads that start from now on note the files of their functions."""
-        threading.setprofile(self._note)
+        threading.setprofile(self.note)
 
-    def _note(self, frame: FrameType, event: str, _: Any) -> None:
+    def note(self, frame: FrameType, event: str, _: Any) -> None:
         if event == "call":
             name = frame.f_code.co_filename
             if name not in self._known:
@@ -121,8 +129,34 @@ def walks(solvers: int) -> dict[str, list[str]]:
     return found
 
 
+def numerics() -> dict[str, list[str]]:
+    """Return the files from component.toml to a solution, and from rows to the kernel's answer."""
+    passed, found = Passed(), {}
+
+    @contextmanager
+    def walk(name: str) -> Iterator[None]:
+        passed.files = set()
+        sys.setprofile(passed.note)
+        yield
+        sys.setprofile(None)
+        found[name] = sorted(str(Path(file).relative_to(ROOT)) for file in passed.files)
+
+    with walk("solve"):
+        bundle = read_bundle(ROOT / "data" / "components" / "plate_thin")
+        assert solve(bundle, [0, 0, 200.0, 0, 0, 0]).curvature is not None
+    with np.load(ROOT / "tests" / "surrogate" / "tables" / "plate_thin.npz") as file:
+        solved = dict(file)
+    chosen = slice(int(solved["clean"]), int(solved["clean"]) + 16)
+    columns = {"compliance": solved["compliance"][chosen], "source": ["fea"] * 16}
+    with walk("answer"):
+        rows = Rows.of(solved["wrench"][chosen], solved["displacement"][chosen], **columns)
+        table = packed_of(build(rows, LoadRange(solved["low"], solved["high"])))
+        assert table.answer([0, 0, 100.0, 0, 0, 0]).method == "kriging"
+    return found
+
+
 if __name__ == "__main__":
-    for name, files in (walks(0) | walks(1)).items():
+    for name, files in (numerics() | walks(0) | walks(1)).items():
         print(f"{name}: {len(files)} files")
         if "-v" in sys.argv:
             print("".join(f"    {file}\n" for file in files), end="")

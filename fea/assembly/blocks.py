@@ -17,15 +17,14 @@ from wrenchbook.fea.element.st_venant_kirchhoff import (
 from wrenchbook.fea.mesh.mapping import Gradients, cell_gradients
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
-from wrenchbook.fea.spec.orthotropic import Orthotropic
-from wrenchbook.fea.spec.schema import LAWS, Material
+from wrenchbook.fea.spec.material import LAWS, AnyMaterial, Orthotropic
 
 Array = np.ndarray
 
 
 def filled_cells(
     mesh: Mesh,
-    materials: Sequence[Material],
+    materials: Sequence[AnyMaterial],
     numbers: Sequence[Array],
     integration: str,
     axes: Array | None = None,
@@ -59,7 +58,7 @@ def filled_cells(
 
 
 def sorted_cells(
-    mesh: Mesh, materials: Sequence[Material], numbers: Sequence[Array]
+    mesh: Mesh, materials: Sequence[AnyMaterial], numbers: Sequence[Array]
 ) -> Iterator[tuple[CellBlock, Array, Array, str, bool]]:
     """Yield the parts in their order.
 
@@ -84,7 +83,7 @@ def sorted_cells(
 def _stiffness(
     law: str,
     gradients: Gradients,
-    materials: list[Material],
+    materials: list[AnyMaterial],
     modes: Array | None,
     where: tuple[Array, Array],
 ) -> CellStiffness:
@@ -110,8 +109,8 @@ def _stiffness(
 
 
 def _directions(
-    materials: list[Material], where: tuple[Array, Array]
-) -> list[tuple[Material, Array, Array]]:
+    materials: list[AnyMaterial], where: tuple[Array, Array]
+) -> list[tuple[AnyMaterial, Array, Array]]:
     """Return each material, its cells (k,) and its directions there, (k, points or 1, 3, 3).
 
     `where` is the frame of the result, (3, 3), and the integration points' places in the bundle's
@@ -132,7 +131,7 @@ def _directions(
 
 
 def _by_cell(
-    parts: list[tuple[Material, Array, Array]], tensor: Callable[[Material, Array], Array]
+    parts: list[tuple[AnyMaterial, Array, Array]], tensor: Callable[[AnyMaterial, Array], Array]
 ) -> Array:
     """Return a tensor of each material's directions, by cell, (cells, points or 1, ...)."""
     tensors = [(cells, tensor(material, directions)) for material, cells, directions in parts]
@@ -143,6 +142,6 @@ def _by_cell(
     return out
 
 
-def _own(material: Material) -> Orthotropic:
+def _own(material: AnyMaterial) -> Orthotropic:
     assert material.orthotropic is not None
     return material.orthotropic

@@ -9,39 +9,37 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.bundle.mesh_table import read_mesh
-from wrenchbook.fea.bundle.tables import (
-    check_densities,
-    check_inputs,
-    read_analysis,
-    read_deck,
-    read_inputs,
-    read_interfaces,
-    read_material,
-    read_name,
-    read_range,
-    read_supports,
-    read_tolerance,
-)
+from wrenchbook.fea.bundle.tables import ComponentFile, MaterialTable
 from wrenchbook.fea.mesh.deck_content import deck_text, integrations
+from wrenchbook.fea.mesh.generators import GENERATORS
+from wrenchbook.fea.readers import reader_named, reader_names
 from wrenchbook.fea.spec.fingerprint import fingerprint
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.keys import keys_of, kind_of, missing, shown, unknown, validated
+from wrenchbook.fea.spec.material import AnyMaterial, Material
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
 from wrenchbook.fea.spec.schema import (
-    MOST_INPUTS,
+    ACCELERATIONS,
+    FREEDOMS,
+    MAX_INPUTS,
+    TEMPERATURE,
     Analysis,
     Bundle,
     Deck,
+    DeclaredRange,
+    Generator,
     Interface,
-    Material,
+    MeasuredInterface,
     MeshSource,
+    NamedInterface,
+    ScalarInput,
     Supports,
 )
-from wrenchbook.fea.spec.toml_table import Keys
 
 __all__ = [
     "Analysis",
@@ -117,80 +115,280 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
     BundleError
         As `read_bundle` does.
     """
-    folder = Path(folder)
-    top = Keys(table, [])
-    parts: dict[str, Any] = {
-        "name": read_name(top),
-        "title": top.text("title"),
-        "mesh": read_mesh(top.table("mesh", required=False), folder),
-        "materials": tuple(read_material(keys) for keys in top.tables("material", required=False)),
-        "supports": read_supports(top.table("supports", required=False)),
-    }
-    # The integrations that an input deck has for its 20-node hexahedra.
-    source: MeshSource | None = parts["mesh"]
-    file = source.file if source is not None else None
-    of_deck = []
-    if file is not None and file.suffix.lower() == ".inp":
+    reader = _Reader(table, Path(folder))
+    parts = reader.parts()
+    if reader.problems:
+        raise BundleError(reader.problems)
+    return Bundle(folder=Path(folder), fingerprint=fingerprint(parts), **parts)
+
+
+class _Reader:
+    """A parsed file on its way to a bundle, with the mistakes met so far.
+
+    Tables are read one by one, so that what they lack of each other is noted although others have
+    mistakes.
+    """
+
+    def __init__(self, table: Mapping[str, Any], folder: Path) -> None:
+        self.table, self.folder = table, folder
+        self.problems: list[BundleProblem] = []
+
+    def wrong(self, where: str, message: str) -> None:
+        """Note a mistake."""
+        self.problems.append(BundleProblem(where, message))
+
+    def read(self, name: str, kind: Any = None) -> Any:
+        """Return a top-level key's value; None if it is not there or will not do."""
+        if name not in self.table:
+            return None
+        if self.table[name] is None:
+            self.wrong(name, "must not be null; leave the key out")
+            return None
+        kind = kind or kind_of(keys_of(ComponentFile)[name])
+        return validated(kind, self.table[name], name, self.problems, self.folder)
+
+    def read_each(self, name: str, kind: Any) -> list[Any]:
+        """Return the values of an array of tables, None for each that will not do."""
+        values = self.table.get(name, [])
+        if type(values) is not list:
+            self.wrong(name, f"must be a list, not {shown(values)}")
+        elif name in self.table and (not values or any(type(each) is not dict for each in values)):
+            self.wrong(name, f"must be one or more tables, each under [[{name}]]")
+        else:
+            paths = [f"{name}[{i}]" for i in range(len(values))]
+            pairs = zip(values, paths, strict=True)
+            return [validated(kind, each, at, self.problems, self.folder) for each, at in pairs]
+        return []
+
+    def parts(self) -> dict[str, Any]:
+        """Return the parts of a bundle; those with mistakes are None."""
+        self.check_keys()
+        mesh = self.mesh()
+        materials = self.read_each("material", MaterialTable)
+        supports = self.read("supports")
+        several = isinstance(self.table.get("interface"), list)
+        interfaces = self.interfaces() if several else [self.read("interface", Interface)]
+        interfaces = interfaces if "interface" in self.table else []
+        analysis = self.analysis(mesh)
+        loads = self.range(interfaces if several else [])
+        inputs = self.read("inputs")
+        further: tuple[ScalarInput, ...] = inputs.scalars if inputs is not None else ()
+        deck = self.deck()
+        self.check_tables()
+        if "deck" in self.table:
+            self.check_deck(analysis, interfaces)
+        if analysis is not None and analysis.gravity is not None:
+            self.check_densities(materials, "[analysis] gravity")
+        self.check_inputs(further, materials, interfaces)
+        # A range whose corners are too many to look at each.
+        if loads is not None:
+            vary = len(further) + int((loads.low < loads.high).sum())
+            if vary > MAX_INPUTS:
+                message = f"{vary} inputs vary, and {MAX_INPUTS} may; give some loads the range 0"
+                self.wrong("interface", message)
+        return {
+            "name": self.read("name"),
+            "title": self.read("title"),
+            "mesh": mesh,
+            "materials": tuple(materials),
+            "supports": supports,
+            "interface": interfaces[0] if interfaces else None,
+            "others": tuple(interfaces[1:]),
+            "analysis": analysis,
+            "range": loads,
+            "further": further,
+            "tolerance": self.read("tolerance"),
+            "deck": deck,
+        }
+
+    def check_keys(self) -> None:
+        """Note keys that are missing, unknown or of no use beside another."""
+        keys = keys_of(ComponentFile)
+        for name, info in keys.items():
+            if name not in self.table and info.is_required():
+                self.wrong(name, missing(info))
+        for name in self.table:
+            if name not in keys:
+                self.wrong(name, unknown(name, ComponentFile))
+        if self.table.get("supports") == {}:
+            message = "holds nothing; write fixed, [[supports.sliding]] or [[supports.bushing]]"
+            self.wrong("supports", message)
+        materials = self.table.get("material")
+        for i, material in enumerate(materials if type(materials) is list else ()):
+            if type(material) is dict and {"axes", "cylinder"} <= set(material):
+                message = "is for directions that are the same everywhere: leave it or cylinder out"
+                self.wrong(f"material[{i}].axes", message)
+
+    def mesh(self) -> MeshSource | None:
+        """Return ``[mesh]``."""
+        table = self.table.get("mesh")
+        if type(table) is dict and "generator" in table:
+            if "file" in table:
+                self.wrong("mesh.generator", 'name a "file" or a "generator", not both')
+                return None
+            name = table["generator"]
+            if type(name) is not str or name not in GENERATORS:
+                near = suggest(name, GENERATORS) if type(name) is str else ""
+                message = f"{shown(name)} is none of {', '.join(GENERATORS)}{near}"
+                self.wrong("mesh.generator", message)
+                return None
+        mesh = self.read("mesh")
+        for at, message in mesh.mistakes() if isinstance(mesh, Generator) else ():
+            self.wrong(f"mesh.{at}", message)
+        return mesh
+
+    def interfaces(self) -> list[Any]:
+        """Return every ``[[interface]]``; of a measured part they have no section."""
+        measured = "mesh" not in self.table and "deck" not in self.table
+        interfaces = self.read_each("interface", MeasuredInterface if measured else NamedInterface)
+        if len(interfaces) == 1:
+            message = "is one alone; write [interface], without a name, or add others"
+            self.wrong("interface", message)
+        valid = [interface for interface in interfaces if interface is not None]
+        if len({interface.name for interface in valid}) < len(valid):
+            self.wrong("interface", "a name is there twice; each interface needs its own")
+        if sum(interface.held for interface in valid) > 1:
+            message = "only one can be held: it is the reference of all displacements"
+            self.wrong("interface", message)
+        return interfaces
+
+    def range(self, several: list[Any]) -> DeclaredRange | None:
+        """Return ``[range]``, or the ranges of several interfaces one behind the other."""
+        if "range" in self.table and several:
+            self.wrong(
+                "range", "each [[interface]] has its own; write range = {force, moment} there"
+            )
+        if several:
+            ranges = [interface and interface.range for interface in several]
+        elif "range" in self.table:
+            ranges = [self.read("range")]
+            if ranges == [None]:
+                return None
+        else:
+            self.wrong("range", "missing; write a table")
+            return None
+        none = ((0.0, 0.0),) * len(FREEDOMS)  # of an interface that is held
+        ends = [(*loads.force, *loads.moment) if loads else none for loads in ranges]
+        low, high = np.concatenate(ends).T
+        return DeclaredRange(low, high)
+
+    def analysis(self, mesh: MeshSource | None) -> Analysis | None:
+        """Return ``[analysis]``; a component without one claims nothing, so: nonlinear.
+
+        The integration of an input deck's 20-node hexahedra is the default of its component.
+        """
+        if "analysis" not in self.table:
+            return Analysis(True)
+        analysis, table = self.read("analysis"), self.table["analysis"]
+        file = mesh.file if mesh is not None else None
+        if file is None or file.suffix.lower() != ".inp" or "integration" in table:
+            return analysis
         of_deck = integrations(deck_text(file))
-    pairs = read_interfaces(top)
-    interfaces = [interface for interface, _ in pairs]
-    parts |= {
-        "interface": interfaces[0] if interfaces else None,
-        "others": tuple(interfaces[1:]),
-        "analysis": read_analysis(top.table("analysis", required=False), of_deck),
-        "range": read_range(top, pairs),
-        "further": read_inputs(top, folder),
-        "tolerance": read_tolerance(top.table("tolerance", required=False)),
-        "deck": read_deck(top.table("deck", required=False), folder),
-    }
-    _check_tables(top, any(attached is not None and attached.held for attached in interfaces))
-    if parts["deck"] is not None:
-        _check_deck(top, parts["analysis"], interfaces)
-    if parts["analysis"].gravity is not None:
-        check_densities(top, parts["materials"], "[analysis] gravity")
-    check_inputs(top, parts["further"], parts["materials"], interfaces)
-    # A range whose corners are too many to look at each.
-    loads = parts["range"]
-    if loads is not None:
-        vary = len(parts["further"]) + sum(
-            a < b for a, b in zip(loads.low, loads.high, strict=True)
-        )
-        if vary > MOST_INPUTS:
-            message = f"{vary} inputs vary, and {MOST_INPUTS} may; give some loads the range 0"
-            top.wrong("interface", message)
-    top.close()
-    if top.problems:
-        raise BundleError(top.problems)
-    return Bundle(folder=folder, fingerprint=fingerprint(parts), **parts)
+        if len(of_deck) > 1:
+            message = (
+                "missing; the deck has C3D20 (full) and C3D20R (reduced): one is for all cells"
+            )
+            self.wrong("analysis.integration", message)
+        elif of_deck and analysis is not None:
+            return replace(analysis, integration=of_deck[0])
+        return analysis
 
+    def deck(self) -> Deck | None:
+        """Return ``[deck]``, the options of its reader checked."""
+        deck = self.read("deck")
+        table = self.table.get("deck")
+        output = table.get("output") if type(table) is dict else None
+        if type(output) is not dict:
+            return deck
+        where = "deck.output.reader"
+        name = output.get("reader")
+        if type(name) is not str or name not in reader_names():
+            names = ", ".join(reader_names())
+            near = suggest(name, reader_names()) if type(name) is str else ""
+            wrong = f"{shown(name)} is none of {names}{near}"
+            self.wrong(where, wrong if "reader" in output else f"missing; write one of {names}")
+            return None
+        reader = reader_named(name)
+        known = ("reader", *reader.keys)
+        for each in known:
+            if each not in output:
+                self.wrong(f"deck.output.{each}", "missing; write a text")
+        for each in output:
+            if each not in known:
+                message = f"unknown key{suggest(each, known)} (known here: {', '.join(known)})"
+                self.wrong(f"deck.output.{each}", message)
+        return deck and replace(deck, moment=deck.moment or reader.moment)
 
-def _check_tables(top: Keys, held: bool) -> None:
-    """Note tables that need each other; an interface that is held stands in for supports."""
-    if "deck" in top:
-        return
-    if "mesh" in top:
+    def check_tables(self) -> None:
+        """Note tables that need each other; an interface that is held stands in for supports."""
+        if "deck" in self.table:
+            return
+        interfaces = self.table.get("interface")
+        several = isinstance(interfaces, list)
+        held = several and any(isinstance(one, dict) and one.get("held") for one in interfaces)
         for key in _SOLVER_TABLES:
-            if key not in top and not (held and key == "supports"):
-                brackets = "[[material]]" if key == "material" else f"[{key}]"
-                more = _OR_HELD if key == "supports" and top.is_array("interface") else ""
-                top.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
-    else:
-        for key in _SOLVER_TABLES:
-            if key in top and not (key == "interface" and top.is_array(key)):
-                top.wrong(key, "needs a [mesh] as well; without one a component is a table only")
+            if "mesh" in self.table:
+                if key not in self.table and not (held and key == "supports"):
+                    brackets = "[[material]]" if key == "material" else f"[{key}]"
+                    more = _OR_HELD if key == "supports" and several else ""
+                    self.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
+            elif key in self.table and not (key == "interface" and several):
+                message = "needs a [mesh] as well; without one a component is a table only"
+                self.wrong(key, message)
 
+    def check_deck(self, analysis: Analysis | None, interfaces: list[Interface | None]) -> None:
+        """Note what the other tables say that a deck would not heed."""
+        if len(interfaces) > 1:
+            message = "a [deck] has one interface; several are the embedded solver's"
+            self.wrong("interface", message)
+        interface = interfaces[0] if len(interfaces) == 1 else None
+        if interface is not None and (interface.axes != np.eye(3)).any():
+            message = "a [deck] is not turned; write it in the interface frame and leave axes out"
+            self.wrong("interface.axes", message)
+        if interface is not None and interface.locked:
+            message = (
+                "a [deck] is not changed; hold these freedoms in the deck and leave locked out"
+            )
+            self.wrong("interface.locked", message)
+        if analysis is not None and analysis.gravity is not None:
+            message = (
+                "a [deck] is not changed; write *DLOAD with GRAV in the deck, leave gravity out"
+            )
+            self.wrong("analysis.gravity", message)
 
-def _check_deck(top: Keys, analysis: Analysis, interfaces: list[Interface | None]) -> None:
-    """Note what the other tables say that a deck would not heed."""
-    if len(interfaces) > 1:
-        top.wrong("interface", "a [deck] has one interface; several are the embedded solver's")
-    interface = interfaces[0] if len(interfaces) == 1 else None
-    if interface is not None and (interface.axes != np.eye(3)).any():
-        message = "a [deck] is not turned; write it in the interface frame and leave axes out"
-        top.wrong("interface.axes", message)
-    if interface is not None and interface.locked:
-        message = "a [deck] is not changed; hold these freedoms in the deck and leave locked out"
-        top.wrong("interface.locked", message)
-    if analysis.gravity is not None:
-        message = "a [deck] is not changed; write *DLOAD with GRAV in the deck, leave gravity out"
-        top.wrong("analysis.gravity", message)
+    def check_inputs(
+        self,
+        further: tuple[ScalarInput, ...],
+        materials: list[AnyMaterial | None],
+        interfaces: list[Interface | None],
+    ) -> None:
+        """Note what a component with further inputs lacks, or cannot have."""
+        names = [scalar.name for scalar in further]
+        if further and "deck" in self.table:
+            message = "a [deck] takes none; the embedded solver and measured tables do"
+            self.wrong(further[0].key, message)
+        if further and further[0].field is not None and "mesh" not in self.table:
+            message = "needs a [mesh]: a measured part has no nodes; leave it out"
+            self.wrong("inputs.temperature.field", message)
+        for interface in interfaces:
+            if interface is not None and interface.name in names:
+                message = f'none may have the name "{interface.name}", which is an input\'s'
+                self.wrong("interface", message)
+        for i, material in enumerate(materials if TEMPERATURE in names else ()):
+            if material is not None and material.thermal_expansion is None:
+                message = "missing; with [inputs.temperature] every material needs it, in 1/K"
+                self.wrong(f"material[{i}].thermal_expansion", message)
+            if material is not None and material.law == "neo-hookean":
+                message = (
+                    'takes no [inputs.temperature]; of small strains "isotropic" is the same law'
+                )
+                self.wrong(f"material[{i}].law", message)
+        if ACCELERATIONS[0] in names:
+            self.check_densities(materials, "[inputs.acceleration]")
+
+    def check_densities(self, materials: list[AnyMaterial | None], key: str) -> None:
+        """Note the materials without the density that `key` needs."""
+        for i, material in enumerate(materials):
+            if material is not None and material.density is None:
+                message = f"missing; {key} needs each material's density, in kg/m^3"
+                self.wrong(f"material[{i}].density", message)

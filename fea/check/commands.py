@@ -17,6 +17,7 @@ import plotly.graph_objects as go
 
 from wrenchbook.fea.accuracy.convergence import studied, write
 from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.reference import json_schema
 from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.check.reporting import as_text, report
 from wrenchbook.fea.failure import SolveFailed
@@ -33,6 +34,11 @@ Reply = tuple[int, Mapping[str, Any], str]
 
 def check(options: argparse.Namespace) -> Reply:
     """Report on a bundle's mesh, groups, supports and the cost of a solve."""
+    if options.schema:
+        schema = json_schema()
+        return 0, schema, json.dumps(schema, indent=2, ensure_ascii=False)
+    if options.folder is None:
+        return options.usage_error("name the FOLDER of a component bundle, or --schema")
     riding = None
     try:
         if options.mass is not None:
@@ -40,7 +46,7 @@ def check(options: argparse.Namespace) -> Reply:
         elif options.inertia is not None or options.centre is not None:
             raise ValueError("--inertia and --centre need --mass")
     except ValueError as error:
-        options.usage_error(str(error))
+        return options.usage_error(str(error))
     summary = report(options.folder, riding, options.nonlinear)
     return int(not summary["ok"]), summary, as_text(summary)
 
@@ -165,7 +171,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--inertia", type=_numbers, help="its inertia about its centre, kg·m^2: xx,yy,zz or six")
     add("--centre", type=_numbers, help="its centre from the interface point, m: x,y,z")
     add("--nonlinear", action="store_true", help="nonlinear solves for the stresses over the range")
-    add("folder", type=Path, metavar="FOLDER", help="folder of the component bundle")
+    add("--schema", action="store_true", help="the JSON schema of component.toml, for editors")
+    add("folder", type=Path, metavar="FOLDER", nargs="?", help="folder of the component bundle")
 
     add = command(
         converge, "Solve a part on finer meshes: order, limit, and the error of its own mesh."

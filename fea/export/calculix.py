@@ -21,7 +21,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.spec.orthotropic import Orthotropic
+from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
 
@@ -208,7 +208,8 @@ def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator
     Those about a cylinder's axis by two points of it.
     """
     if orthotropic.cylinder is not None:
-        point, axial = np.array(orthotropic.cylinder) @ axes.T
+        cylinder = orthotropic.cylinder
+        point, axial = np.array([cylinder.point, cylinder.axis]) @ axes.T
         yield f"*ORIENTATION, NAME=O{number}, SYSTEM=CYLINDRICAL"
         yield _numbers([*point, *(point + axial)])
         return

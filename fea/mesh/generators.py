@@ -8,30 +8,17 @@ twice. Each generator is a frozen dataclass whose fields carry their unit and bo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.spec.keys import Positive, Whole, key, table
+from wrenchbook.fea.spec.schema import Generator
 
 Array = np.ndarray
-
-
-def metres(default: Any = MISSING) -> Any:
-    """Return the field of a length above zero, m."""
-    return positive("m", default)
-
-
-def positive(unit: str, default: Any = MISSING) -> Any:
-    """Return the field of a number above zero."""
-    return field(default=default, metadata={"unit": unit})
-
-
-def count(default: Any = MISSING, least: int = 1) -> Any:
-    """Return the field of a whole number of at least `least`."""
-    return field(default=default, metadata={"least": least})
 
 
 MOST_CELLS = 2_000_000
@@ -269,26 +256,31 @@ def _each_layer(columns: list[Array], stride: int, layers: int) -> Array:
     return (first + shifts[:, None, None]).reshape(-1, first.shape[-1])
 
 
-@dataclass(frozen=True)
-class Bar:
+@table
+class Bar(Generator):
     """Parameters of generator "bar"; lengths in metres.
 
     The bar lies along x from 0 to `length`, centred on the axis. Facet groups: ``start``
     (x = 0), ``end`` (x = `length`), ``side``.
     """
 
-    # length, width, height: Along x, y, z
-    length: float = metres()
-    width: float = metres()
-    height: float = metres()
-    # cells_along, cells_across: number of cells along x, and along each of y and z
-    cells_along: int = count(40)
-    cells_across: int = count(2)
+    length: Positive = key("bar: along x", "m", "0.4")
+    width: Positive = key("bar: along y", "m", "0.4")
+    height: Positive = key("bar: along z", "m", "0.02")
+    cells_along: Whole = key("bar: along x", "cells", "20", default=40, ge=1)
+    cells_across: Whole = key("bar: along each of y and z", "cells", "3", default=2, ge=1)
+    generator: Literal["bar"] = key(
+        "`bar`, `plate` or `spring`, with its parameters",
+        example='"bar"',
+        default="bar",
+        kw_only=True,
+        absent="none",
+    )
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what will not do: too many cells."""
-        key = "cells_along" if self.cells_along > self.cells_across else "cells_across"
-        return too_many(float(self.cells_along) * self.cells_across**2, key)
+        most = "cells_along" if self.cells_along > self.cells_across else "cells_across"
+        return too_many(float(self.cells_along) * self.cells_across**2, most)
 
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""
@@ -303,28 +295,43 @@ class Bar:
         return Mesh(swept.points, (swept.cells,), facet_groups=groups)
 
 
-@dataclass(frozen=True)
-class Plate:
+@table
+class Plate(Generator):
     """Parameters of generator "plate"; lengths in metres.
 
     The plate's middle is at x = y = 0; it reaches from z = 0 up to `thickness`. Facets cover the
-    patch (whose outline has its exact area, see `fea.mesh.generators.disc`) and the
+    patch (whose outline has its exact area, see `disc`) and the
     corner squares.
     Facet groups: ``patch`` (in the middle of the top face), ``corners`` (four squares of the
     bottom face), ``rim`` (the four sides), ``top``, ``bottom``.
     """
 
-    # length, width, thickness: Along x, y, z
-    length: float = metres()
-    width: float = metres()
-    thickness: float = metres()
-    patch: float = metres()  # Diameter of the round patch
-    corner: float = metres(0.04)  # Side of the corner squares
-    # Number of cells across the patch's core, and along each side between two corner squares
-    cells: int = count(6, least=2)
-    rings: int = count(3)  # number of rings of cells from the patch out to the corner squares
-    corner_cells: int = count(1)  # number of cells along each side of a corner square
-    layers: int = count(2)  # number of cells through the thickness
+    length: Positive = key("plate: along x", "m", "0.4")
+    width: Positive = key("plate: along y", "m", "0.4")
+    thickness: Positive = key("plate: along z", "m", "0.01")
+    patch: Positive = key("plate: diameter of the round patch, facet group `patch`", "m", "0.12")
+    corner: Positive = key(
+        "plate: side of the corner squares, facet group `corners`", "m", "0.03", default=0.04
+    )
+    cells: Whole = key(
+        "plate: across the patch's core, and along each side between two corners",
+        "cells",
+        "8",
+        default=6,
+        ge=2,
+    )
+    rings: Whole = key("plate: from the patch out to the corners", "cells", "4", default=3, ge=1)
+    corner_cells: Whole = key(
+        "plate: along each side of a corner square", "cells", "2", default=1, ge=1
+    )
+    layers: Whole = key("plate: through the thickness", "cells", "3", default=2, ge=1)
+    generator: Literal["plate"] = key(
+        "`bar`, `plate` or `spring`, with its parameters",
+        example='"plate"',
+        default="plate",
+        kw_only=True,
+        absent="none",
+    )
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""
@@ -397,8 +404,8 @@ class Plate:
         return np.concatenate([-corner[::-1], middle, corner])
 
 
-@dataclass(frozen=True)
-class Spring:
+@table
+class Spring(Generator):
     """Parameters of generator "spring"; lengths in metres.
 
     The wire's centre line climbs about the z axis from (D/2, 0, 0) to the height `free_length`,
@@ -406,20 +413,30 @@ class Spring:
     (the two cuts), ``side``.
     """
 
-    # wire_diameter, mean_diameter, free_length: of the wire, of the helix of its centre line, and
-    # that helix's height.
-    wire_diameter: float = metres()
-    mean_diameter: float = metres()
-    free_length: float = metres()
-    active_turns: float = positive("turns")  # Turns from cut to cut
-    cells_per_turn: int = count(26, least=6)  # Layers of cells in one turn
-    core: int = count(1)  # cells across the core of the section, which has core^2 + 4 core cells
+    wire_diameter: Positive = key("spring", "m", "0.002")
+    mean_diameter: Positive = key("spring: of the helix of the wire's centre line", "m", "0.02")
+    free_length: Positive = key("spring: height of that helix", "m", "0.05")
+    active_turns: Positive = key("spring: from cut to cut", "turns", "5.5")
+    cells_per_turn: Whole = key(
+        "spring: layers of cells in one turn", "cells", "12", default=26, ge=6
+    )
+    # The section has core^2 + 4 core cells
+    core: Whole = key(
+        "spring: across the core of the wire's section", "cells", "2", default=1, ge=1
+    )
+    generator: Literal["spring"] = key(
+        "`bar`, `plate` or `spring`, with its parameters",
+        example='"spring"',
+        default="spring",
+        kw_only=True,
+        absent="none",
+    )
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""
-        key = "cells_per_turn" if self.cells_per_turn > self.core else "core"
+        most = "cells_per_turn" if self.cells_per_turn > self.core else "core"
         layers = self.cells_per_turn * self.active_turns
-        problems = too_many(layers * (self.core**2 + 4.0 * self.core), key)
+        problems = too_many(layers * (self.core**2 + 4.0 * self.core), most)
         if self.wire_diameter >= self.mean_diameter:
             problems.append(
                 ("wire_diameter", "must be below mean_diameter, or the wire meets itself")
@@ -459,4 +476,4 @@ GENERATORS: dict[str, type[Bar] | type[Plate] | type[Spring]] = {
     "plate": Plate,
     "spring": Spring,
 }
-"""The generators a bundle can name: frozen dataclasses of parameters with `mistakes`, `mesh`."""
+"""The generators a bundle can name: tables of parameters with `mistakes`, `mesh`."""

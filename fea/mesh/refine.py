@@ -16,7 +16,7 @@ import numpy as np
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_places, tabulate
-from wrenchbook.fea.spec.schema import Bundle
+from wrenchbook.fea.spec.schema import Bundle, Generator, GeometryFile
 
 Array = np.ndarray
 
@@ -38,18 +38,19 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
     mesh = bundle.mesh
     if mesh is None:
         return None
-    if mesh.geometry is not None:
-        meshing = mesh.geometry
-        circle = max(3, round(meshing.circle * factor))
-        curvature = meshing.curvature and max(3, round(meshing.curvature * factor))
-        geometry = replace(meshing, size=meshing.size / factor, circle=circle, curvature=curvature)
-        return replace(bundle, mesh=replace(mesh, geometry=geometry))
-    if mesh.generator is None or mesh.parameters is None:
+    if isinstance(mesh, GeometryFile):
+        circle = max(3, round(mesh.circle * factor))
+        curvature = mesh.curvature and max(3, round(mesh.curvature * factor))
+        finer = replace(mesh, size=mesh.size / factor, curvature=curvature)
+        object.__setattr__(finer, "circle", circle)  # no key, so no argument
+        return replace(bundle, mesh=finer)
+    if not isinstance(mesh, Generator):
         return None
-    parameters = dict(mesh.parameters)
-    for name in _COUNTS[mesh.generator]:
-        parameters[name] = max(1, math.floor(parameters[name] * factor + 0.5))
-    return replace(bundle, mesh=replace(mesh, parameters=parameters))
+    counts = {
+        name: max(1, math.floor(mesh.parameters[name] * factor + 0.5))
+        for name in _COUNTS[mesh.generator]
+    }
+    return replace(bundle, mesh=replace(mesh, **counts))
 
 
 # The cell, or facet, of first order with the same corners.

@@ -10,17 +10,18 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from wrenchbook.fea.spec.material import AnyMaterial, Orthotropic
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     TEMPERATURE,
     Analysis,
+    BodySelector,
     Deck,
+    FaceSelector,
     Interface,
-    Material,
     MeshSource,
     Supports,
 )
@@ -98,12 +99,21 @@ def _mesh(source: MeshSource | None) -> object:
         # The ending chooses the reader; the rest of the name changes nothing.
         content: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
         if source.geometry is not None:
-            keys = asdict(source.geometry)
-            del keys["circle"]  # the same for all
+            meshing = source.geometry
+            keys = {"size": meshing.size, "curvature": meshing.curvature}
+            keys |= {"groups": {name: _chosen(each) for name, each in meshing.groups.items()}}
+            keys |= {"regions": {name: _chosen(each) for name, each in meshing.regions.items()}}
             return content | {"geometry": keys}
         order = {} if source.order is None else {"order": source.order}
         return content | {"unit": source.unit} | order
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
+
+
+def _chosen(choice: FaceSelector | BodySelector) -> object:
+    if isinstance(choice, BodySelector):
+        return {"numbers": choice.bodies, "near": choice.near, "plane": None, "radius": None}
+    plane = None if choice.plane is None else ("xyz".index(choice.plane), choice.at)
+    return {"numbers": choice.faces, "near": choice.near, "plane": plane, "radius": choice.radius}
 
 
 def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
@@ -120,14 +130,21 @@ def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
     return _DROPPED.search(initials) is not None
 
 
-def _material(material: Material, heated: bool) -> list[object]:
+def _material(material: AnyMaterial, heated: bool) -> list[object]:
     # No yield strength: no displacement depends on it. Densities count where mass is pulled.
     content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
         content.append(material.law)
-    if material.orthotropic is not None:
-        constants = asdict(material.orthotropic)
-        content.append({name: value for name, value in constants.items() if value is not None})
+    if isinstance(material, Orthotropic):
+        constants = {
+            "youngs_moduli": material.youngs_moduli,
+            "poisson_ratios": material.poisson_ratios,
+            "shear_moduli": material.shear_moduli,
+            "axes": material.axes.tolist(),
+        }
+        if material.cylinder is not None:
+            constants["cylinder"] = (material.cylinder.point, material.cylinder.axis)
+        content.append(constants)
     return [*content, material.thermal_expansion] if heated else content
 
 

@@ -1,4 +1,4 @@
-"""The parts of a component bundle, as read and checked; SI units throughout."""
+"""Models of the tables of ``component.toml``, the parts of a bundle; SI units throughout."""
 
 from __future__ import annotations
 
@@ -7,23 +7,48 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic.json_schema import SkipJsonSchema
 
-from wrenchbook.fea.spec.orthotropic import Orthotropic
-
-Array = np.ndarray
+from wrenchbook.fea.spec.keys import (
+    Array,
+    Axes,
+    BundleFile,
+    Flag,
+    MistakesError,
+    Name,
+    Number,
+    Pair,
+    Point,
+    Positive,
+    Six,
+    Text,
+    Texts,
+    Three,
+    ThreePositive,
+    Whole,
+    array_of,
+    array_table,
+    counted,
+    different,
+    either,
+    key,
+    keys_of,
+    mesh_axes,
+    table,
+)
+from wrenchbook.fea.spec.material import AnyMaterial
 
 FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 """The interface's six degrees of freedom, in the order of the wrench contract."""
 
-COUPLINGS = ("rigid", "distributed")
-MOMENTS = ("spatial", "conjugate")
-INTEGRATIONS = ("reduced", "full")
-LAWS = ("isotropic", "orthotropic", "neo-hookean")
-
-MOST_INPUTS = 18  # that vary, the loads of three interfaces: 2^18 corners of 18 loads are 38 MB
+MAX_INPUTS = 18  # that vary, the loads of three interfaces: 2^18 corners of 18 loads are 38 MB
+# Tables square loads and divide by them; the square root of the largest double, 1e154, is too near
+# since sums of such squares must be numbers too.
+LARGEST_LOAD = 1e100
 
 UNITS: Mapping[str, float] = {
     "m": 1.0,
@@ -36,77 +61,210 @@ UNITS: Mapping[str, float] = {
 }
 """Length units a mesh file may be in, each in metres."""
 
+LengthUnit = Literal["m", "dm", "cm", "mm", "um", "in", "ft"]
+Coupling = Literal["rigid", "distributed"]
 
 GEOMETRY_ENDINGS = (".step", ".stp")
 """Endings of files that hold geometry to be meshed, not a mesh."""
 
 
-@dataclass(frozen=True)
+def _second_order(order: int) -> int:
+    if order != 2:
+        raise ValueError(
+            f"must be 2, not {order}: first-order cells are too stiff in bending; "
+            "order = 2 gives a first-order mesh midside nodes"
+        )
+    return order
+
+
+def _listed(points: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return one point, or several, as several in a fixed order."""
+    return tuple(sorted(points)) if points and isinstance(points[0], tuple) else (points,)
+
+
+def _numbers(values: object) -> object:
+    """Refuse what is no list of different whole numbers from 1 up; return it sorted."""
+    numbers = values if isinstance(values, list | tuple) else ()
+    if not numbers or any(type(value) is not int or value < 1 for value in numbers):
+        raise ValueError(
+            "must be a list of whole numbers from 1 up, as wrenchbook check lists them"
+        )
+    return sorted(different(tuple(numbers)))
+
+
+def _round(cells: int) -> int:
+    if 0 < cells < 3:
+        raise ValueError(f"must be a whole number from 3 up, not {cells}; 0 leaves it to size")
+    return cells
+
+
+Curvature = Annotated[Whole, Field(ge=0), AfterValidator(_round)]
+Order = Annotated[Whole, Field(ge=1), AfterValidator(_second_order)]
+Near = Annotated[tuple[Three, ...], either(Three, tuple[Three, ...], 2), AfterValidator(_listed)]
+Numbers = Annotated[tuple[Annotated[Whole, Field(ge=1)], ...], BeforeValidator(_numbers)]
+
+
 class Selector:
     """Which faces of a geometry make a group, or which of its bodies make a region.
 
-    A face or body belongs if any of these names it.
+    A face or body belongs if any of the keys names it.
     """
 
-    numbers: tuple[int, ...] = ()  # by their numbers in the report of ``wrenchbook check``
-    # For each point (x, y, z), m, the face nearest to it, or the body it lies in
-    near: tuple[tuple[float, float, float], ...] = ()
-    # Axis (0, 1, 2) and coordinate, m: every plane face there. Faces only
-    plane: tuple[int, float] | None = None
-    radius: float | None = None  # every cylindrical face of that radius, m. Faces only
+    ways: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not any(getattr(self, way) not in (None, ()) for way in self.ways):
+            listed = f"{', '.join(self.ways[:-1])} or {self.ways[-1]}"
+            raise MistakesError((self.ways[0], f"missing; choose by {listed}"))
 
 
-@dataclass(frozen=True)
+@table
+class FaceSelector(Selector):
+    """Faces of a geometry."""
+
+    ways = ("faces", "near", "plane", "radius")
+    faces: Numbers = key("by number", example="[3, 7]", default=(), absent="none")
+    near: Near = key(
+        "for each point (or the one point) the face nearest to it",
+        "m",
+        "[[0.05, 0.0, 0.01]]",
+        default=(),
+        absent="none",
+    )
+    plane: Literal["x", "y", "z"] | None = key(
+        "every plane face square to this axis, `at` that place", example='"x"', default=None
+    )
+    at: Number | None = key(
+        "with `plane`: where it is along its axis", "m", "0.0", default=None, absent="-"
+    )
+    radius: Positive | None = key(
+        "every cylindrical face of that radius", "m", "0.008", default=None
+    )
+
+    def __post_init__(self) -> None:
+        if self.plane is None and self.at is not None:
+            message = 'missing; "at" is a place along plane = "x", "y" or "z"'
+            raise MistakesError(("plane", message))
+        super().__post_init__()
+        if self.plane is not None and self.at is None:
+            raise MistakesError(("at", "missing; write a number in m"))
+
+
+@table
+class BodySelector(Selector):
+    """Bodies of a geometry."""
+
+    ways = ("bodies", "near")
+    bodies: Numbers = key(
+        "by number, as `wrenchbook check` lists them", example="[1, 2]", default=(), absent="none"
+    )
+    near: Near = key(
+        "for each point (or the one point) the body it lies in",
+        "m",
+        "[0.05, 0.0, 0.01]",
+        default=(),
+        absent="none",
+    )
+
+
+@table
+class MeshFile:
+    """A mesh file."""
+
+    geometry = generator = parameters = None
+
+    file: BundleFile = key(
+        "gmsh, Abaqus/CalculiX .inp, VTK and what else meshio reads; or .step, .stp",
+        example='"bracket.msh"',
+        absent="none",
+        write='the name of a mesh "file", or a "generator"',
+    )
+    unit: LengthUnit = key(
+        f"the mesh file's length unit: {', '.join(UNITS)}; a STEP file has its own", example='"mm"'
+    )
+    order: Order | None = key(
+        "gives the cells of a first-order mesh file midside nodes, in the middle of straight edges "
+        "(STEP is meshed so anyway)",
+        example="2",
+        default=None,
+    )
+
+
+def _no_all(regions: dict[str, BodySelector]) -> dict[str, BodySelector]:
+    if "all" in regions:
+        raise MistakesError(("all", '"all" is every cell of the mesh; take another name'))
+    return regions
+
+
+@table
 class GeometryMeshing:
     """How to mesh a geometry file."""
 
-    size: float  # edge length of the cells, m
-    # Least number of cells round a full turn of a curved face; 0 leaves it to `size`
-    curvature: int = 0
-    # groups, regions: faces that make each facet group, bodies that make each cell group
-    groups: Mapping[str, Selector] = field(default_factory=dict)
-    regions: Mapping[str, Selector] = field(default_factory=dict)
+    size: Positive = key("STEP: edge length of the cells", "m", "0.004")
+    curvature: Curvature = key(
+        "STEP: least number of cells round a full turn of a curved face, 3 or more",
+        "cells",
+        "16",
+        default=0,
+        absent="none",
+    )
+    groups: Mapping[str, FaceSelector] = key(
+        "STEP: named facet groups, each `[mesh.groups.NAME]`",
+        example="{tip = {radius = 0.008}}",
+        default=dict,
+        absent="none",
+    )
+    regions: Annotated[Mapping[str, BodySelector], AfterValidator(_no_all)] = key(
+        "STEP: named cell groups, each `[mesh.regions.NAME]`",
+        example="{steel = {bodies = [1]}}",
+        default=dict,
+        absent="none",
+    )
     # Least number of cells round a full circle, however small; no key of a bundle sets it
-    circle: int = 7  # gmsh's own
+    circle: SkipJsonSchema[int] = field(default=7, init=False)  # gmsh's own
 
 
-@dataclass(frozen=True)
-class MeshSource:
-    """Source of the mesh: a mesh file, a geometry file, or a generator with its parameters."""
+@table
+class GeometryFile(GeometryMeshing):
+    """A geometry file, which holds its own length unit."""
 
-    # file, unit: the file (a path within the bundle) and its length unit, a key of `UNITS`; a
-    # geometry file holds its own.
-    file: Path | None = None
-    unit: str = "m"
-    geometry: GeometryMeshing | None = None  # how to mesh the file, if it is a geometry file
-    # 2 gives the cells of a first-order mesh file their midside nodes; None leaves them
-    order: int | None = None
-    # generator, parameters: the name of a generator of `fea.mesh.generators` and all its
-    # parameters, defaults filled in.
-    generator: str | None = None
-    parameters: Mapping[str, Any] | None = None
+    unit, generator, parameters = "m", None, None
+    refused: ClassVar = {"unit": "a STEP file holds its own length unit; leave this key out"}
+    file: BundleFile = key("a STEP file", example='"bracket.step"', kw_only=True)
+    order: Order | None = key("STEP: always 2", example="2", default=None, kw_only=True)
+
+    @property
+    def geometry(self) -> GeometryMeshing:
+        """How to mesh it."""
+        return self
 
 
-@dataclass(frozen=True)
-class Material:
-    """An elastic material."""
+@table
+class Generator:
+    """A generator of a mesh, with its parameters as the other fields."""
 
-    region: str  # the cell group it fills; "all" fills every cell that no other material names
-    youngs_modulus: float  # Pa; of an orthotropic material its largest
-    # Between -1 and 0.5, both excluded; of an orthotropic material that of the nearest isotropic
-    # one, which tells cells that would lock.
-    poisson_ratio: float
-    # kg/m^3; None where the bundle does not give it. Static answers depend on it under gravity and
-    # acceleration.
-    density: float | None = None
-    # Pa, compared with the von Mises stress; None where the bundle does not give it
-    yield_strength: float | None = None
-    # One of `LAWS`. The constants of "neo-hookean" are those at small strains
-    law: str = "isotropic"
-    orthotropic: Orthotropic | None = None  # the constants of that law; None for the others
-    # 1/K along its three directions, equal but for an orthotropic material; None where the bundle
-    # does not give it. It counts only where the temperature is an input.
-    thermal_expansion: tuple[float, float, float] | None = None
+    file = order = geometry = None
+    unit = "m"
+    generator: str = key(
+        "`bar`, `plate` or `spring`, with its parameters", example='"plate"', kw_only=True
+    )
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """All parameters by name."""
+        return {name: getattr(self, name) for name in keys_of(type(self)) if name != "generator"}
+
+    def mistakes(self) -> list[tuple[str, str]]:
+        """Return (key, message) for what does not fit together, or makes too many cells."""
+        raise NotImplementedError
+
+    def mesh(self) -> Any:
+        """Return the mesh, of 20-node hexahedra."""
+        raise NotImplementedError
+
+
+MeshSource = MeshFile | GeometryFile | Generator
+"""Source of the mesh: a mesh file, a geometry file, or a generator with its parameters."""
 
 
 TEMPERATURE = "temperature"
@@ -134,71 +292,354 @@ class ScalarInput:
         return f"inputs.{TEMPERATURE if self.name == TEMPERATURE else 'acceleration'}"
 
 
-@dataclass(frozen=True, eq=False)
-class Sliding:
-    """A facet or node group that does not move along some directions.
-
-    `directions` has shape (d, 3): unit vectors in the mesh's axes.
-    """
-
-    group: str
-    directions: Array
+_ABSOLUTE_ZERO = {"degC": -273.15, "K": 0.0}
 
 
-@dataclass(frozen=True, eq=False)
-class Interface:
-    """A section where a rigid side is attached."""
+def rising(ends: tuple[float, float]) -> tuple[float, float]:
+    """Return two ends of a range, the first below the second."""
+    if ends[0] >= ends[1]:
+        raise ValueError(f"must rise from low to high, not [{ends[0]:g}, {ends[1]:g}]")
+    return ends
 
-    section: str  # a facet group or node group
-    # The reference point, shape (3,), m, in the mesh's coordinates; None for the area centre
-    point: Array | None
-    # Shape (3, 3): row i is the direction of the frame's axis i, orthonormal and right-handed
-    axes: Array
-    coupling: str  # "rigid" or "distributed"
-    locked: tuple[str, ...] = ()  # freedoms that a guide locks, of `FREEDOMS` and in their order
-    name: str = ""  # empty where it is the component's only one
+
+@table
+class Temperature:
+    """The part's temperature, uniform or of a field, as an input."""
+
+    range: Annotated[Pair, AfterValidator(rising)] = key(
+        "the temperatures expected", "degC or K", "[-20, 60]"
+    )
+    reference: Number = key("where nothing is strained by it", "degC or K", "20")
+    unit: Literal["degC", "K"] = key('`"degC"` or `"K"`', example='"K"', default="degC")
+    field: BundleFile | None = key(
+        "temperatures at points: one line of names, then x, y, z (m, the mesh's axes) and the "
+        "temperature in `unit`. The input is the temperature where the file's rise over "
+        "`reference` is largest; all others rise in proportion",
+        example='"hot.csv"',
+        default=None,
+        absent="uniform",
+    )
+
+    def __post_init__(self) -> None:
+        zero = _ABSOLUTE_ZERO[self.unit]
+        mistakes = [
+            (name, f"{lowest:g} {self.unit} is below absolute zero, {zero:g} {self.unit}")
+            for name, lowest in (("range", self.range[0]), ("reference", self.reference))
+            if lowest < zero
+        ]
+        if mistakes:
+            raise MistakesError(*mistakes)
+
+
+@table
+class Acceleration:
+    """Three components of the acceleration as inputs."""
+
+    range: ThreePositive = key("each from minus to plus its number", "m/s^2", "[20, 20, 20]")
+
+
+@table
+class Inputs:
+    """Inputs besides the loads."""
+
+    temperature: Temperature | None = key(
+        "the table `[inputs.temperature]`",
+        example="{range = [-20, 60], reference = 20}",
+        default=None,
+    )
+    acceleration: Acceleration | None = key(
+        "the table `[inputs.acceleration]`", example="{range = [20, 20, 20]}", default=None
+    )
 
     @property
-    def held(self) -> bool:
-        """Whether it does not move: the others' displacements are relative to it."""
-        return self.locked == FREEDOMS
+    def scalars(self) -> tuple[ScalarInput, ...]:
+        """The inputs in their order: the temperature, then the three accelerations."""
+        warm, sizes = self.temperature, self.acceleration.range if self.acceleration else ()
+        first = warm and ScalarInput(
+            TEMPERATURE, warm.unit, *warm.range, warm.reference, warm.field
+        )
+        others = (
+            ScalarInput(name, "m/s^2", -size, size)
+            for name, size in zip(ACCELERATIONS, sizes, strict=False)
+        )
+        return (*((first,) if first else ()), *others)
 
 
-@dataclass(frozen=True, eq=False)
+@array_table
+class Sliding:
+    """A facet or node group that does not move along some directions."""
+
+    group: Text = key("a facet or node group", example='"symmetry"')
+    along: Annotated[
+        tuple[Literal["x", "y", "z"], ...], Field(min_length=1), AfterValidator(different)
+    ] = key(
+        "its displacements along these are zero: of x, y, z", example='["x"]', name="directions"
+    )
+    axes: Axes = key(
+        "x, y, z of the directions, in the mesh's axes",
+        example="[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]",
+        default=mesh_axes,
+        absent="mesh's",
+    )
+
+    @property
+    def directions(self) -> Array:
+        """Unit vectors in the mesh's axes, shape (d, 3)."""
+        return self.axes[["xyz".index(name) for name in sorted(self.along)]]
+
+
+_ROUNDING = 1e-9  # of a stiffness, relative to its diagonal
+
+
+def _stiffness(numbers: tuple[Any, ...]) -> Array:
+    """Return six stiffnesses, or 6 x 6, as a matrix whose energy is never negative."""
+    matrix = np.array(numbers) if isinstance(numbers[0], tuple) else np.diag(numbers)
+    scale = np.sqrt(np.where(np.diagonal(matrix) > 0, np.diagonal(matrix), 1.0))
+    scaled = matrix / scale / scale[:, None]
+    if np.abs(scaled - scaled.T).max() > _ROUNDING:
+        raise ValueError("must be symmetric")
+    if np.linalg.eigvalsh(scaled)[0] < -_ROUNDING:
+        raise ValueError("some motion would give energy back: no eigenvalue may be negative")
+    if not matrix.any():
+        raise ValueError("is zero; leave the bushing out")
+    return 0.5 * (matrix + matrix.T)
+
+
+_Rows = Annotated[tuple[Six, ...], counted(6)]
+Stiffness = Annotated[Array, array_of(Annotated[Any, either(Six, _Rows, 2)], _stiffness)]
+
+
+@array_table
 class Bushing:
     """A group on an elastic spring to the ground."""
 
-    hold: Interface  # the group as a section, with the point and the axes of the spring
-    # Shape (6, 6), symmetric and positive semidefinite: N/m, N/rad and N·m/rad over translation and
-    # rotation vector.
-    stiffness: Array
+    group: Text = key("a facet or node group", example='"hole"')
+    # Shape (6, 6), symmetric and positive semidefinite, over translation and rotation vector
+    stiffness: Stiffness = key(
+        "of x, y, z and the rotations about them; or K, six rows of six, symmetric and without "
+        "negative eigenvalues",
+        "N/m, N/rad and N·m/rad",
+        "[1e6, 1e6, 1e6, 50, 50, 50]",
+    )
+    coupling: Coupling = key("or `distributed`, as of the interface", example='"rigid"')
+    point: Point | None = key(
+        "where the spring is, in the mesh's axes",
+        "m",
+        "[0.0, 0.0, 0.01]",
+        default=None,
+        absent="the group's area centre",
+    )
+    axes: Axes = key(
+        "x, y, z of the spring, in the mesh's axes",
+        example="[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]",
+        default=mesh_axes,
+        absent="mesh's",
+    )
+
+    @property
+    def hold(self) -> Interface:
+        """The group as a section, with the point and the axes of the spring."""
+        return Interface(self.group, self.coupling, self.point, self.axes)
 
 
-@dataclass(frozen=True)
+@table
 class Supports:
     """The groups whose nodes do not move, those that slide, and those on springs."""
 
-    fixed: tuple[str, ...] = ()
-    sliding: tuple[Sliding, ...] = ()
-    bushings: tuple[Bushing, ...] = ()
+    fixed: Annotated[Texts, Field(min_length=1)] = key(
+        "facet or node groups that do not move", example='["rim"]', default=(), absent="none"
+    )
+    sliding: tuple[Sliding, ...] = key(
+        "groups held in single directions, each `[[supports.sliding]]`",
+        example='[{group = "symmetry", directions = ["x"]}]',
+        default=(),
+        absent="none",
+    )
+    bushings: tuple[Bushing, ...] = key(
+        "groups on springs, each `[[supports.bushing]]`",
+        example='[{group = "hole", coupling = "rigid", stiffness = [1e6, 1e6, 1e6, 50, 50, 50]}]',
+        default=(),
+        absent="none",
+        name="bushing",
+    )
 
 
-ON_YIELD = ("warn", "fail")
-"""Outcome of a solve in which a material yields: a note with the answer, or no answer."""
+def _known_freedoms(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return locked freedoms in the order of `FREEDOMS`."""
+    return tuple(name for name in FREEDOMS if name in names)
 
 
-@dataclass(frozen=True)
+@array_table
+class Interface:
+    """A section where a rigid side is attached."""
+
+    refused = dict.fromkeys(
+        ("name", "held", "range"), "is a key of each [[interface]] of several; leave it out"
+    )
+    name = ""  # of several interfaces each has its own
+    held = False  # whether it does not move: the others' displacements are relative to it
+
+    section: Text = key("a facet or node group", example='"tip"')
+    coupling: Coupling = key(
+        "least-squares mean of the section; or `rigid`", example='"distributed"'
+    )
+    point: Point | None = key(
+        "where the wrench acts and the displacement is measured, in the mesh's axes",
+        "m",
+        "[0.0, 0.0, 0.01]",
+        default=None,
+        absent="the section's area centre",
+    )
+    # Shape (3, 3): row i is the direction of the frame's axis i, orthonormal and right-handed
+    axes: Axes = key(
+        "the interface frame's x, y and z in the mesh's axes",
+        example="[[1, 0, 0], [0, 1, 0], [0, 0, 1]]",
+        default=mesh_axes,
+        absent="mesh's",
+    )
+    locked: Annotated[
+        tuple[Literal["ux", "uy", "uz", "rx", "ry", "rz"], ...],
+        AfterValidator(different),
+        AfterValidator(_known_freedoms),
+    ] = key(
+        f"freedoms that a guide locks: {' '.join(FREEDOMS)}", example='["ux", "rz"]', default=()
+    )
+
+    def __post_init__(self) -> None:
+        if self.locked == FREEDOMS and not self.held:
+            raise MistakesError(("locked", "holds every freedom; nothing is left to move"))
+
+
+def _load(ends: float | tuple[float, float]) -> tuple[float, float]:
+    """Return a load's range unless its squares, or what is divided by them, have no number."""
+    low, high = ends if isinstance(ends, tuple) else (-ends, ends)
+    if low == high == 0.0:
+        return 0.0, 0.0
+    if max(-low, high) <= LARGEST_LOAD and high - low >= 1 / LARGEST_LOAD:
+        return low, high
+    raise ValueError(
+        f"must be at least {1 / LARGEST_LOAD:g} {{unit}} wide and within plus and minus "
+        f"{LARGEST_LOAD:g} {{unit}}, not [{low:g}, {high:g}]"
+    )
+
+
+def _three_loads(value: object) -> object:
+    if isinstance(value, list | tuple) and len(value) != 3:
+        raise ValueError("must be three loads in {unit}, each a number or [low, high]")
+    return value
+
+
+_Ends = Annotated[Pair, AfterValidator(rising)]
+Load = Annotated[tuple[float, float], either(Positive, _Ends), AfterValidator(_load)]
+Loads = Annotated[tuple[Load, Load, Load], BeforeValidator(_three_loads)]
+LoadOrNone = Annotated[
+    tuple[float, float],
+    either(Annotated[Number, Field(ge=0)], _Ends),
+    AfterValidator(_load),
+]
+LoadsOrNone = Annotated[tuple[LoadOrNone, LoadOrNone, LoadOrNone], BeforeValidator(_three_loads)]
+
+
+@table
+class InterfaceRange:
+    """The loads expected at one interface of several; some may be 0."""
+
+    force: LoadsOrNone = key("as in `[range]`", "N", "[20, 20, [-200, 0]]")
+    moment: LoadsOrNone = key("likewise", "N·m", "[5, 5, 5]")
+
+
+@table
+class Range:
+    """The loads expected."""
+
+    force: Loads = key(
+        "Fx, Fy, Fz: each plus and minus a number, or [low, high]", "N", "[100, 100, [-500, 0]]"
+    )
+    moment: Loads = key("Mx, My, Mz likewise", "N·m", "[5, 5, 5]")
+
+
+@array_table
+class MeasuredInterface(Interface):
+    """One of several interfaces of a measured part, which has no section."""
+
+    refused: ClassVar = {}
+    section: SkipJsonSchema[str] = field(default="", init=False)
+    coupling: SkipJsonSchema[Any] = field(default="", init=False)
+    point: SkipJsonSchema[Array | None] = field(default=None, init=False)
+    axes: SkipJsonSchema[Array] = field(default_factory=mesh_axes, init=False)
+    locked: SkipJsonSchema[Any] = field(default=(), init=False)
+    name: Name = key("its name", example='"left"')
+    range: InterfaceRange = key(
+        "the loads expected", example="{force = [20, 20, 200], moment = [5, 5, 5]}"
+    )
+
+
+@array_table
+class NamedInterface(Interface):
+    """One of several interfaces."""
+
+    refused: ClassVar = {}
+    name: Name = key(
+        "of several interfaces each must have its own: a-z, 0-9, _ and -",
+        example='"left"',
+        absent="none",
+        kw_only=True,
+    )
+    held: Flag = key(
+        "of several, one may be: it does not move, and the others move relative to it",
+        example="true",
+        default=False,
+        kw_only=True,
+    )
+    range: InterfaceRange | None = key(
+        "of several, each that is not held: as `[range]`",
+        example="{force = [20, 20, 200], moment = [5, 5, 5]}",
+        default=None,
+        kw_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        if not self.held:
+            super().__post_init__()
+            if self.range is None:
+                raise MistakesError(("range", "missing; write a table"))
+        elif self.locked not in ((), FREEDOMS) or self.range is not None:
+            message = "an interface that is held takes neither locked nor range; leave it out"
+            raise MistakesError(("held", message))
+        else:
+            object.__setattr__(self, "locked", FREEDOMS)
+
+
+def _no_weight(gravity: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+    return gravity if gravity and any(gravity) else None
+
+
+@table
 class Analysis:
-    """How to solve: geometrically nonlinear or not, the integration of hex20 cells, own weight.
+    """How to solve."""
 
-    `gravity` is the acceleration of gravity in the mesh's axes, m/s^2; None for no weight.
-    `on_yield` is what becomes of a solve beyond a material's yield strength, one of `ON_YIELD`.
-    """
-
-    nonlinear: bool = True
-    integration: str = "reduced"
-    gravity: tuple[float, float, float] | None = None
-    on_yield: str = "warn"
+    nonlinear: Flag = key(
+        "large displacements, and of rubber large strains; false: the 6x6 compliance is all",
+        example="true",
+    )
+    integration: Literal["reduced", "full"] = key(
+        "hex20: 2x2x2 points, or 3x3x3; a deck's C3D20 is full, its C3D20R reduced",
+        example='"full"',
+        default="reduced",
+        absent='the deck\'s, else `"reduced"`',
+    )
+    gravity: Annotated[Three | None, AfterValidator(_no_weight)] = key(
+        "own weight as a constant load, in the mesh's axes; each material needs `density`",
+        "m/s^2",
+        "[0, 0, -9.81]",
+        default=None,
+    )
+    on_yield: Literal["warn", "fail"] = key(
+        "where a `yield_strength` is exceeded: a note with the share of the volume beyond it, or a "
+        "failed solve and no row",
+        example='"fail"',
+        default="warn",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,38 +656,66 @@ class DeclaredRange:
         Raises ValueError if there are more than 2^18: three interfaces have so many.
         """
         ends = [tuple(dict.fromkeys(pair)) for pair in zip(self.low, self.high, strict=True)]
-        if math.prod(len(pair) for pair in ends) > 2**MOST_INPUTS:
-            raise ValueError(f"a range of more than {MOST_INPUTS} loads has too many corners")
+        if math.prod(len(pair) for pair in ends) > 2**MAX_INPUTS:
+            raise ValueError(f"a range of more than {MAX_INPUTS} loads has too many corners")
         return np.array(list(product(*ends)))
 
 
-@dataclass(frozen=True)
+@table
 class DeclaredTolerance:
-    """The error a component's users accept: `translation` in m, `rotation` in rad."""
+    """The error a component's users accept."""
 
-    translation: float
-    rotation: float
+    translation: Positive = key("the error that the component's users accept", "m", "1e-5")
+    rotation: Positive = key("likewise", "rad", "1e-4")
 
 
-@dataclass(frozen=True)
+def _not_below(name: object) -> object:
+    """Refuse a file in a subfolder: all are put into one folder."""
+    if isinstance(name, str) and Path(name).name != name:
+        raise ValueError(f'"{name}" is not directly in the bundle\'s folder; put it there')
+    return name
+
+
+FileBeside = Annotated[BundleFile, BeforeValidator(_not_below)]
+
+
+@table
 class Deck:
     """An expert's input deck for an outside solver."""
 
-    # The deck, with $FX $FY $FZ $MX $MY $MZ where the wrench goes. Its axes are the interface
-    # frame's.
-    file: Path
-    # The program and its arguments; ``{job}`` stands for the deck's name without its ending
-    command: tuple[str, ...]
-    output: Mapping[str, str]  # the reader of the solver's output, and that reader's options
-    # Other files of the bundle that the deck or the command needs; copied next to the deck
-    files: tuple[Path, ...] = ()
-    # The deck's length unit, a key of `UNITS`: the moments go in as N times it, the translation is
-    # read in it. Forces are newtons.
-    unit: str = "m"
-    timeout: float = 3600.0  # seconds after which one run of the command is ended
-    # What the deck takes as moment: "spatial", about fixed axes, or "conjugate", that which works
-    # on the rotation vector.
-    moment: str = "spatial"
+    file: BundleFile = key(
+        "contains $FX $FY $FZ $MX $MY $MZ; its axes are the interface frame's",
+        example='"plate.inp"',
+    )
+    command: Annotated[tuple[Text, ...], Field(min_length=1)] = key(
+        "program and arguments; {job} is the deck's name without its ending",
+        example='["ccx", "{job}"]',
+    )
+    output: Mapping[str, Text] = key(
+        "what reads the answer: `[deck.output]`",
+        example='{reader = "calculix-dat", point = "REF", rotation = "ROT"}',
+        write="a table",
+    )
+    files: Annotated[tuple[FileBeside, ...], AfterValidator(different)] = key(
+        "other files of the bundle that the run needs", example='["mesh.inp"]', default=()
+    )
+    unit: LengthUnit = key(
+        "the deck's length unit; moments go in as N times it", example='"mm"', default="m"
+    )
+    timeout: Annotated[Positive, Field(lt=1e7)] = key(
+        "after which a run is ended", "s", "600", default=3600.0
+    )
+    moment: Literal["spatial", "conjugate"] | None = key(
+        "about fixed axes; or `conjugate`, which works on the rotation vector",
+        example='"spatial"',
+        default=None,
+        absent="the reader's",
+    )
+
+    def __post_init__(self) -> None:
+        if self.file in self.files:
+            where = f"files[{self.files.index(self.file)}]"
+            raise MistakesError((where, "is the deck itself; leave it out"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +726,7 @@ class Bundle:
     name: str
     title: str
     mesh: MeshSource | None
-    materials: tuple[Material, ...]
+    materials: tuple[AnyMaterial, ...]
     supports: Supports | None
     # interface, others: the interface, or the first of several, and the others in their order
     interface: Interface | None

@@ -132,7 +132,8 @@ class Evaluator:
     def inverse(self, displacements: Array, start: Array = None) -> Array:
         """Return the wrenches (..., n), SI, of displacements (..., m), m and rad, as joints do.
 
-        The derivative by the displacements is the stiffness. NaN where no wrench is found.
+        The derivative by the displacements is the stiffness. NaN where no wrench is found. Beyond
+        the load range several wrenches may have one displacement: `start` decides which is found.
 
         Parameters
         ----------
@@ -157,6 +158,8 @@ class Evaluator:
 
 def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = None) -> Evaluator:
     """Return a function on arrays of JAX: ``jit``, ``vmap``, ``grad`` and ``jacfwd`` work on it.
+
+    Without JAX's ``jax_enable_x64`` wrenches and results are rounded to float32, 7 digits.
 
     Parameters
     ----------
@@ -184,7 +187,8 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
 
         def call(*values: Array) -> list[Array]:
             blocks = function(*values)
-            return [block.astype(kind) for block, (_, kind) in zip(blocks, shapes, strict=True)]
+            kinds = [kind for _, kind in shapes]
+            return [b.astype(kind, copy=False) for b, kind in zip(blocks, kinds, strict=True)]
 
         results = [package.ShapeDtypeStruct(shape, kind) for shape, kind in shapes]
         return package.pure_callback(call, results, *arrays, vmap_method="broadcast_all")

@@ -109,7 +109,7 @@ class Table:
 
         ``space/range`` (2, n) has the range of the n inputs, SI; ``gK/row/wrench`` (r, n) and
         ``gK/row/moved`` (r, m), m and rad, the rows of the K-th group of outputs. The names,
-        shapes and units of all are in surrogate/packed/writer.py.
+        shapes and units of all are in surrogate/packed/arrays.py.
         """
         return dict(self.packed.arrays)
 

@@ -24,27 +24,25 @@ from wrenchbook.service.fields.shape import (
 )
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.library.component import Component
-from wrenchbook.surrogate.field_weights import MIN_LEFT_OUT, FieldWeights, nearest_rows
+from wrenchbook.surrogate.calibration import LEVEL, conformal_factor
+from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import Rows, why_beyond
+from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
 
 Floats = NDArray[np.float64]
 
 # Rows that a field is interpolated of: with slopes as good as all, and a factor of 0.02 s.
 MAX_ROWS = 60
 BLEND_BYTES = 128 << 20  # of one component's interpolation; larger surfaces take fewer rows
+MIN_LEFT_OUT = 4  # rows with a surface below which they show nothing of an error's size
 MIN_ROWS = 8  # however large their fields are: fewer give neither an answer nor an error
 MAX_BLENDS = 2  # components whose interpolation is in memory at once
 THREADS = 2  # surfaces at once: each may take a processor
 # Half ranges beyond an end of the load range: further out rows do not determine a surface.
 FARTHEST = 2.0
-SAME = 1e-6  # of the load range: a wrench so near to a row's is the one that row was rounded from
 # Of the largest displacement of any row: a vertex's error bar allowed without a tolerance.
 WITHOUT_TOLERANCE = 0.01
-LEVEL = 0.95  # share of a row's vertices, and of rows, that an error bar covers
-# Error bars widen by this over the number of rows left out: few show a tail badly (as tables').
-WIDENING = 5.0
 
 
 class NoFieldsError(Exception):
@@ -159,7 +157,7 @@ class DeformedSurfaces:
     def _own(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
         """Return the surface of this wrench's own solve; None if there is none with fields."""
         apart = np.abs(rows.wrench - wrench) / component.load_range.scale
-        near = apart.max(axis=1, initial=0.0) <= SAME
+        near = apart.max(axis=1, initial=0.0) <= NEAR
         for place in np.flatnonzero(near & (rows.fingerprint == component.fingerprint)).tolist():
             for row in self._readable(component, rows.wrench[place : place + 1]):
                 try:
@@ -205,7 +203,7 @@ class DeformedSurfaces:
         if not having:
             why = f"none of its {len(rows)} rows has one; they were imported or solved before"
             raise NoFieldsError(component, why)
-        cells = np.rint(wrenches[having] / (2 * SAME * component.load_range.scale))
+        cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
         places = solved[having][np.sort(first)]
         with self._lock:  # one at a time: a new interpolation takes a processor and its memory
@@ -335,32 +333,31 @@ class Blend:
         blank = cls(geometry, weights, values, numbers, largest, None, 0.0, None)
         if len(rows) < MIN_LEFT_OUT:
             return blank
-        errors, sigmas = weights.left_out(values.__getitem__, values.shape[2])
+        errors, sigmas = weights.left_out(values)
         lengths = np.linalg.norm(errors[:, :moved].reshape(len(rows), -1, 3), axis=2)
         ratios = lengths / sigmas[:, None]
         spread = np.sqrt((ratios**2).mean(axis=0))
         relative = ratios / np.where(spread > 0, spread, 1.0)
-        factor = _conformal(np.quantile(relative, LEVEL, axis=1))
+        factor = float(conformal_factor(np.quantile(relative, LEVEL, axis=1)[:, None])[0])
         stress_factor = None
         if values.shape[2] > moved:
             # Of each row left out the predicted largest is compared with its true one.
             predicted = values[:, 0, moved:] - errors[:, moved:]
             predicted = von_mises(predicted.reshape(len(rows), -1, 6)).max(axis=1)
             true = np.array([row.meta["largest"] for row in rows])
-            stress_factor = _conformal(np.abs(predicted - true) / sigmas)
+            stress_factor = float(conformal_factor((np.abs(predicted - true) / sigmas)[:, None])[0])
         return cls(geometry, weights, values, numbers, largest, spread, factor, stress_factor)
 
     def at(self, wrench: Floats) -> BlendedFields:
         """Return the fields at a wrench (6,), N and N·m."""
-        at = self.weights.at(wrench)
-        lambdas = np.concatenate((at.values[:, None], at.slopes), axis=1)
-        fields = np.tensordot(lambdas, self.values, axes=2)
+        weights, sigma = self.weights.at(wrench)
+        fields = np.tensordot(weights, self.values, axes=2)
         moved = 3 * len(self.geometry.vertices)
         displacement = fields[:moved].reshape(-1, 3)
-        error = None if self.spread is None else self.factor * at.sigma * self.spread
+        error = None if self.spread is None else self.factor * sigma * self.spread
         stress = fields[moved:].reshape(-1, 6) if len(fields) > moved else None
         factor = self.stress_factor
-        stress_error = None if factor is None else factor * at.sigma
+        stress_error = None if factor is None else factor * sigma
         return BlendedFields(displacement, error, stress, stress_error)
 
     def nearest(self, wrench: Floats) -> tuple[int, Floats]:
@@ -380,10 +377,3 @@ def _columns(row: RowFields) -> Floats:
     fields = (row.displacement, row.displacement_slopes), (row.stress, row.stress_slopes)
     columns = (np.concatenate((field[..., None], slopes), axis=-1) for field, slopes in fields)
     return np.concatenate([np.moveaxis(of, -1, 0).reshape(7, -1) for of in columns], axis=1)
-
-
-def _conformal(ratios: Floats) -> float:
-    """Return the ratio that 95 % of one more row are below, widened for few rows."""
-    rank = int(np.ceil(LEVEL * (len(ratios) + 1)))
-    ratio = float(np.sort(ratios)[min(rank, len(ratios)) - 1])
-    return ratio * (1 + WIDENING / len(ratios))

@@ -23,6 +23,7 @@ from wrenchbook.fea.tensors import von_mises
 from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
+from wrenchbook.surrogate.table.rows import ROUNDING
 
 # Of the largest discretisation error on the surface, a free vertex's error besides: cells deform
 # wrongly on their own too, by clamps and edges. On six parts 9 of 10 vertices are 3 to 18 % of the
@@ -31,7 +32,6 @@ from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 LOCAL = 0.1
 # Of the scaled compliance's largest singular value: below it are locked freedoms and roundoff.
 _SINGULAR = 1e-9
-ROUNDING = 1e-12  # of the largest displacement: what storing a field and adding up loses at most
 
 Floats = NDArray[np.float64]
 

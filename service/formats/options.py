@@ -16,14 +16,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wrenchbook.service.formats.columns import Columns, columns_of
-from wrenchbook.surrogate.findings.finding import RigFinding
-from wrenchbook.surrogate.limits import (
+from wrenchbook.surrogate.findings.response import RigFinding
+from wrenchbook.surrogate.table.rows import (
+    LONGEST,
     ROTATION_LIMIT,
     TRANSLATION_LIMIT,
+    LoadRange,
+    Rows,
     is_too_far,
     rotation_angles,
+    unknown_column,
 )
-from wrenchbook.surrogate.table.rows import LoadRange, Rows, unknown_column
 from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
 
 Array = np.ndarray
@@ -339,7 +342,8 @@ def _excesses(
         for at in np.flatnonzero(is_too_far(angle)).tolist():
             name = columns.displacement[first + 3 + int(np.nanargmax(np.abs(moved[at, 3:])))]
             message = (
-                f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at 20 "
+                f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at "
+                f"{math.degrees(ROTATION_LIMIT):g} "
                 "(check the unit: rad or deg?)"
             )
             yield at, name, message
@@ -350,7 +354,7 @@ def _excesses(
             "moves so far (check the unit: m or mm?)"
         )
         yield at, columns.displacement[axis], message
-    limit = np.where(is_rotation, ROTATION_LIMIT * (1.0 + 1e-12), TRANSLATION_LIMIT)
+    limit = np.where(is_rotation, LONGEST, TRANSLATION_LIMIT)
     known = any(uncertainty.strides)  # infinite ones are other mistakes
     beyond = np.isfinite(uncertainty) & (uncertainty > limit) if known else np.zeros((0, 0))
     for at, output in np.argwhere(beyond).tolist():

@@ -42,7 +42,7 @@ from wrenchbook.service.formats.rig import (
 from wrenchbook.service.formats.xlsx import read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MOST, find
-from wrenchbook.surrogate.findings.finding import RigFinding
+from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.rows import Rows, joined, unknown_column
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 

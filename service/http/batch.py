@@ -18,7 +18,7 @@ from fastapi import Request
 from pydantic import Field
 from starlette.responses import Response, StreamingResponse
 
-from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS
 from wrenchbook.service.http.bodies import (
     BatchBody,

@@ -18,7 +18,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
-from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, OnThin
 from wrenchbook.service.query import Query
 from wrenchbook.surrogate.answer import METHODS

@@ -24,7 +24,7 @@ from starlette.formparsers import MultiPartException
 from starlette.responses import Response
 from starlette.types import Message, Receive
 
-from wrenchbook.fea.bundle.tables import LARGEST_LOAD
+from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.http.bodies import (
     BatchBody,
     BlockBody,

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.bundle.tables import is_slug
+from wrenchbook.fea.spec.keys import is_slug
 from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.library.bundles import (
     check_mesh,

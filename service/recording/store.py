@@ -22,7 +22,6 @@ from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.recording.thinning import (
     MAX_OUTSIDE,
-    MERGE,
     Subset,
     scaled_loads,
     take,
@@ -30,7 +29,7 @@ from wrenchbook.service.recording.thinning import (
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import COVERED, OUTSIDE
-from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.rows import NEAR, Tolerance
 
 Floats = NDArray[np.float64]
 Kind = Literal["recording", "envelope"]
@@ -68,9 +67,9 @@ class Tally:
     merged: int = 0
     thinned: int = 0
     outside: int = 0
-    reach: float = MERGE
+    reach: float = NEAR
     within: float = 0.0
-    reach_outside: float = MERGE
+    reach_outside: float = NEAR
     within_outside: float = 0.0
     scale: bytes | None = None
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from wrenchbook.surrogate.table.rows import NEAR
 from wrenchbook.surrogate.table.space import DEFAULT
 
 Floats = NDArray[np.float64]
 
-MERGE = 1e-6  # of a load's scale: wrenches as near as this to a kept one count as it
 MAX_INSIDE = 10_000  # wrenches of a recording within the load range
 MAX_OUTSIDE = 1_000  # beyond the range: impacts, counted apart from the others
 # Thinning goes down to this share, so that it happens once in 2,000 new wrenches, not with each.
@@ -37,7 +37,7 @@ class Subset:
 
     points: Floats = field(default_factory=lambda: np.empty((0, len(DEFAULT.inputs))))
     keys: list[bytes] = field(default_factory=list)
-    reach: float = MERGE
+    reach: float = NEAR
     within: float = 0.0
     limit: int = MAX_INSIDE
 
@@ -77,16 +77,16 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
             bound = subset.reach * _EDGE
             apart = _tree(subset.points).query(chunk, p=np.inf, distance_upper_bound=bound)[0]
         fresh = np.flatnonzero(np.isinf(apart))
-        chosen = different = fresh[spaced(chunk[fresh], MERGE)]
-        if subset.reach > MERGE:
+        chosen = different = fresh[spaced(chunk[fresh], NEAR)]
+        if subset.reach > NEAR:
             chosen = different[spaced(chunk[different], subset.reach)]
-        merged = int((apart <= MERGE * _EDGE).sum()) + len(fresh) - len(different)
+        merged = int((apart <= NEAR * _EDGE).sum()) + len(fresh) - len(different)
         thinned = len(chunk) - merged - len(chosen)
         subset = Subset(
             np.concatenate([subset.points, chunk[chosen]]),
             subset.keys + [keys[start + place] for place in chosen.tolist()],
             subset.reach,
-            max(subset.within, subset.reach if thinned else MERGE if merged else 0.0),
+            max(subset.within, subset.reach if thinned else NEAR if merged else 0.0),
             subset.limit,
         )
         if len(subset.keys) > subset.limit:

@@ -18,7 +18,7 @@ from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
-from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
@@ -145,7 +145,7 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
     return levels
 
 
-def _built(rows: Rows, load_range: LoadRange, linear: bool) -> tuple[dict[str, Any], AnyTable]:
+def _built(rows: Rows, load_range: LoadRange, linear: bool) -> tuple[dict[str, Any], Table]:
     """Build one size of the table; return what that takes, and the table."""
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
@@ -159,7 +159,7 @@ def _built(rows: Rows, load_range: LoadRange, linear: bool) -> tuple[dict[str, A
 
 
 def _method(
-    surrogate: AnyTable, method: str, wrenches: Array, references: tuple[Array, Array], scale: Array
+    surrogate: Table, method: str, wrenches: Array, references: tuple[Array, Array], scale: Array
 ) -> dict[str, Any] | None:
     """Compare a method with solves on the finest mesh and on the table's own; None without it."""
     table, (finest, own) = packed_of(surrogate), references

@@ -22,7 +22,7 @@ from wrenchbook.service.tables import store
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
 from wrenchbook.service.tables.rows import followed
 from wrenchbook.service.tables.store import TableStore, drop_least_used
-from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Rows
@@ -42,8 +42,8 @@ def build_table(
     rows: Rows,
     version: int,
     error: SolverError | None = None,
-    before: AnyTable | None = None,
-) -> AnyTable:
+    before: Table | None = None,
+) -> Table:
     """Build a version of a component's table, named by the ledger's newest change in it.
 
     A function of the rows and the solver's error alone: whoever builds it has the same digits.
@@ -61,9 +61,7 @@ def build_table(
     )
 
 
-def packed_bytes(
-    table: AnyTable, component: Component, origin: dict[str, str] | None = None
-) -> bytes:
+def packed_bytes(table: Table, component: Component, origin: dict[str, str] | None = None) -> bytes:
     """Return the packed file of a component's table; `origin` is of `TableStore.origin`."""
     name, fingerprint = component.name, component.fingerprint
     pieces = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT, origin=origin)
@@ -76,7 +74,7 @@ class _Version:
 
     component: Component
     number: int
-    table: AnyTable | None = None  # None if it was not built here, or is dropped
+    table: Table | None = None  # None if it was not built here, or is dropped
     save_at: float = math.inf  # when its files are due; inf once they are written
     packed: bytes = b""  # the packed file while the disk does not take it
     used: float = 0.0

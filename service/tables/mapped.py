@@ -28,7 +28,7 @@ from wrenchbook.service.tables.store import (
     setup_of,
 )
 from wrenchbook.surrogate.answer import BY_AXES, allowed_by
-from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kriging import Hyperparameters
 from wrenchbook.surrogate.packed.format import PackedTableError
@@ -83,7 +83,7 @@ class ServedTable:
         self,
         packed: PackedTable,
         rows_of: Callable[[], Rows] | None = None,
-        built: AnyTable | None = None,
+        built: Table | None = None,
         method: str | None = None,
     ) -> None:
         self.packed, self._rows_of, self.built = packed, rows_of, built
@@ -118,7 +118,7 @@ class ServedTable:
             rows = self._rows = self._rows_of()
         return rows
 
-    def surrogate(self) -> AnyTable:
+    def surrogate(self) -> Table:
         """Return the numpy table, built from the rows on first use: seconds for 20,000."""
         with self._lock:
             built, self.used = self.built, time.monotonic()
@@ -406,8 +406,8 @@ def row_table(
         solver_error=error,
         locked=component.idle,
     )
-    for _, group in built.groups:
-        group.exact.steepest = np.fmax(group.exact.steepest, near.steepest)
+    for group in built.groups:
+        group.steepest = np.fmax(group.steepest, near.steepest)
     return ServedTable(PackedTable.from_bytes(packed_bytes(built, component)), built=built)
 
 

@@ -24,39 +24,52 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
-from ..table.axes import AXES, CLEAN, AxisRows, LoadAxis, OffAxis, axis_rows, clean_rows
+from ..table.axes import (
+    AXES,
+    CLEAN,
+    AxisRows,
+    LoadAxis,
+    OffAxis,
+    axis_rows,
+    clean_rows,
+    evenly_chosen,
+)
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats, LoadRange, Rows
-from ..table.thinning import evenly_chosen
+from ..table.space import LOADS, OUTPUTS
 from .axis_table import SOUND, WEAK, AxisTable, axis_table
 from .triangulation import Indices, Triangulation
 
 APART = 1e-12  # stations closer than this, in scaled units, are one
-ON_HULL = 1e-9  # of the range: a moment that far beyond the last station counts as on it
 HOLE = 9  # the state of a stretch that no simplex holds: worse than any simplex'
 
 # What an axis' part of an answer rests on, from the best to the worst: see `axis_table`; then a
 # point off the hull, and an axis that has no rows at all.
 OFF_HULL, NO_ROWS = HOLE, HOLE + 1
 
+MOST_SPOTS = 5
+MOST_VERTICES = 200
 
-def build_composition(
+
+def build_axes(
     rows: Rows,
     load_range: LoadRange,
     fit: ComplianceFit,
     off_axis: OffAxis,
-    before: Composition | None = None,
-) -> Composition:
+    before: Axes | None = None,
+) -> Axes:
     """Build the three axes over rows within the load range.
 
     Parameters
     ----------
-    before : Composition, optional
+    before : Axes, optional
         Of another version of the table: an axis whose points have not changed is taken from it, as
         it would be made again to the last bit.
     """
@@ -66,7 +79,7 @@ def build_composition(
         for axis, own in zip(AXES, kept, strict=True)
     ]
     at_rest = answer_at_rest(rows, load_range, tables)
-    return Composition(tables, at_rest, fit, load_range.scale, before)
+    return Axes(tables, at_rest, fit, load_range.scale, before)
 
 
 def _axis_table(
@@ -175,7 +188,7 @@ class Composed:
         return self.states.max(axis=1)
 
 
-class Composition:
+class Axes:
     """Three axis tables (None where there are no rows) and the answer at no load.
 
     Attributes
@@ -192,7 +205,7 @@ class Composition:
         at_rest: AtRest,
         fit: ComplianceFit,
         scale: Floats,
-        before: Composition | None = None,
+        before: Axes | None = None,
     ) -> None:
         """Compose; cuts of axes that another composition has too are taken from it."""
         self.tables = tuple(tables)
@@ -211,6 +224,14 @@ class Composition:
             if table is not None and table.given > len(table.values)
         ]
         return f"an even choice is triangulated: {', '.join(found)}" if found else ""
+
+    def summary(self) -> list[dict[str, Any]]:
+        """Return, per axis, rows, spans, covered part of the range and error bars, JSON-able."""
+        return [_axis_summary(*each) for each in zip(AXES, self.tables, strict=True)]
+
+    def gaps(self, load_range: LoadRange) -> list[dict[str, Any]]:
+        """Return, per axis, hull, corners of the range outside it and worst spots, JSON-able."""
+        return [_gaps(*each, load_range) for each in zip(AXES, self.tables, strict=True)]
 
     def evaluate(self, wrenches: Floats) -> Composed:
         """Compose the answers to wrenches, shape (n, 6), N and N·m."""
@@ -244,27 +265,6 @@ class Composition:
             total.mark_base(rows, moment, part.state)
         return total.composed()
 
-    def derivatives(self, wrenches: Floats, method: str) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        Of the law with all axes and moments in it, so that a load that is zero has its slope too.
-
-        Parameters
-        ----------
-        method : {"griddata", "additive"}
-        """
-        found = np.zeros((len(wrenches), 6, 6))
-        composed = slice(None) if method == "additive" else slice(3, None)
-        for axis in AXES:
-            slopes, inputs = self._read(axis, wrenches).slopes, list(axis.inputs)
-            if method != "additive":
-                found[:, axis.outputs[0], inputs] = slopes[:, axis.outputs[0]]
-            found[:, composed, inputs] += slopes[:, composed]
-        for moment in range(3):
-            slopes = self._alone(moment, wrenches[:, moment + 3]).slopes
-            found[:, composed, moment + 3] -= slopes[:, composed, 0]
-        return found
-
     def _read(self, axis: LoadAxis, wrenches: Floats) -> _Part:
         """Return one axis' part at wrenches (k, 6) that load it."""
         table, inputs = self.tables[AXES.index(axis)], list(axis.inputs)
@@ -276,7 +276,7 @@ class Composition:
         if not table.shows_together:
             several = (np.abs(x) > CLEAN).sum(axis=1) > 1
             state = np.where(several, np.maximum(state, WEAK), state)
-        part = _Part(reading.outputs, reading.rest, reading.slopes / table.scale, state)
+        part = _Part(reading.outputs, reading.rest + np.abs(reading.stepped), state)
         outside = np.flatnonzero(~reading.inside)
         if len(outside):
             # Account for steps (k, 3), scaled, from the hull's nearest point to the query. The
@@ -286,9 +286,6 @@ class Composition:
             rows, step = outside, (x - reading.at)[outside]
             basis = table.triangulation.basis
             off = step - step @ basis.T @ basis
-            part.rest[rows] += np.abs(
-                np.einsum("kqi,ki->kq", part.slopes[rows] * table.scale, step)
-            )
             # Of each wrench by itself: batches change nothing.
             leaves = np.abs(off).max(axis=1) > CLEAN
             if leaves.any():
@@ -300,30 +297,15 @@ class Composition:
                 )
                 unknown = (np.abs(off) > CLEAN) & ~self.fit.known[inputs]
                 part.rest[rows[unknown.any(axis=1)]] = np.nan
-        part.slopes += self._off_span(table)
         return part
-
-    def _off_span(self, table: AxisTable) -> Floats:
-        """Return the slopes (6, 3), SI, off the span of an axis' points.
-
-        Those of the fitted compliance; NaN by loads whose influence no row tells.
-        """
-        basis, inputs = table.triangulation.basis, list(table.axis.inputs)
-        if len(basis) == 3:
-            return np.zeros((6, 3))
-        off = np.eye(3) - basis.T @ basis
-        off[np.abs(off) <= CLEAN] = 0.0
-        slopes = (self.fit.matrix[:, inputs] * table.scale) @ off / table.scale
-        unknown = (off != 0.0)[~self.fit.known[inputs]].any(axis=0)
-        return np.where(unknown, np.nan, slopes)
 
     def _guess(self, loads: Floats, inputs: Sequence[int]) -> _Part:
         """Return the fitted compliance's part, for an axis or moment that has no rows."""
-        matrix, count = self.fit.matrix[:, inputs], len(loads)
+        matrix = self.fit.matrix[:, inputs]
         moved = self.at_rest.displacement + loads @ matrix.T
         rest = np.abs(loads) @ np.abs(matrix).T + self.fit.error
         rest[((loads != 0) & ~self.fit.known[inputs]).any(axis=1)] = np.nan
-        return _Part(moved, rest, np.tile(matrix, (count, 1, 1)), np.full(count, NO_ROWS))
+        return _Part(moved, rest, np.full(len(loads), NO_ROWS))
 
     def _alone(self, moment: int, amounts: Floats) -> _Part:
         """Return the answers to amounts (k,), N·m, of one moment alone, from whichever axis tells.
@@ -337,19 +319,16 @@ class Composition:
                 continue
             reading = cut.read(amounts)
             better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
-            outputs, rest = reading.outputs[better], reading.rest[better]
-            slopes, state = reading.slopes[better], reading.state[better]
-            part.put(better, _Part(outputs, rest, slopes[..., None], state))
+            part.put(better, reading.take(better))
         return part
 
 
 @dataclass
 class _Part:
-    """What an axis or a moment alone answers at k wrenches, its slopes by its own loads."""
+    """What an axis or a moment alone answers at k wrenches: (k, 6) each, m and rad; state (k,)."""
 
     outputs: Floats
     rest: Floats
-    slopes: Floats
     state: NDArray[np.int_]
 
     def take(self, rows: Indices) -> _Part:
@@ -360,7 +339,7 @@ class _Part:
             column[rows] = new
 
     def _columns(self) -> tuple[NDArray, ...]:
-        return self.outputs, self.rest, self.slopes, self.state
+        return self.outputs, self.rest, self.state
 
 
 class _Total:
@@ -418,16 +397,101 @@ def _cuts(
     return tuple(cuts)
 
 
-class CutReading(NamedTuple):
-    """What a cut answers at k moments: (k, 6) each, m and rad, and how sound it is, (k,).
+def _gaps(axis: LoadAxis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:
+    # The low and high ends, (3,) each, of an axis' loads, stretched to hold zero.
+    inputs = list(axis.inputs)
+    low, high = np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
+    ends = [sorted({float(a), float(b)}) for a, b in zip(low, high, strict=True)]
+    corners = np.array(list(product(*ends)))
+    if table is None:
+        return {"axis": axis.name, "hull": [], "outside": _loads(axis, corners), "worst": []}
+    scale = table.scale
+    outside = table.triangulation.locate(corners / scale) < 0
+    # The middles of the simplices with the largest error bars, for their outputs' range. Of the
+    # largest simplices, where errors are unknown.
+    middle, bars = table.in_middles()
+    bars = bars[:, list(axis.outputs)]
+    size = np.maximum(np.abs(table.values[:, list(axis.outputs)]).max(axis=0), np.finfo(float).tiny)
+    fractions, thin = table.fractions(), table.state != SOUND
+    spots = []
+    worst = (bars / size).max(axis=1) if table.law.known else fractions
+    for place in np.argsort(-worst)[:MOST_SPOTS].tolist():
+        loads = middle[place : place + 1] * table.scale
+        names = [OUTPUTS[output] for output in axis.outputs]
+        spots.append(
+            {
+                "loads": _loads(axis, loads)[0],
+                "error": dict(zip(names, bars[place].tolist(), strict=True))
+                if table.law.known
+                else None,
+                "part_of_range": float(fractions[place]),
+                "thin": bool(thin[place]),
+            }
+        )
+    return {
+        "axis": axis.name,
+        "hull": _loads(axis, _hull(table) * scale),
+        "outside": _loads(axis, corners[outside]),
+        "worst": spots,
+    }
 
-    `slopes` are derivatives by the moment, m/(N·m) and rad/(N·m).
-    """
 
-    outputs: Floats
-    rest: Floats
-    slopes: Floats
-    state: NDArray[np.int_]
+def _loads(axis: LoadAxis, points: Floats) -> list[dict[str, float]]:
+    names = [LOADS[load] for load in axis.inputs]
+    return [dict(zip(names, point, strict=True)) for point in points.tolist()]
+
+
+def _hull(table: AxisTable) -> Floats:
+    """Return the vertices of the rows' hull, scaled, shape (k, 3); of a flat table its ends."""
+    points, dimension = table.triangulation.points, table.triangulation.dimension
+    flat = (points - table.triangulation.origin) @ table.triangulation.basis.T
+    if dimension == 0:
+        return points[:1]
+    if dimension == 1:
+        return points[[int(flat[:, 0].argmin()), int(flat[:, 0].argmax())]]
+    try:
+        return points[ConvexHull(flat).vertices][:MOST_VERTICES]
+    except QhullError:
+        return points[:MOST_VERTICES]
+
+
+def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
+    """Return one axis' rows, spans (N, N·m), covered part of the range and median error bars."""
+    inputs = [LOADS[load] for load in axis.inputs]
+    if table is None:
+        return {
+            "axis": axis.name,
+            "inputs": inputs,
+            "rows": 0,
+            "corrected": 0,
+            "dimensions": None,
+            "spans": {},
+            "coverage": "outside",
+            "part_of_range": 0.0,
+            "thin_part_of_range": 0.0,
+            "error": None,
+        }
+    shape, points = table.triangulation, table.rows.points * table.scale
+    fractions, weak = table.fractions(), table.state != SOUND
+    _, bars = table.in_middles()
+    typical = np.average(bars, axis=0, weights=np.maximum(fractions, np.finfo(float).tiny))
+    return {
+        "axis": axis.name,
+        "inputs": inputs,
+        "rows": len(points),
+        "corrected": int((~table.rows.clean).sum()),
+        "dimensions": shape.dimension,
+        "spans": {
+            load: [float(points[:, column].min()), float(points[:, column].max())]
+            for column, load in enumerate(inputs)
+        },
+        "coverage": "thin" if weak.all() else "covered",
+        "part_of_range": float(fractions.sum()),
+        "thin_part_of_range": float(fractions[weak].sum()),
+        "error": {OUTPUTS[output]: float(typical[output]) for output in axis.outputs}
+        if table.law.known
+        else None,
+    }
 
 
 class PureMomentCut:
@@ -477,24 +541,22 @@ class PureMomentCut:
         same.table = table
         return same
 
-    def read(self, moments: Floats) -> CutReading:
+    def read(self, moments: Floats) -> _Part:
         """Read the cut at moments (k,), N·m; beyond its ends along its last stretch."""
-        scale = self.table.scale[self.column]
-        along = moments / scale
+        along = moments / self.table.scale[self.column]
         if not len(self.state):
             none = np.zeros((len(along), 6))
             blank = np.full(len(along), HOLE)
-            return CutReading(none, none, none, blank)
+            return _Part(none, none, blank)
         found = np.searchsorted(self.stations, along, side="right") - 1
         found = np.clip(found, 0, len(self.state) - 1)
         y = (along - self.stations[found])[:, None]
         outputs, stated, unit = self.outputs[found], self.stated[found], self.unit_errors[found]
         unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
-        beyond = (along < self.stations[0] - ON_HULL) | (along > self.stations[-1] + ON_HULL)
-        return CutReading(
+        beyond = (along < self.stations[0] - CLEAN) | (along > self.stations[-1] + CLEAN)
+        return _Part(
             outputs[:, 0] + y * outputs[:, 1],
             self.table.law.bars(unit) + stated[:, 0] + y * stated[:, 1],
-            outputs[:, 1] / scale,
             np.where(beyond, HOLE, self.state[found]),
         )
 

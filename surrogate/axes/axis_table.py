@@ -22,20 +22,17 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ..error_law import FEWEST, ErrorLaw, LeftOutErrors, error_law
-from ..table.axes import APART, AxisRows, has_levels
-from ..table.rows import Floats, LoadRange
-from ..table.thinning import hashes
+from ..table.axes import APART, AxisRows, has_levels, hashes
+from ..table.rows import ROUNDING, SMALLEST, Floats, LoadRange
 from .triangulation import Indices, Triangulation, recovered_slopes
 
 # The largest fraction of the load range, by dimension, that one simplex may take before it is
 # `thin`: half a range along a line, a fifth of a rectangle, a tenth of a box is no table.
 LARGEST = {0: 1.0, 1: 0.4, 2: 0.2, 3: 0.1}
 
-ROUNDING = 1e-12  # of an output's size: no error bar is smaller, since no number is righter
 # Largest over smallest unit error (80 % of them) below which left-out errors do not tell noise from
 # curvature, which grows by the square: rows of regular sweeps have one unit error.
 ALIKE = 4.0
-SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
 SOUND, WEAK, DEGENERATE = 0, 1, 2  # a simplex without volume is degenerate
 
@@ -142,8 +139,8 @@ class AxisReading:
     ----------
     outputs, rest : ndarray, shape (k, 6), m and rad
         Barycentric outputs and their error bars, NaN where they are unknown.
-    slopes : ndarray, shape (k, 6, 3), m and rad
-        Derivatives of the outputs by the scaled inputs.
+    stepped : ndarray, shape (k, 6), m and rad
+        What of the outputs comes by the step from the hull to the point; 0 inside.
     unit_errors : ndarray, shape (k,), dimensionless
         1/2 sum_v l_v |x - x_v|^2, from which the error bars follow.
     noise_shares : ndarray, shape (k,), dimensionless
@@ -154,14 +151,14 @@ class AxisReading:
         Where the points, or the nearest points of the hull, lie.
     inside : ndarray of bool, shape (k,)
         Whether the hull holds the point. Elsewhere the outputs are those at the hull's nearest
-        point and their slopes from there.
+        point and the step from there.
     at : ndarray, shape (k, 3), dimensionless
         The points, or those of the hull.
     """
 
     outputs: Floats
     rest: Floats
-    slopes: Floats
+    stepped: Floats
     unit_errors: Floats
     noise_shares: Floats
     stated: Floats
@@ -336,8 +333,8 @@ class AxisTable:
         shares = self.triangulation.barycentric(found[~inside], at[~inside])
         corners = self.slopes[self.triangulation.simplices[found[~inside]]]
         slopes = self.along_span(np.einsum("kv,kvqi->kqi", shares, corners))
-        reading.slopes[~inside] = slopes
-        reading.outputs[~inside] += np.einsum("kqi,ki->kq", slopes, (x - at)[~inside])
+        reading.stepped[~inside] = np.einsum("kqi,ki->kq", slopes, (x - at)[~inside])
+        reading.outputs[~inside] += reading.stepped[~inside]
         return replace(reading, inside=inside)
 
     def along_span(self, slopes: Floats) -> Floats:
@@ -359,7 +356,7 @@ class AxisTable:
         return AxisReading(
             outputs=outputs,
             rest=self.law.bars(unit) + stated,
-            slopes=shape.gradients_at(simplices, self.values),
+            stepped=np.zeros_like(outputs),
             unit_errors=unit,
             noise_shares=(shares**2).sum(axis=1),
             stated=stated,

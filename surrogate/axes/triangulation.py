@@ -223,15 +223,6 @@ class Triangulation:
         """The index of the simplex behind each facet of the hull, shape (f,)."""
         return np.nonzero(self.neighbours < 0)[0]
 
-    def gradients_at(self, simplices: Indices, values: Floats) -> Floats:
-        """Return the gradients of vertex values (n, q) in some simplices, (k,) -> (k, q, 3).
-
-        They are by dimensionless points, so in the values' unit: m and rad.
-        """
-        corners = values[self.simplices[simplices]]
-        rise = corners[:, :-1] - corners[:, -1:]
-        return np.einsum("kdq,kdi->kqi", rise, self.weights[simplices])
-
     def barycentric(self, simplices: Indices, x: Floats) -> Floats:
         """Return the barycentric coordinates, shape (k, d + 1), of points (k, 3), dimensionless."""
         most = np.einsum("kij,kj->ki", self.weights[simplices], x - self.anchors[simplices])
@@ -239,7 +230,8 @@ class Triangulation:
 
     def gradients(self, values: Floats) -> Floats:
         """Return the gradient of vertex values (n, q) in each simplex, shape (m, q, 3)."""
-        return self.gradients_at(np.arange(len(self.simplices)), values)
+        corners = values[self.simplices]
+        return np.einsum("kdq,kdi->kqi", corners[:, :-1] - corners[:, -1:], self.weights)
 
 
 def _span(points: Floats) -> tuple[int, Floats]:

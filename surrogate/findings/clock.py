@@ -12,8 +12,7 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
 from ..table.rows import Floats
-from .finding import RigFinding
-from .response import terms_of
+from .response import RigFinding, terms_of
 
 FEWEST = 60  # displacements: with fewer a lag shows by chance
 MOST = 2_000  # displacements that are fitted, some 5 ms a fit

@@ -8,8 +8,7 @@ import numpy as np
 
 from ..table.rows import Floats, Rows
 from ..table.space import OUTPUTS
-from .finding import RigFinding
-from .response import NORMAL, RobustFit
+from .response import NORMAL, RigFinding, RobustFit
 
 FEWEST = 30  # rows: with fewer an order shows by chance
 PART = 0.01  # of the output's range: what is smaller is within a usual tolerance

@@ -18,11 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 from ..answer import NAMES
 from ..packed.format import CHECKSUM, Packed, PackedTableError, map_file, read
 from ..packed.reasons import Reason, text_of
-from ..table.definite import sample_of, weakest
 from ..table.space import Space
+from ..table.spread import sample_of, weakest
 from .library import Work, kernel
 from .replies import AXIS, NO_METHOD, AxisPart, Floats, Replies, Reply, ReplyReader, mistake
 
+SAME = 1e-6  # of the range: a row closer than this in each load is at a wrench, see wb_rows.c
 _WHY = 512  # bytes of a reason why a table cannot be opened
 
 
@@ -177,23 +178,23 @@ class PackedTable:
         tolerance: Sequence[float] | None = None,
         method: str | None = None,
         threads: int = 1,
+        *,
+        without_rows: bool = False,
     ) -> Replies:
         """Answer many wrenches, shape (k, n), N and N·m, with the numbers of `answer`.
 
-        The number of threads changes none of them. Parameters and errors are those of `answer`.
+        The number of threads changes none of them. With `without_rows` the method answers also
+        where it does not cover a row's own wrench. Other parameters and errors are those of
+        `answer`.
         """
         queries = self._many(wrenches)
         out = np.empty((len(queries), self.outputs)), np.empty((len(queries), self.outputs))
         coverage = np.empty(len(queries), dtype=np.uint8)
         work = self._work()
         wrong = kernel().without_gil.wb_answer_many(
-            *(
-                self._handle,
-                work.options(tolerance, method or self.method),
-                len(queries),
-                queries.ctypes.data,
-            ),
-            *(out[0].ctypes.data, out[1].ctypes.data, coverage.ctypes.data, threads),
+            *(self._handle, work.options(tolerance, method or self.method, without_rows)),
+            *(len(queries), queries.ctypes.data, out[0].ctypes.data, out[1].ctypes.data),
+            *(coverage.ctypes.data, threads),
         )
         self._idle.append(work)
         if wrong:
@@ -215,23 +216,59 @@ class PackedTable:
         tolerance: Sequence[float] | None = None,
         method: str | None = None,
         threads: int = 1,
+        *,
+        without_rows: bool = False,
     ) -> Floats:
         """Return du/dw (k, m, n), SI, of the answers to wrenches (k, n).
 
-        That of the method's interpolant, or the tangent of the row that answers. Parameters and
-        errors are those of `batch`.
+        That of the method's interpolant, or the tangent of the row that answers. With
+        `without_rows` the method's also where a row answers. Other parameters and errors are those
+        of `batch`.
         """
         queries = self._many(wrenches)
         found = np.empty((len(queries), self.outputs, self.inputs))
         work = self._work()
         wrong = kernel().without_gil.wb_derivative_many(
-            *(self._handle, work.options(tolerance, method or self.method), len(queries)),
-            *(queries.ctypes.data, found.ctypes.data, threads),
+            *(self._handle, work.options(tolerance, method or self.method, without_rows)),
+            *(len(queries), queries.ctypes.data, found.ctypes.data, threads),
         )
         self._idle.append(work)
         if wrong:
             raise mistake(wrong, method, self._packed)
         return found
+
+    def tangent_at_zero(self) -> tuple[Floats, str]:
+        """Return the compliance at zero load, and where it comes from.
+
+        It is the tangent of the row at zero load, else du/dw of the method there. The fitted
+        compliance (`g0/fit/matrix`) is another one: the mean over the load range.
+
+        Returns
+        -------
+        matrix : ndarray, shape (m, n), m/N, m/(N·m), rad/N, rad/(N·m)
+            NaN where unknown: for a load that no row shows, and an output that no row holds.
+        origin : str
+            ``row``, a method, or ``none``.
+        """
+        arrays, locked = self.arrays, self.arrays["space/locked"] != 0
+        found = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
+        row = np.full_like(found, np.nan)
+        for group in range(len(self.words["groups"])):
+            own, name = arrays[f"g{group}/outputs"] != 0, f"g{group}/row/"
+            unknown = (arrays[f"g{group}/fit/known"] == 0) & ~locked
+            found[np.ix_(own, unknown)] = np.nan
+            apart = np.abs(arrays[f"{name}wrench"] / arrays["space/scale"]).max(axis=1)
+            if len(apart) and apart.min() <= SAME:
+                nearest = np.flatnonzero(apart == apart.min())
+                place = nearest[arrays[f"{name}number"][nearest].argmin()]
+                tangent = arrays[f"{name}tangent_of"][place]
+                if tangent >= 0:
+                    row[own] = arrays[f"{name}tangent"][tangent][own]
+        row[:, locked] = np.where(np.isnan(row[:, locked]), np.nan, 0.0)
+        known = np.isfinite(row)
+        if known.any():
+            return np.where(known, row, found), "row"
+        return found, self.answers_by() if np.isfinite(found).any() else "none"
 
     def inverse(
         self,

@@ -53,7 +53,11 @@ def kernel() -> Kernel:
 
 
 class _Options(ctypes.Structure):
-    _fields_ = (("method", ctypes.c_int), ("tolerance", ctypes.c_void_p))
+    _fields_ = (
+        ("method", ctypes.c_int),
+        ("tolerance", ctypes.c_void_p),
+        ("without_rows", ctypes.c_int),
+    )
 
 
 class Work:
@@ -70,7 +74,7 @@ class Work:
         self.tolerance = (ctypes.c_double * outputs)()
         self.reply = ctypes.create_string_buffer(REPLY_SIZE)
         self.scratch = (ctypes.c_double * (scratch // 8 + 1))()
-        self._options = _Options(-1, None)
+        self._options = _Options(-1, None, 0)
         self._pack = struct.Struct(f"={inputs}d").pack_into
         self.at = tuple(map(ctypes.addressof, (self.inputs, self.reply, self.scratch)))
 
@@ -87,10 +91,15 @@ class Work:
         except struct.error as error:
             raise ValueError(f"a wrench of {len(self.inputs)} numbers: {error}") from error
 
-    def options(self, tolerance: Sequence[float] | None, method: str | None) -> int | None:
+    def options(
+        self,
+        tolerance: Sequence[float] | None,
+        method: str | None,
+        without_rows: bool = False,
+    ) -> int | None:
         """Take the options of a request and return their address, None for the component's own.
 
-        The tolerance has m numbers, m and rad.
+        The tolerance has m numbers, m and rad; with `without_rows` the method alone answers.
 
         Raises
         ------
@@ -99,9 +108,10 @@ class Work:
         ValueError
             If the tolerance has not m numbers.
         """
-        if tolerance is None and method is None:
+        if tolerance is None and method is None and not without_rows:
             return None
         self._options.method, self._options.tolerance = method_code(method), None
+        self._options.without_rows = without_rows
         if tolerance is not None:
             self.tolerance[:] = tuple(map(float, tolerance))
             self._options.tolerance = ctypes.addressof(self.tolerance)

@@ -8,8 +8,6 @@
  * takes 11 to 13 % longer. */
 enum { CACHE_LINE = 64 };
 
-static const double ROUNDING = 1e-12; /* of an answer's size */
-
 /* numpy's maximum: what is not a number wins. */
 static double larger(double a, double b) { return isnan(a) || a > b ? a : b; }
 
@@ -125,8 +123,8 @@ static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const
             a->outputs[q] += g->fit.offset[q];
             size += fabs(g->fit.offset[q]);
         }
-        a->error[q] = g->fit.bar[q] + ROUNDING * size;
-        a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= ROUNDING * most) << q;
+        a->error[q] = g->fit.bar[q] + WB_ROUNDING * size;
+        a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= WB_ROUNDING * most) << q;
     }
     if (!g->exact_fit) {
         refer(t, g, work, w, c, best, bars);
@@ -202,7 +200,7 @@ static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb
         judge_error(t, g, o, a);
     }
     if (a->coverage == WB_COVERED) return;
-    if (wb_answer_by_row(t, g, o, w, a)) {
+    if (!o->without_rows && wb_answer_by_row(t, g, o, w, a)) {
         a->coverage = WB_COVERED, a->method = WB_ROW, a->reasons = 0;
     } else if (with_reasons && g->used && !a->reasons) {
         wb_axes_reasons(t, g, w, a);

@@ -4,8 +4,6 @@
 #include <math.h>
 #include <string.h>
 
-static const double CLEAN = 1e-9; /* of the range: below it a load counts as none */
-
 static void inputs_of(int axis, int inputs[3]) {
     inputs[0] = axis, inputs[1] = 3 + (axis + 1) % 3, inputs[2] = 3 + (axis + 2) % 3;
 }
@@ -77,7 +75,7 @@ static void add_off_span(const wb_composition *c, int axis, wb_part *part) {
         for (int j = 0; j < 3; j++) {
             double off = i == j ? 1.0 : 0.0;
             for (int k = 0; k < dimension; k++) off -= f->basis[3 * k + i] * f->basis[3 * k + j];
-            if (!(fabs(off) > CLEAN)) continue;
+            if (!(fabs(off) > WB_CLEAN)) continue;
             for (int q = 0; q < 6; q++) {
                 double slope = f->scale[j] * c->fit->matrix[6 * q + inputs[j]];
                 part->slopes[q][i] += c->fit->known[inputs[j]] ? off * slope : NAN;
@@ -114,9 +112,9 @@ static void step_off_plane(const wb_composition *c, int axis, const double step[
         for (int j = 0; j < dimension; j++) in += along[j] * f->basis[3 * j + i];
         off[i] = step[i] - in;
         most = fmax(most, fabs(off[i]));
-        unknown |= fabs(off[i]) > CLEAN && !c->fit->known[inputs[i]];
+        unknown |= fabs(off[i]) > WB_CLEAN && !c->fit->known[inputs[i]];
     }
-    if (!(most > CLEAN)) return;
+    if (!(most > WB_CLEAN)) return;
     for (int q = 0; q < 6; q++) {
         const double *row = c->fit->matrix + 6 * q;
         double more = 0.0, size = 0.0;
@@ -176,7 +174,7 @@ void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], w
 
 /* Whether several loads act where no rows show what several do at once. */
 static int is_untold_together(const wb_composition *c, int axis, const double x[3]) {
-    int loads = (fabs(x[0]) > CLEAN) + (fabs(x[1]) > CLEAN) + (fabs(x[2]) > CLEAN);
+    int loads = (fabs(x[0]) > WB_CLEAN) + (fabs(x[1]) > WB_CLEAN) + (fabs(x[2]) > WB_CLEAN);
     return loads > 1 && c->together[axis] < c->left_out[3];
 }
 

@@ -9,8 +9,6 @@
 #include <math.h>
 #include <string.h>
 
-static const double ON_HULL = 1e-9; /* of the range: that far beyond the last station is on it */
-
 /* The answer to one moment alone: all six outputs. */
 typedef struct {
     double outputs[6], rest[6], slopes[6];
@@ -30,8 +28,8 @@ static int stretch_of(const wb_cut *cut, double along) {
 }
 
 static int state_at(const wb_cut *cut, double along, int found) {
-    if (along < cut->stations[0] - ON_HULL) return WB_OFF_HULL;
-    if (along > cut->stations[cut->stretches] + ON_HULL) return WB_OFF_HULL;
+    if (along < cut->stations[0] - WB_CLEAN) return WB_OFF_HULL;
+    if (along > cut->stations[cut->stretches] + WB_CLEAN) return WB_OFF_HULL;
     return cut->state[found];
 }
 

@@ -1,6 +1,6 @@
 /* What the files of the kernel share. MIT license, as all of wrenchbook.
  *
- * Arrays point into the mapped file; surrogate/packed/writer.py names their shapes and units. The
+ * Arrays point into the mapped file; surrogate/packed/arrays.py names their shapes and units. The
  * order of all sums is fixed, so that one wrench, a batch and any number of threads give the same
  * bits.
  */
@@ -8,6 +8,14 @@
 #define WB_INTERNAL_H
 
 #include "wrenchbook.h"
+
+/* Of the range, in each load: a smaller load is none, and one so little beyond an end is on it;
+ * wrenches closer than this are one. Of an answer's size: what its computation loses. And how much
+ * more than in proportion a response may move. As in Python (tests/surrogate/kernel). */
+#define WB_CLEAN 1e-9
+#define WB_NEAR 1e-6
+#define WB_ROUNDING 1e-12
+#define WB_STEEPER 2.0
 
 enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
 enum { WB_AXES = 3, WB_AXIS_OUTPUTS = 6, WB_AXIS_INPUTS = 3 };
@@ -79,6 +87,7 @@ typedef struct {
     int bent, readings; /* whether rows bring second derivatives; how many numbers one brings */
     const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
     const double *deviation, *lost, *floor, *tangent, *span;
+    const int32_t *smoothness, *factors; /* NULL without second derivatives; how many shares */
     wb_share *share;
 } wb_kriging;
 
@@ -93,7 +102,7 @@ typedef struct {
 typedef struct {
     int method, reference, knows_interaction, rest_unknown, exact_fit, used;
     int full, needed, has_rows, has_composition, has_kriging, has_missed;
-    const int32_t *outputs;
+    const int32_t *flags, *outputs;
     const double *allowed;
     wb_fit fit;
     wb_rows rows;
@@ -103,6 +112,7 @@ typedef struct {
 
 typedef struct {
     int asks, mesh_known, linear, linearity_known, whole, none;
+    const int32_t *flags;
     const double *mesh, *square, *one_over, *stiffness;
     const double *zero; /* (n) from where inputs count, NULL for none */
 } wb_solver;
@@ -115,7 +125,7 @@ struct wb_table {
     const char *json;
     int inputs, outputs, groups, most_stride, most_flat, most_terms, most_padded;
     int vectors; /* triples of outputs whose length is limited */
-    const int32_t *locked, *vector_first;
+    const int32_t *sizes, *locked, *vector_first;
     const double *ends, *scale, *small, *tolerance, *limit, *vector_limit;
     const double *rig_error; /* (m), NULL for none */
     const double *scene_ends; /* (2, n) of a table cut to a scene, else NULL */
@@ -215,6 +225,8 @@ void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const do
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply);
 void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
                          const wb_reply *reply, double *derivative);
+void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
+                      double *derivative);
 int wb_check(const wb_table *t, const wb_options *o, const double *inputs);
 void wb_unmap(wb_table *t);
 

@@ -11,12 +11,10 @@ static const double SMALL_STEP = 1e-12, ROUNDING_STEP = 1e-9;
 /* How much shorter each step is while the matrix of another place is good enough. */
 static const double GAIN = 0.1;
 
-static const wb_options OWN = {WB_DEFAULT, NULL};
-
 /* What the iteration works with: the free loads and the outputs of the same numbers. */
 typedef struct {
     const wb_table *t;
-    const wb_options *o;
+    wb_options o;
     wb_work work;
     int count, free[WB_MOST];
     double matrix[WB_MOST * WB_MOST], size[WB_MOST];
@@ -29,27 +27,17 @@ static int all_finite(const solver *s, const double *numbers, int stride) {
     return 1;
 }
 
-/* The method's displacement by one group of outputs, without the row that there may be. */
-static void group_outputs(solver *s, const wb_group *g, const double *w, double *own) {
-    wb_group bare = *g;
-    wb_found found;
-    bare.rows.count = 0;
-    if (g->used && wb_method_of(g, s->o) == WB_KRIGING) {
-        wb_kriging_outputs(s->t, &g->kriging, &s->work, w, own);
-        return;
-    }
-    wb_group_answer(s->t, &bare, s->o, &s->work, w, NULL, 0, &found);
-    memcpy(own, found.outputs, (size_t)s->t->outputs * sizeof(double));
-}
-
 /* The method's displacement, with no row and no limit in its place; 0 if it is not known. */
 static int outputs_at(solver *s, const double *w, double *outputs) {
-    double own[WB_MOST];
+    wb_found found;
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
-        group_outputs(s, g, w, own);
+        if (g->used && wb_method_of(g, &s->o) == WB_KRIGING)
+            wb_kriging_outputs(s->t, &g->kriging, &s->work, w, found.outputs);
+        else
+            wb_group_answer(s->t, g, &s->o, &s->work, w, NULL, 0, &found);
         for (int q = 0; q < s->t->outputs; q++)
-            if (g->outputs[q]) outputs[q] = own[q];
+            if (g->outputs[q]) outputs[q] = found.outputs[q];
     }
     return all_finite(s, outputs, 1);
 }
@@ -60,7 +48,7 @@ static int slopes_at(solver *s, const double *w, double *slopes) {
     double own[WB_MOST * WB_MOST];
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
-        wb_group_slopes(s->t, g, &s->work, w, wb_method_of(g, s->o), own);
+        wb_group_slopes(s->t, g, &s->work, w, wb_method_of(g, &s->o), own);
         for (int q = 0; q < s->t->outputs; q++)
             if (g->outputs[q]) memcpy(slopes + n * q, own + n * q, (size_t)n * sizeof(double));
     }
@@ -171,7 +159,7 @@ static double step_of_rounding(const solver *s, const double *stiffness) {
     double most = ROUNDING_STEP, lost[WB_MOST] = {0};
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
-        if (!g->used || wb_method_of(g, s->o) != WB_KRIGING) continue;
+        if (!g->used || wb_method_of(g, &s->o) != WB_KRIGING) continue;
         for (int q = 0; q < s->t->outputs; q++)
             if (g->outputs[q]) lost[q] = g->kriging.lost[q];
     }
@@ -219,8 +207,9 @@ int wb_inverse(const wb_table *t, const wb_options *options, const double *outpu
                double *stiffness, void *scratch) {
     solver s;
     if (t->inputs < t->outputs) return WB_NOT_SQUARE; /* loads come first, in the outputs' order */
-    s.t = t, s.o = options ? options : &OWN, s.work = wb_work_of(t, scratch), s.count = 0;
-    int wrong = wb_check(t, s.o, inputs);
+    s.t = t, s.o = options ? *options : (wb_options){WB_DEFAULT, NULL, 1};
+    s.o.without_rows = 1, s.work = wb_work_of(t, scratch), s.count = 0;
+    int wrong = wb_check(t, &s.o, inputs);
     if (wrong) return wrong;
     for (int k = 0; k < t->outputs; k++) {
         if (t->locked[k]) inputs[k] = 0.0;

@@ -18,7 +18,7 @@
 #endif
 
 /* Of squared scaled distances: rows as near as this are equally near, and the first is taken, so
- * that rounding does not choose. surrogate/kriging/neighbourhood.py */
+ * that rounding does not choose. surrogate/kriging/factor.py */
 static const double TIE = 1e-10;
 
 /* exp(-a) for a >= 0, without branches so that loops become vectors; below 1.2 units in the last

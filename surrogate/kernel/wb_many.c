@@ -31,7 +31,7 @@ static inline void wb_fetch(const void *at, size_t bytes) {
 #endif
 }
 
-static const wb_options OWN = {WB_DEFAULT, NULL};
+static const wb_options OWN = {WB_DEFAULT, NULL, 0};
 
 typedef struct {
     uint32_t key, place;
@@ -158,10 +158,6 @@ static void answer_block(const task *own, size_t start, size_t count, bench *b) 
         wb_reply reply;
         wb_reply_of(t, own->o, &b->work, own->inputs + place * n,
                     axes ? &b->composed[within] : NULL, 0, &reply);
-        if (own->derivatives) {
-            wb_reply_derivative(t, own->o, &b->work, &reply, own->derivatives + place * m * n);
-            continue;
-        }
         wb_conclude(t, own->o, &b->work, &reply);
         memcpy(own->outputs + m * place, reply.outputs, m * sizeof(double));
         memcpy(own->errors + m * place, reply.error, m * sizeof(double));
@@ -176,6 +172,10 @@ static void run(task *own) {
     if ((own->wrong = open_bench(t, own->n, &b))) return;
     for (size_t start = BLOCK * own->first; start < own->n; start += BLOCK * own->step) {
         size_t count = own->n - start < BLOCK ? own->n - start : BLOCK;
+        for (size_t i = start; own->derivatives && i < start + count; i++)
+            wb_answer_slopes(t, own->o, &b.work, own->inputs + i * n,
+                             own->derivatives + i * n * (size_t)t->outputs);
+        if (own->derivatives) continue;
         for (size_t i = 0; i < count; i++)
             for (size_t k = 0; k < n; k++) {
                 double load = own->inputs[(start + i) * n + k];

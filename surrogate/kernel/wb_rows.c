@@ -1,11 +1,8 @@
-/* The row at or near a wrench: surrogate/exact_rows.py and surrogate/table/row_index.py. MIT. */
+/* The row at or near a wrench. MIT license. */
 #include "wb_internal.h"
 
 #include <math.h>
 #include <string.h>
-
-static const double NEAR = 1e-6; /* of the range: rows closer than this in each load are one */
-static const double STEEPER = 2.0; /* than in proportion: of a response that bends */
 
 /* numpy's maximum: what is not a number wins. */
 static double larger(double a, double b) { return isnan(a) || a > b ? a : b; }
@@ -27,10 +24,10 @@ int wb_leaves_scene(const wb_table *t, const double *w) {
     return found;
 }
 
-/* The nearest row within NEAR in each load, of equally near ones the first, or -1. */
+/* The nearest row within WB_NEAR in each load, of equally near ones the first, or -1. */
 int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w) {
     const wb_rows *r = &g->rows;
-    double key = 0, closest = NEAR, window = NEAR * (1 + 1e-6);
+    double key = 0, closest = WB_NEAR, window = WB_NEAR * (1 + 1e-6);
     int n = t->inputs;
     if (!r->count || wb_leaves_scene(t, w)) return -1;
     for (int k = 0; k < n; k++) key += w[k] * r->rates[k];
@@ -69,7 +66,7 @@ static double slopes_without_tangent(const wb_table *t, const wb_group *g, int64
         far = larger(fabs(g->rows.wrench[t->inputs * row + k] / t->scale[k]), far);
     for (int q = 0; q < t->outputs; q++) {
         slope[q] = g->rows.steepest[q];
-        if (far > 0) slope[q] = fmax(STEEPER / far * most_of_kind(t, moved, q), slope[q]);
+        if (far > 0) slope[q] = fmax(WB_STEEPER / far * most_of_kind(t, moved, q), slope[q]);
         steep = larger(slope[q], steep);
     }
     return steep;

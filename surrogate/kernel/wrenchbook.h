@@ -85,6 +85,7 @@ typedef struct wb_table wb_table;
 typedef struct {
     int method;              /* WB_DEFAULT, or the method to answer by */
     const double *tolerance; /* of each output, NaN for the component's own; NULL: all its own */
+    int without_rows; /* not 0: the method alone answers, no row of the table at its own wrench */
 } wb_options;
 
 typedef struct {

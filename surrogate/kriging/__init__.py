@@ -1,7 +1,7 @@
 """The Gaussian process over all rows of a table and the tangents that solved rows bring."""
 
 from .correlation import Hyperparameters
-from .equations import Readings, TooFewRowsError, TooManyRowsError, readings_of
+from .equations import TooFewRowsError, TooManyRowsError
 from .factor import SingularCovarianceError
 from .kriging import Kriging, equation_count, fits_one_factor, too_large_in_words
 from .settings import KrigingSettings
@@ -10,12 +10,10 @@ __all__ = [
     "Hyperparameters",
     "Kriging",
     "KrigingSettings",
-    "Readings",
     "SingularCovarianceError",
     "TooFewRowsError",
     "TooManyRowsError",
     "equation_count",
     "fits_one_factor",
-    "readings_of",
     "too_large_in_words",
 ]

@@ -19,21 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
-from scipy.special import gammaincinv
 
+from ..calibration import common_quantile, widening
 from ..table.axes import CLEAN, has_levels
 from ..table.rows import Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
 from .equations import Equations, Scaling
-from .left_out import left_out
-from .neighbourhood import (
-    Neighbourhoods,
-    deviations,
-    local_factor,
-    neighbours_known,
-    noise_of,
-)
+from .factor import Neighbourhoods, left_out
 from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
@@ -91,7 +84,7 @@ class Level(NamedTuple):
         Group of each row left out.
     errors : ndarray, shape (k, q), process deviations
     sizes : ndarray, shape (k, q)
-        See `left_out.LeftOutRows`.
+        See `LeftOutRows`.
     sigma : ndarray, shape (k,), process deviations
         As an answer at the row would have it.
     places : int
@@ -172,9 +165,8 @@ def _factors(
     """Return the factors (q,) that hold 95 % of one level's errors; None if it shows no size.
 
     The ratios |error| / sigma have a size, one an output, and a tail, whose shape the outputs
-    share. The size comes from slopes as well as from values: seven numbers a row. The tail's
-    quantile is that of all ratios over their output's size, at the rank that holds for one more
-    (split conformal prediction: Lei et al. 2018). Groups count alike, however many rows they have.
+    share. The size comes from slopes as well as from values: seven numbers a row. Groups count
+    alike, however many rows they have.
 
     Parameters
     ----------
@@ -189,41 +181,24 @@ def _factors(
         [np.bincount(group, weights * column**2, count) for column in level.sizes.T], axis=1
     )
     square = squares.mean(axis=0)
+    tail = common_quantile(ratios, np.sqrt(square), weights)
     size = np.sqrt(np.where(square > 0, square, 1.0))
     scatter = (squares**2).mean(axis=0) / size**4 - 1
     # Values and slopes of a row are up to seven independent numbers; rows of one group are alike.
     scatter = np.maximum(scatter, 2 / level.places if count == len(group) else 2.0)
     least = np.maximum(count - coefficients, 1.0)
-    # By how much sizes may be larger than groups show, (q,), at a confidence in all. The factor
-    # of normal tolerance intervals, sqrt(f / chi2_a(f)): with it an interval holds its content at
-    # confidence 1 - a, the centre being known (Krishnamoorthy and Mathew 2009, "Statistical
-    # Tolerance Regions"). a is 1 - confidence over the number of outputs (Bonferroni). f is the
-    # degrees of freedom of a chi square whose variance is that of the mean square (Satterthwaite
-    # 1946): as many as groups where each brings one normal number, up to seven times that where
-    # values and slopes of single rows are alike, and few where a few groups make most of the
-    # size.
-    freedom = 2 * least / scatter
-    widened = np.sqrt(
-        freedom / (2 * gammaincinv(freedom / 2, (1 - settings.confidence) / level.outputs))
-    )
-    missed = square > 0  # an output of which nothing is missed says nothing of the tail
-    columns = missed if missed.any() else np.ones_like(missed)
-    tail = _quantile((ratios / size)[:, columns], weights, settings.level)
+    # By how much sizes may be larger than groups show, (q,), in any output of the table. The
+    # degrees of freedom are those of a chi square whose variance is that of the mean square
+    # (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven
+    # times that where values and slopes of single rows are alike, and few where a few groups make
+    # most of the size.
+    widened = widening(2 * least / scatter, level.outputs)
     factors = tail * size * (widened if sure else 1.0)
     inside = (weights[:, None] * (ratios <= factors)).sum(axis=0) / count
     # Below the deviation that the nugget allows errors are rounding, whose size means nothing.
     matter = (np.abs(level.errors) > np.sqrt(settings.nugget)).any(axis=0)
     bad = (widened > settings.most_widened) | (inside < settings.least_inside)
     return None if (matter & bad).any() else factors
-
-
-def _quantile(ratios: Floats, weights: Floats, level: float) -> float:
-    """Return the smallest of ratios (k, q), weighed (k,), that so many of one more are below."""
-    flat, weight = ratios.ravel(), np.repeat(weights, ratios.shape[1])
-    order, total = np.argsort(flat), weight.sum()
-    below = np.cumsum(weight[order]) / total
-    place = int(np.searchsorted(below, level * (total + 1) / total))
-    return float(flat[order][min(place, len(flat) - 1)])
 
 
 def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
@@ -243,7 +218,7 @@ def calibrated(
     settings: KrigingSettings,
 ) -> Calibration:
     """Return by how much a share's deviations are multiplied for its error bars."""
-    own, outputs = equations.take(spread.factor.rows), len(spread.factor.outputs)
+    own, outputs = spread.factor.equations, len(spread.factor.outputs)
     if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
     full = full_rows(own, scaling)
@@ -255,7 +230,7 @@ def calibrated(
     levels = (
         level
         for labels in groupings(own.x * np.sqrt(hyperparameters.inverse_squares), settings)
-        if (level := _level(equations, spread, table, labels, rows, settings)) is not None
+        if (level := _level(equations, spread, table, labels, rows)) is not None
     )
     # Places like those of queries: spread over the span of rows, (m, 6), half ranges. Where
     # nearly all rows load one axis each, so do these.
@@ -269,7 +244,7 @@ def calibrated(
         groups = scaling.space.kriging_groups[:-1]
         queries = queries * groups[np.arange(QUERIES) % len(groups)]
     across = block(queries, equations.x, hyperparameters, 1, equations.places)
-    sigma = deviations(queries, across.reshape(len(queries), -1), spread)
+    sigma = spread.deviations(queries, across.reshape(len(queries), -1))
     # The mean's coefficients, which all rows settle: these in proportion.
     coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
     return calibrate(levels, outputs, sigma, coefficients, settings)
@@ -281,37 +256,30 @@ def _level(
     table: Floats,
     labels: NDArray[np.intp],
     rows: NDArray[np.intp],
-    settings: KrigingSettings,
 ) -> Level | None:
     """Return what some of a factor's rows show, left out in groups; None if they show nothing.
 
     Errors are of the whole factor; sigma, as in answers, of the nearest row's neighbourhood.
     """
-    factor, prior = spread.factor, float(spread.factor.hyperparameters.prior(1)[0])
+    factor, own = spread.factor, spread.factor.equations
     if len(np.unique(labels)) < 2:
         return None
-    out = left_out(equations, factor, labels)
-    anchors = spread.finder.nearest_others(rows, equations.x, labels)
-    noise, number = noise_of(equations, factor), numbers(equations.known)
-    squared = np.full(len(rows), np.nan)
-    lists = spread.finder.members(equations.x[anchors], labels, labels[rows])
-    for place, (row, members) in enumerate(zip(factor.rows[rows], lists, strict=True)):
-        local = local_factor(equations, factor, members, table, settings)
-        columns = number[members][neighbours_known(equations, members, settings.deviation_bent)]
-        found = local.squared_deviation(
-            table[np.ix_(number[row, :1], columns)],
-            np.append(1.0, equations.x[row])[None],
-            prior,
-            out.mean_covariances[rows[place]],
-        )
-        squared[place] = found[0] + factor.nugget * prior
+    out = left_out(factor, labels)
+    anchors = spread.nearest_others(rows, labels)
+    squared, number = np.full(len(rows), np.nan), numbers(equations.known)[factor.rows, 0]
+    lists = spread.members(own.x[anchors], labels, labels[rows])
+    for place, (row, near) in enumerate(zip(rows, lists, strict=True)):
+        local = spread.local_factor(near, table)
+        across, terms = table[number[row], local.numbers], np.append(1.0, own.x[row])
+        found = local.squared_deviation(across[None], terms[None], out.mean_covariances[row])
+        squared[place] = found[0] + factor.least
     # With hardly more rows than the mean has terms, rounding leaves no variance to speak of.
     finite = np.isfinite(out.errors[rows]).all(axis=1)
     known = np.flatnonzero((squared > 0) & finite)
     if not len(known):
         return None
     sigma, known_rows = np.sqrt(squared[known]), rows[known]
-    own_noise = noise[factor.rows[known_rows]]
+    own_noise = factor.noise[known_rows]
     errors = out.errors[known_rows] / np.sqrt(factor.variance)
     # A reading misses its answer by its own noise besides the error of the mean, and both
     # variances add up to that of its error: variances and noise have shape (k,), process

@@ -1,74 +1,18 @@
-"""From rows to equations: scaled, merged, in an order of their own."""
+"""From rows to equations: scaled, in an order of their own."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
-from ..table.rows import Floats, LoadRange, RowError, Rows
+from ..table.merging import Readings, close_groups
+from ..table.rows import CLEAN, Floats, LoadRange, RowError, Rows
 from ..table.second_derivatives import second_derivatives
 from ..table.space import Space
 from .correlation import SECOND_SMOOTHNESS, SLOPES_SMOOTHNESS, Mask, indices, places_of
 from .settings import DEFAULTS, KrigingSettings
-
-SOLVED = "fea"  # the source of a row that repeats exactly
-
-
-class Readings(NamedTuple):
-    """Readings behind each row and output whose uncertainty is not stated, shape (n, 6).
-
-    The likelihood and their scatter show their noise.
-
-    Attributes
-    ----------
-    number : ndarray, dimensionless
-        Readings of unstated uncertainty whose mean the value is; 0 where it is stated, or a solve.
-    scatter : ndarray, squares of m and rad
-        Sum of their squared differences from the mean.
-    """
-
-    number: Floats
-    scatter: Floats
-
-    def take(self, which: NDArray[np.intp]) -> Readings:
-        """Return those of some rows, whose indices have shape (k,)."""
-        return Readings(self.number[which], self.scatter[which])
-
-
-def readings_of(rows: Rows, owner: NDArray[np.intp] | None = None) -> Readings:
-    """Return the readings behind each row, or behind each of those that several are merged to.
-
-    Shape (n, 6) each, in squares of m and rad or dimensionless.
-
-    Parameters
-    ----------
-    owner : ndarray of int, shape (n,), optional
-        Index of the merged row that each row went to.
-    """
-    present = np.isfinite(rows.displacement)
-    solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
-    stated = present & ((rows.uncertainty > 0) | solved[:, None])
-    if owner is None:
-        return Readings(np.where(present & ~stated, 1.0, 0.0), np.zeros_like(rows.displacement))
-    size, outputs = int(owner.max(initial=-1)) + 1, rows.displacement.shape[1]
-    count, stated_count, total, scatter = (np.zeros((size, outputs)) for _ in range(4))
-    value = np.where(present, rows.displacement, 0.0)
-    for output in range(outputs):
-        count[:, output] = np.bincount(owner, present[:, output], size)
-        stated_count[:, output] = np.bincount(owner, stated[:, output], size)
-        total[:, output] = np.bincount(owner, value[:, output], size)
-    mean = (total / np.maximum(count, 1))[owner]
-    apart = np.where(present, rows.displacement - mean, 0.0) ** 2
-    for output in range(outputs):
-        scatter[:, output] = np.bincount(owner, apart[:, output], size)
-    unstated = stated_count == 0
-    return Readings(np.where(unstated, count, 0.0), np.where(unstated, scatter, 0.0))
 
 
 class TooFewRowsError(RowError):
@@ -178,7 +122,8 @@ class Equations:
 
     def take(self, which: NDArray[np.intp]) -> Equations:
         """Return the equations of some rows, whose indices have shape (k,)."""
-        return Equations(*(column[which] for column in self._columns), groups=self.groups)
+        names = (field.name for field in fields(self) if field.name != "groups")
+        return replace(self, **{name: getattr(self, name)[which] for name in names})
 
     def with_reading_noise(self, variance: Floats) -> Equations:
         """Return the equations with the noise of readings, whose variance is (6,), dimensionless.
@@ -188,18 +133,6 @@ class Equations:
         unstated = self.readings > 0
         added = np.where(unstated, variance / np.where(unstated, self.readings, 1.0), 0.0)
         return replace(self, noise=self.noise + added)
-
-    @property
-    def _columns(self) -> tuple[NDArray[Any], ...]:
-        return (
-            self.x,
-            self.known,
-            self.data,
-            self.measured,
-            self.noise,
-            self.readings,
-            self.scatter,
-        )
 
 
 def within(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Rows:
@@ -211,7 +144,7 @@ def places_within(
     rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS
 ) -> NDArray[np.intp]:
     """Return the indices of the rows inside the load range, shape (k,), sorted by wrench."""
-    room = settings.edge * load_range.scale
+    room = CLEAN * load_range.scale
     inside = (rows.wrench >= load_range.low - room) & (rows.wrench <= load_range.high + room)
     kept = np.flatnonzero(inside.all(axis=1))
     columns = np.concatenate((rows.wrench[kept], rows.displacement[kept]), axis=1)
@@ -240,25 +173,22 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     # An output that nothing moves is judged by its own size, where no other of its kind moves.
     size = np.maximum(largest, np.abs(offset) * settings.rounding)
     silent = spread <= settings.rounding * size
+    # Loads that have a range and, where slopes tell, move some output.
+    active = load_range.high > load_range.low
+    tangents = rows.compliance[_with_slopes(rows)]
+    if len(tangents) == len(rows):
+        moved = np.abs(tangents).max(axis=0) * load_range.scale
+        moved = moved / np.where(silent, np.inf, spread)[:, None]
+        active = active & (moved > settings.rounding).any(axis=0)
     return Scaling(
         centre=centre,
         half=load_range.scale,
-        active=_active(rows, load_range, np.where(silent, np.inf, spread), settings),
+        active=active,
         offset=offset,
         spread=np.where(spread > 0, spread, 1.0),
         silent=silent,
         space=load_range.space,
     )
-
-
-def _active(rows: Rows, load_range: LoadRange, spread: Floats, settings: KrigingSettings) -> Mask:
-    """Return which loads have a range and, where slopes tell, move some output."""
-    ranged = load_range.high > load_range.low
-    tangents = rows.compliance[_with_slopes(rows)]
-    if len(tangents) < len(rows):
-        return ranged
-    moved = np.abs(tangents).max(axis=0) * load_range.scale / spread[:, None]
-    return ranged & (moved > settings.rounding).any(axis=0)
 
 
 def _with_slopes(rows: Rows) -> Mask:
@@ -267,35 +197,12 @@ def _with_slopes(rows: Rows) -> Mask:
     return np.logical_and(finite, np.isfinite(rows.displacement).all(axis=1))
 
 
-def _with_second_derivatives(rows: Rows) -> Mask:
-    """Return which rows bring the second derivatives too, shape (n,)."""
-    if not rows.curvature.shape[1]:
-        return np.zeros(len(rows), dtype=bool)
-    return _with_slopes(rows) & np.isfinite(rows.curvature).all(axis=1)
-
-
-def _scaled_second(rows: Rows, scaling: Scaling) -> Floats:
-    """Return the second derivatives of rows, (n, pairs of loads, 6), in spreads."""
-    found = second_derivatives(
-        rows.wrench, rows.displacement, rows.compliance, rows.curvature, scaling.space
-    )
-    one, other = np.array(indices(len(scaling.half), 2)[1 + len(scaling.half) :]).T
-    scaled = found[:, :, one, other] * (scaling.half[one] * scaling.half[other])
-    return (scaled / scaling.spread[:, None]).transpose(0, 2, 1)
-
-
 def equations_of(
-    rows: Rows,
-    scaling: Scaling,
-    settings: KrigingSettings = DEFAULTS,
-    readings: Readings | None = None,
+    rows: Rows, scaling: Scaling, readings: Readings, settings: KrigingSettings = DEFAULTS
 ) -> Equations:
-    """Return the equations of rows, those at one wrench merged.
-
-    `readings` are those behind the rows, where these are merged already.
-    """
-    behind = readings_of(rows) if readings is None else readings
-    sloped, bent = _with_slopes(rows), _with_second_derivatives(rows)
+    """Return the equations of rows of distinct wrenches, and of the readings behind each."""
+    sloped = _with_slopes(rows)
+    bent = np.isfinite(rows.curvature).all(axis=1) & sloped & (rows.curvature.shape[1] > 0)
     measured = np.isfinite(rows.displacement)
     loads, outputs = rows.wrench.shape[1], rows.displacement.shape[1]
     places = places_of(loads, 2 if bent.any() else 1)
@@ -309,7 +216,12 @@ def equations_of(
     if bent.any():
         one, other = np.array(indices(loads, 2)[1 + loads :]).T
         known[:, 1 + loads :] = bent[:, None] & scaling.active[one] & scaling.active[other]
-        data[bent, 1 + loads :] = _scaled_second(rows.take(np.flatnonzero(bent)), scaling)
+        some = rows.take(np.flatnonzero(bent))
+        second = second_derivatives(
+            some.wrench, some.displacement, some.compliance, some.curvature, scaling.space
+        )
+        scaled = second[:, :, one, other] * (scaling.half[one] * scaling.half[other])
+        data[bent, 1 + loads :] = (scaled / scaling.spread[:, None]).transpose(0, 2, 1)
     data[~known] = 0.0
     half_widths = np.nan_to_num(rows.uncertainty) / scaling.spread
     whole = Equations(
@@ -318,51 +230,12 @@ def equations_of(
         known=known,
         data=data,
         measured=measured,
-        noise=np.where(behind.number > 0, 0.0, (half_widths / settings.half_width) ** 2),
-        readings=behind.number,
-        scatter=behind.scatter / scaling.spread**2,
+        noise=np.where(readings.number > 0, 0.0, (half_widths / settings.half_width) ** 2),
+        readings=readings.number,
+        scatter=readings.scatter / scaling.spread**2,
         groups=scaling.space.kriging_groups,
     )
-    # The equations with rows at one wrench merged: means, and their spread as noise.
-    n = len(whole)
-    pairs = KDTree(whole.x).query_pairs(2 * settings.same, p=np.inf, output_type="ndarray")
-    if not len(pairs):
+    if scaling.active.all():
         return whole
-    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    group = connected_components(joined, directed=False)[1]
-    _, first = np.unique(group, return_index=True)
-    kept = np.sort(first)
-    out = whole.take(kept)
-    # rows by group, in their own order within each
-    by_group, sizes = np.argsort(group, kind="stable"), np.bincount(group)
-    ends = np.cumsum(sizes)
-    for place in np.flatnonzero(sizes[group[kept]] > 1):
-        own = group[kept[place]]
-        merged = whole.take(by_group[ends[own] - sizes[own] : ends[own]])
-        _merge(out, int(place), merged, settings)
-    return out
-
-
-def _merge(out: Equations, place: int, members: Equations, settings: KrigingSettings) -> None:
-    """Write one row for several at one wrench into a copy's place."""
-    values = np.where(members.measured, members.data[:, 0], np.nan)
-    for output in np.flatnonzero(members.measured.any(axis=0)):
-        measured = members.measured[:, output]
-        known, readings = values[measured, output], members.readings[measured, output]
-        if (readings > 0).all():
-            mean = np.average(known, weights=readings)
-            within_each = members.scatter[measured, output].sum()
-            out.scatter[place, output] = within_each + readings @ (known - mean) ** 2
-            out.readings[place, output] = readings.sum()
-        else:
-            mean, spread = known.mean(), np.ptp(known) / 2 / settings.half_width
-            out.noise[place, output] = max(spread**2, members.noise[:, output].max())
-            out.scatter[place, output] = out.readings[place, output] = 0.0
-        out.data[place, 0, output] = mean
-    out.measured[place] = members.measured.any(axis=0)
-    sloped = members.known[:, 1:].any(axis=1)
-    whole = sloped.any() and out.measured[place].all()
-    bring = members.known[:, 1:] & whole
-    out.known[place, 1:] = bring.any(axis=0)
-    total = (members.data[:, 1:] * bring[..., None]).sum(axis=0)
-    out.data[place, 1:] = total / np.maximum(bring.sum(axis=0), 1)[:, None]
+    # Rows that differ in nothing but loads without effect say the same.
+    return whole.take(np.unique(close_groups(whole.x), return_index=True)[1])

@@ -1,24 +1,38 @@
-"""The dense factor of the covariance, by which every answer and every left-out row is had.
+"""The factors of the covariance, by which every answer, deviation and left-out row is had.
 
 Kept is T, the inverse of the lower Cholesky factor: the inverse of the covariance is T'T, a new row
 borders it, and answers are products. The mean's coefficients have a wide normal prior, of variance
 P; with A = F' T'T F + 1/P this is the usual universal kriging where rows settle the mean, and still
 defined where they do not.
+
+Rows are left out in groups without factorising anew. With Q = inv(K) - inv(K) F inv(A) F' inv(K)
+and b the equations of a group of rows (their values and slopes), the error of an answer that has
+not seen them, mean refitted and hyperparameters kept, is inv(Q_bb) (Q y)_b (Dubrule 1983); its
+posterior covariance is inv(Q_bb).
+
+Deviations are those of small factors over the nearest rows. A place's neighbours are taken in turn
+by each of the four terms of the covariance: nearest over all loads, then over those of axis x, y
+and z. By all loads alone a table of clean rows would tell a wrench of six loads by one axis.
+Neighbourhoods belong to rows, their anchors, so that the factors are made before any query; a
+wrench takes that of its nearest row.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import get_lapack_funcs
+from scipy.spatial import KDTree
 
 from ..table.rows import Floats
-from .correlation import Hyperparameters, covariance, mean_terms, numbers
+from .correlation import Hyperparameters, Mask, covariance, mean_terms, numbers
 from .equations import Equations
 from .settings import DEFAULTS, KrigingSettings
+
+Places = NDArray[np.intp]
 
 ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
 
@@ -33,8 +47,8 @@ class Share(NamedTuple):
         Variance of the rows' values over the process variance.
     """
 
-    outputs: NDArray[np.intp]
-    rows: NDArray[np.intp]
+    outputs: Places
+    rows: Places
     noise: Floats
 
 
@@ -76,26 +90,61 @@ class SingularCovarianceError(ArithmeticError):
 
 
 @dataclass(frozen=True)
-class KrigingFactor:
-    """The factor of some rows' equations, for the outputs that these rows tell alike.
-
-    All numbers are dimensionless: loads are in half ranges, outputs in spreads.
+class Factor:
+    """The inverse factor of some equations' covariance, in dimensionless numbers.
 
     Attributes
     ----------
     hyperparameters : Hyperparameters
-    outputs : ndarray of int, shape (k,)
-        The outputs it answers.
-    rows : ndarray of int, shape (r,)
-        Which rows of the table take part.
-    noise : ndarray, shape (r,)
-        Variance of their values over the process variance.
     nugget : float
         What the diagonal was raised by, relative.
     T : ndarray, shape (e, e)
         Inverse of the lower Cholesky factor of the e equations' covariance.
     TF : ndarray, shape (e, 7)
         T times the mean's terms.
+    """
+
+    hyperparameters: Hyperparameters
+    nugget: float
+    T: Floats
+    TF: Floats
+
+    @property
+    def least(self) -> float:
+        """The nugget's part of a value's prior variance: below it sigma squared is rounding."""
+        return self.nugget * float(self.hyperparameters.prior(1)[0])
+
+    def explained(self, across: Floats, terms: Floats) -> tuple[Floats, Floats]:
+        """Return T times the covariance with places, and of the mean's terms what rows leave.
+
+        Shapes (m, e) and (m, 7), of `across` (m, e) and `terms` (m, 7) at the places.
+        """
+        reduced = across @ self.T.T
+        return reduced, terms - reduced @ self.TF
+
+    def variance_of(self, reduced: Floats, left: Floats, mean_covariance: Floats) -> Floats:
+        """Return sigma squared (m,), over the process variance, of what `explained` returns."""
+        spent = np.einsum("me,me->m", reduced, reduced)
+        loose = np.einsum("ma,ab,mb->m", left, mean_covariance, left)
+        return np.maximum(float(self.hyperparameters.prior(1)[0]) - spent, self.least) + loose
+
+
+@dataclass(frozen=True)
+class KrigingFactor(Factor):
+    """The factor of some rows' equations, for the outputs that these rows tell alike.
+
+    All numbers are dimensionless: loads are in half ranges, outputs in spreads.
+
+    Attributes
+    ----------
+    equations : Equations
+        Of the rows that take part.
+    outputs : ndarray of int, shape (k,)
+        The outputs it answers.
+    rows : ndarray of int, shape (r,)
+        Which rows of the table take part.
+    noise : ndarray, shape (r,)
+        Variance of their values over the process variance.
     mean_covariance : ndarray, shape (7, 7)
         Posterior covariance of the mean's coefficients, over the process variance.
     coefficients : ndarray, shape (7, k)
@@ -106,29 +155,30 @@ class KrigingFactor:
         Process variance of each output, spreads squared.
     """
 
-    hyperparameters: Hyperparameters
-    outputs: NDArray[np.intp]
-    rows: NDArray[np.intp]
+    equations: Equations
+    outputs: Places
+    rows: Places
     noise: Floats
-    nugget: float
-    T: Floats
-    TF: Floats
     mean_covariance: Floats
     coefficients: Floats
     weights: Floats
     variance: Floats
 
+    def explained_at(self, x: Floats, known: Mask) -> tuple[Floats, Floats]:
+        """Return what `explained` does, of the readings `known` (m, p) at places (m, 6)."""
+        own = self.equations
+        across = covariance(x, known, own.x, own.known, self.hyperparameters)
+        return self.explained(across, mean_terms(x, known))
 
-def diagonal_added(
-    equations: Equations, noise: Floats, nugget: float, hyperparameters: Hyperparameters
-) -> Floats:
-    """Return what is added to the covariance's diagonal: nugget and noise.
-
-    Shape (equations,), dimensionless, of noise, shape (rows,), over the process variance.
-    """
-    added = np.tile(nugget * hyperparameters.prior(equations.places), (len(equations), 1))
-    added[:, 0] += noise
-    return added[equations.known]
+    def of_data(self, data: Floats) -> KrigingFactor:
+        """Return the factor with as many outputs as the data (e, q) of its equations have."""
+        Ty = self.T @ data
+        coefficients = self.mean_covariance @ (self.TF.T @ Ty)
+        remainder = Ty - self.TF @ coefficients
+        # Of a response that is linear nothing remains, and rounding may make that negative.
+        variance = np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(self.T), ROUNDING)
+        weights = self.T.T @ remainder
+        return replace(self, coefficients=coefficients, weights=weights, variance=variance)
 
 
 def inverse_factor(
@@ -167,11 +217,31 @@ def inverse_factor(
         return np.tril(inverse) / size, nugget
 
 
+def _factored(
+    equations: Equations,
+    noise: Floats,
+    matrix: Floats,
+    hyperparameters: Hyperparameters,
+    nugget: float,
+    settings: KrigingSettings,
+) -> Factor:
+    """Return the factor of equations whose covariance is a matrix (e, e), which is overwritten.
+
+    `noise`, shape (rows,), is over the process variance; it and the nugget are added.
+    """
+    prior = np.tile(hyperparameters.prior(equations.places), (len(equations), 1))
+    added = nugget * prior
+    added[:, 0] += noise
+    matrix[np.diag_indices_from(matrix)] += added[equations.known]
+    T, nugget = inverse_factor(matrix, nugget, settings.nugget_limit, prior[equations.known])
+    return Factor(hyperparameters, nugget, T, T @ mean_terms(equations.x, equations.known))
+
+
 def factorise(
     equations: Equations,
     hyperparameters: Hyperparameters,
-    outputs: NDArray[np.intp],
-    rows: NDArray[np.intp],
+    outputs: Places,
+    rows: Places,
     noise: Floats,
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
@@ -187,28 +257,225 @@ def factorise(
     else:
         places = numbers(equations.known)[rows][own.known]
         matrix = table[np.ix_(places, places)]
-    matrix[np.diag_indices_from(matrix)] += diagonal_added(
-        own, noise, settings.nugget, hyperparameters
+    made = _factored(own, noise, matrix, hyperparameters, settings.nugget, settings)
+    precision = made.TF.T @ made.TF + np.eye(made.TF.shape[1]) / settings.mean_variance
+    mean_covariance, none = np.asarray(np.linalg.inv(precision), dtype=float), np.empty(0)
+    shape = hyperparameters, made.nugget, made.T, made.TF, own, outputs, rows, noise
+    blank = KrigingFactor(*shape, mean_covariance, none, none, none)
+    return blank.of_data(own.data[own.known][:, outputs])
+
+
+# Added to the diagonal of a group's precision, of its mean: rows a hair apart leave it singular to
+# rounding.
+REGULAR = 1e-14
+
+
+class LeftOutRows(NamedTuple):
+    """Errors of rows that were left out with their group, in dimensionless numbers.
+
+    Attributes
+    ----------
+    errors : ndarray, shape (r, q)
+        Of the values of the factor's outputs, spreads; NaN of a row that cannot be left out.
+    sizes : ndarray, shape (r, q)
+        Root mean square of a row's value and slopes, each over the deviation it should have.
+    variances : ndarray, shape (r,), process variances
+        That the values' errors should have, the noise of the row itself included.
+    mean_covariances : ndarray, shape (r, 7, 7)
+        Of the mean's coefficients without the row's group.
+    """
+
+    errors: Floats
+    sizes: Floats
+    variances: Floats
+    mean_covariances: Floats
+
+
+def left_out(factor: KrigingFactor, labels: Places) -> LeftOutRows:
+    """Return the errors of a factor's rows, each left out with all rows of its label.
+
+    Parameters
+    ----------
+    labels : ndarray of int, shape (r,)
+        Group of each of the factor's rows.
+    """
+    own, outputs = factor.equations, len(factor.variance)
+    sizes = own.known.sum(axis=1)
+    ends = np.cumsum(sizes)
+    precision = np.asarray(np.linalg.inv(factor.mean_covariance), dtype=float)
+    out = LeftOutRows(
+        np.full((len(own), outputs), np.nan),
+        np.full((len(own), outputs), np.nan),
+        np.full(len(own), np.nan),
+        np.full((len(own), 1 + own.loads, 1 + own.loads), np.nan),
     )
-    prior = np.tile(hyperparameters.prior(own.places), (len(own), 1))[own.known]
-    T, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
-    TF = T @ mean_terms(own.x, own.known)
-    Ty = T @ own.data[own.known][:, outputs]
-    precision = TF.T @ TF + np.eye(TF.shape[1]) / settings.mean_variance
-    mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
-    coefficients = mean_covariance @ (TF.T @ Ty)
-    remainder = Ty - TF @ coefficients
-    return KrigingFactor(
-        hyperparameters=hyperparameters,
-        outputs=outputs,
-        rows=rows,
-        noise=noise,
-        nugget=nugget,
-        T=T,
-        TF=TF,
-        mean_covariance=mean_covariance,
-        coefficients=coefficients,
-        weights=T.T @ remainder,
-        # Of a response that is linear nothing remains, and rounding may make that negative.
-        variance=np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(T), ROUNDING),
-    )
+    for label in np.unique(labels):
+        rows = np.flatnonzero(labels == label)
+        if len(rows) == len(own):
+            break
+        places = np.concatenate([np.arange(ends[row] - sizes[row], ends[row]) for row in rows])
+        # T is triangular: what stands above the group is zero.
+        below = factor.T[places[0] :, places]
+        block, shares = below.T @ below, below.T @ factor.TF[places[0] :]
+        diagonal = np.diag_indices_from(block)
+        block[diagonal] += REGULAR * block[diagonal].mean()
+        covariance = np.linalg.inv(block - shares @ factor.mean_covariance @ shares.T)
+        missed = covariance @ factor.weights[places]
+        out.mean_covariances[rows] = np.linalg.inv(
+            precision - shares.T @ np.linalg.solve(block, shares)
+        )
+        start = 0
+        for row, size in zip(rows, sizes[rows], strict=True):
+            mine = slice(start, start + size)
+            out.errors[row], out.variances[row] = missed[mine][0], covariance[start, start]
+            # what the row's errors are by the covariance that they should have
+            squares = missed[mine] * np.linalg.solve(covariance[mine, mine], missed[mine])
+            out.sizes[row] = np.sqrt(np.maximum(squares.sum(axis=0) / size / factor.variance, 0.0))
+            start += size
+    return out
+
+
+# Of squared scaled distances, which rounding changes by 1e-14: rows that are as near as this are
+# equally near, and the first is taken, whoever computes the distance.
+TIE = 1e-10
+
+
+@dataclass(frozen=True)
+class LocalFactor(Factor):
+    """The factor over one neighbourhood, in dimensionless numbers.
+
+    Attributes
+    ----------
+    places : ndarray of int, shape (e,)
+        Its equations: the readings of all rows before, and which one of the row.
+    numbers : ndarray of int, shape (e,)
+        The same, among the equations of the table.
+    """
+
+    places: Places
+    numbers: Places
+
+    def squared_deviation(self, across: Floats, terms: Floats, mean_covariance: Floats) -> Floats:
+        """Return sigma squared (m,), over the process variance, each place by itself.
+
+        `across` (m, e) is the covariance with the equations, `terms` (m, 7) are the mean's. A
+        place's digits do not depend on which others there are.
+        """
+        reduced, left = self.explained(across[:, None], terms[:, None])
+        return self.variance_of(reduced[:, 0], left[:, 0], mean_covariance)
+
+
+class Neighbourhoods:
+    """The nearest rows of any place among those of a factor, and the small factors over them.
+
+    Rows are places among those of the factor.
+
+    Attributes
+    ----------
+    factor : KrigingFactor
+    around : tuple of LocalFactor
+        The neighbourhood of each of the factor's rows.
+    """
+
+    def __init__(
+        self,
+        equations: Equations,
+        factor: KrigingFactor,
+        table: Floats,
+        settings: KrigingSettings = DEFAULTS,
+    ) -> None:
+        """Take the table's equations, and `table` (a, a), the covariance of all a of them."""
+        own = factor.equations
+        self.factor, self.settings = factor, settings
+        self.size = own.known.sum(axis=1)
+        self.plain_size = own.known[:, : 1 + own.loads].sum(axis=1)
+        all_first = np.roll(factor.hyperparameters.groups, 1, axis=0)
+        self.roots = np.sqrt(factor.hyperparameters.inverse_squares) * all_first
+        self.trees = [KDTree(own.x * root) for root in self.roots]
+        self._numbers = numbers(equations.known)[factor.rows]
+        self.around = tuple(self.local_factor(near, table) for near in self.members(own.x))
+
+    def nearest(self, x: Floats) -> Places:
+        """Return the row nearest to each place (m, 6) over all loads, shape (m,).
+
+        Of rows that are equally near the first.
+        """
+        places = x * self.roots[0]
+        radius = np.sqrt(np.asarray(self.trees[0].query(places)[0], dtype=float) ** 2 + TIE)
+        near = self.trees[0].query_ball_point(places, radius, return_sorted=True)
+        return np.array([rows[0] for rows in near], dtype=np.intp)
+
+    def nearest_others(self, rows: Places, labels: Places) -> Places:
+        """Return the row nearest to each of some rows (k,) that has another label, shape (k,).
+
+        `labels`, shape (r,), are the groups of all rows, of which there are two or more.
+        """
+        places = self.factor.equations.x * self.roots[0]
+        apart = ((places[rows][:, None] - places) ** 2).sum(axis=2)
+        apart[labels[rows][:, None] == labels] = np.inf
+        return (apart <= apart.min(axis=1, keepdims=True) + TIE).argmax(axis=1)
+
+    def members(
+        self, x: Floats, labels: Places | None = None, without: Places | None = None
+    ) -> list[Places]:
+        """Return the neighbours of each place (m, 6), nearest first, that the settings allow.
+
+        Parameters
+        ----------
+        labels : ndarray of int, shape (r,), optional
+            Group of each row.
+        without : ndarray of int, shape (m,), optional
+            For each place the label of the group that is left out.
+        """
+        largest = 0 if labels is None else int(np.bincount(labels).max())
+        most_rows, bent = self.settings.deviation_rows, self.settings.deviation_bent
+        most_equations = self.settings.deviation_solves * (1 + self.factor.equations.loads)
+        count = min(most_rows + largest, len(self.size))
+        found = [
+            np.asarray(tree.query(x * root, k=count)[1]).reshape(len(x), count)
+            for tree, root in zip(self.trees, self.roots, strict=True)
+        ]
+        lists = []
+        for place, row in enumerate(np.stack(found, axis=2).reshape(len(x), -1).tolist()):
+            near = np.array(list(dict.fromkeys(row)), dtype=np.intp)
+            if labels is not None and without is not None:
+                near = near[labels[near] != without[place]]
+            near = near[:most_rows]
+            size = np.append(self.size[near[:bent]], self.plain_size[near[bent:]])
+            lists.append(near[np.cumsum(size) <= most_equations])
+        return lists
+
+    def local_factor(self, near: Places, table: Floats) -> LocalFactor:
+        """Return the factor over some rows (k,), nearest first.
+
+        `table` (a, a), dimensionless, is the covariance of all a equations of the table.
+        """
+        whole = self.factor
+        own = whole.equations.take(near)
+        known = own.known
+        known[self.settings.deviation_bent :, 1 + own.loads :] = False
+        places = (whole.rows[near][:, None] * own.places + np.arange(own.places))[known]
+        number = self._numbers[near][known]
+        made = _factored(
+            own,
+            whole.noise[near],
+            table[np.ix_(number, number)],
+            whole.hyperparameters,
+            whole.nugget,
+            self.settings,
+        )
+        return LocalFactor(whole.hyperparameters, made.nugget, made.T, made.TF, places, number)
+
+    def deviations(self, x: Floats, across: Floats) -> Floats:
+        """Return the posterior deviation (m,), process deviations, at places (m, 6).
+
+        `across` (m, 7 n) is the covariance of their values with all places of all rows.
+        """
+        terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
+        squared, nearest = np.empty(len(x)), self.nearest(x)
+        for anchor in np.unique(nearest):
+            queries, local = np.flatnonzero(nearest == anchor), self.around[anchor]
+            squared[queries] = local.squared_deviation(
+                across[np.ix_(queries, local.places)], terms[queries], self.factor.mean_covariance
+            )
+        return np.sqrt(squared)

@@ -8,22 +8,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..table.merging import Readings, merge
 from ..table.rows import Floats, LoadRange, Rows
-from .correlation import Hyperparameters
-from .dense import Dense, dense
+from .calibration import Calibration, calibrated
+from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
-    Readings,
+    Equations,
     Scaling,
     TooFewRowsError,
     TooManyRowsError,
     equations_of,
     places_within,
-    readings_of,
     scaling_of,
     within,
 )
-from .estimate import estimated, within_one_factor
-from .factor import shares_of
+from .factor import (
+    Neighbourhoods,
+    factorise,
+    left_out,
+    shares_of,
+)
+from .likelihood import estimated, within_one_factor
 from .settings import DEFAULTS, KrigingSettings
 
 try:
@@ -32,6 +37,12 @@ except ImportError:  # it may be missing in a simulator: slower, and other last 
     ThreadpoolController = None
 
 _BLAS = ThreadpoolController and ThreadpoolController().select(user_api="blas")
+
+
+# What one covariance times one weight may lose, relative: its squared distance, root, exponential
+# and polynomial some units in the last place each. The errors have either sign: sums of compiled
+# code and of arrays were apart by up to 2.1 eps times the sum of magnitudes.
+LOST = 4 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,18 +57,40 @@ class Kriging:
         Common to all outputs.
     reading_variance : ndarray, shape (6,), spreads squared
         Of one reading whose uncertainty nobody stated.
-    inside : Dense
-        What answers, in scaled numbers.
     tangent : ndarray, shape (6, 6), SI
         Mean tangent of the rows: the derivative by loads that take no part.
+    equations : Equations
+    shares : tuple of Neighbourhoods
+        One of each factor: outputs with the same rows and noise have one.
+    calibrations : tuple of Calibration
+        One of each of `shares`.
+    weights : ndarray, shape (n, p, 6), spreads
+    coefficients : ndarray, shape (7, 6), spreads
+    deviation : ndarray, shape (6,), spreads
+        Process standard deviation.
+    rounding : ndarray, shape (6,), spreads
+        What answers may lose to it: no error bar is smaller. Long length scales leave the
+        covariance nearly singular, with weights up to 1e8 times their sum.
+    errors : ndarray, shape (n, 6), spreads
+        Of rows left out, each by itself; NaN where a row does not bring the output.
+    span : ndarray, shape (2, 6), half ranges
+        Ends of the loads that the rows span: beyond them errors are not known.
     """
 
     settings: KrigingSettings
     scaling: Scaling
     hyperparameters: Hyperparameters
     reading_variance: Floats
-    inside: Dense
     tangent: Floats
+    equations: Equations
+    shares: tuple[Neighbourhoods, ...]
+    calibrations: tuple[Calibration, ...]
+    weights: Floats
+    coefficients: Floats
+    deviation: Floats
+    rounding: Floats
+    errors: Floats
+    span: Floats
 
     @classmethod
     def build(
@@ -72,7 +105,7 @@ class Kriging:
         Parameters
         ----------
         readings : Readings, optional
-            What is behind each row where several were merged to one; else each stands for itself.
+            Behind each row, of rows of distinct wrenches; else rows at one wrench are merged.
 
         Raises
         ------
@@ -83,46 +116,60 @@ class Kriging:
         SingularCovarianceError
             If rows contradict each other so that no nugget makes the covariance regular.
         """
-        with one_thread():
-            return cls._build(rows, load_range, settings, readings or readings_of(rows))
-
-    @classmethod
-    def _build(
-        cls,
-        rows: Rows,
-        load_range: LoadRange,
-        settings: KrigingSettings,
-        readings: Readings,
-    ) -> Kriging:
+        if readings is None:
+            rows, _, readings = merge(rows, load_range).usable()
         places = places_within(rows, load_range, settings)
-        used, behind = rows.take(places), readings.take(places)
+        used = rows.take(places)
         scaling = scaling_of(used, load_range, settings)
-        equations = equations_of(used, scaling, settings, behind)
+        equations = equations_of(used, scaling, readings.take(places), settings)
         equations = within_one_factor(equations, settings)
         if len(equations) < settings.least_rows:
             raise TooFewRowsError(
                 f"kriging needs {settings.least_rows} rows at different wrenches; there are "
                 f"{len(equations)}: solve or import more"
             )
-        tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
-        tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
         if not fits_one_factor(equations.count, settings):
             raise TooManyRowsError(
                 f"{len(equations)} rows bring {equations.count} equations, more than the "
                 f"{settings.dense_equations} that one factor holds"
             )
-        found = estimated(equations, scaling, settings)
-        noisy = equations.with_reading_noise(found.reading_variance)
-        shares = shares_of(noisy, found.noise_scale, settings)
-        inside = dense(noisy, found.hyperparameters, shares, scaling, settings)
-        return cls(
-            settings, scaling, found.hyperparameters, found.reading_variance, inside, tangent
-        )
+        tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
+        tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
+        with one_thread():
+            held, noise_scale, reading = estimated(equations, scaling, settings)
+            equations = equations.with_reading_noise(reading)
+            x, known, span = equations.x, equations.known, span_of(equations, scaling, settings)
+            weights, outputs = np.zeros(equations.data.shape), equations.data.shape[2]
+            coefficients = np.empty((1 + x.shape[1], outputs))
+            deviation, rounding = np.empty((2, outputs))
+            errors = np.full(equations.measured.shape, np.nan)
+            table = covariance(x, known, x, known, held)
+            values = np.zeros_like(known)
+            values[:, 0] = True
+            lost = LOST * np.abs(table[values[known]])
+            shares: list[Neighbourhoods] = []
+            calibrations: list[Calibration] = []
+            for share in shares_of(equations, noise_scale, settings):
+                factor, own = factorise(equations, held, *share, settings, table), share.outputs
+                # The weights among the readings of all rows.
+                all_rows = np.zeros((*known.shape, len(own)))
+                all_rows[known & np.isin(np.arange(len(x)), share.rows)[:, None]] = factor.weights
+                weights[:, :, own], coefficients[:, own] = all_rows, factor.coefficients
+                deviation[own] = np.sqrt(factor.variance)
+                rounding[own] = (lost @ np.abs(all_rows[known])).max(axis=0)
+                alone = left_out(factor, np.arange(len(share.rows)))
+                errors[np.ix_(share.rows, own)] = alone.errors
+                spread = Neighbourhoods(equations, factor, table, settings)
+                shares.append(spread)
+                calibrations.append(calibrated(equations, spread, table, scaling, span, settings))
+        estimate, parts = (held, reading, tangent), (tuple(shares), tuple(calibrations))
+        arrays = weights, coefficients, deviation, rounding, errors, span
+        return cls(settings, scaling, *estimate, equations, *parts, *arrays)
 
     @property
     def detail(self) -> str:
         """How it answers, in words."""
-        rows, equations = len(self.inside.equations), self.inside.equations.count
+        rows, equations = len(self.equations), self.equations.count
         return f"kriging, one factor over {rows} rows ({equations} equations)"
 
     @property
@@ -134,7 +181,7 @@ class Kriging:
     @property
     def knows_errors(self) -> bool:
         """Whether left-out rows show how large errors are, of all outputs."""
-        return all(one.known for one in self.inside.calibrations)
+        return all(one.known for one in self.calibrations)
 
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
@@ -142,27 +189,34 @@ class Kriging:
         displacement, bars = np.empty((2, len(x), len(spread)))
         with one_thread():
             for part in self._chunks(len(x)):
-                values, errors, known = self.inside.answers(x[part])
+                values, errors, known = self._scaled_answers(x[part])
                 size = (np.abs(values) + 1) * spread + np.abs(offset)
                 # Never below what rounding makes of an answer.
-                least = np.maximum(self.settings.error_floor * size, self.inside.rounding * spread)
+                least = np.maximum(self.settings.error_floor * size, self.rounding * spread)
                 bars[part] = np.where(known, np.maximum(errors * spread, least), np.nan)
                 displacement[part] = values * spread + offset
         return displacement, bars
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
+    def _scaled_answers(self, x: Floats) -> tuple[Floats, Floats, Mask]:
+        """Return values, errors, and whether the errors are known, (m, 6) each, at places (m, 6).
 
-        Exact of the interpolant. By a load that takes no part it is the rows' mean tangent.
+        Values and errors are in spreads. Errors are 95 % error bars; where they are not known, some
+        answers err by more.
         """
-        x = self.scaling.loads(wrenches)
-        rate = self.scaling.spread[:, None]
-        out = np.empty((len(x), len(rate), x.shape[1]))
-        with one_thread():
-            for part in self._chunks(len(x)):
-                by_load = self.inside.slopes(x[part]) * rate / self.scaling.half
-                out[part] = np.where(self.scaling.active, by_load, self.tangent)
-        return out
+        outputs = self.weights.shape[2]
+        errors, known = np.empty((len(x), outputs)), np.empty((len(x), outputs), dtype=bool)
+        across = block(x, self.equations.x, self.hyperparameters, 1, self.equations.places)
+        across = across.reshape(len(x), -1)
+        # Each place by itself: weights are up to 1e8 times their sum, and the order of a sum
+        # depends on the shape of the matrices.
+        values = (across[:, None] @ self.weights.reshape(-1, outputs))[:, 0] + self.coefficients[0]
+        values += (x[:, None] @ self.coefficients[1:])[:, 0]
+        for share, found in zip(self.shares, self.calibrations, strict=True):
+            sigma, own = share.deviations(x, across), share.factor.outputs
+            errors[:, own] = sigma[:, None] * found.at(sigma) * self.deviation[own]
+            known[:, own] = (sigma <= found.reach)[:, None]
+        known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
+        return values, errors, known
 
     def _chunks(self, count: int) -> Iterator[slice]:
         """Yield the parts of so many wrenches that are answered at once."""
@@ -172,25 +226,48 @@ class Kriging:
     def sigma_with(self, pending: Floats, at: Floats) -> Floats:
         """Return the error bars (n, 6), m and rad, at wrenches if others were solved too.
 
-        As far as they are known or not: a design goes where they are not.
+        As far as they are known or not: a design goes where they are not. Pending solves lower all
+        bars in the ratio of the factor that most rows tell of.
 
         Parameters
         ----------
         pending, at : ndarray, shapes (m, 6) and (n, 6), N and N·m
             What is being solved (with slopes, if rows bring them), and where to tell the bars.
         """
-        others, places = self.scaling.loads(pending), self.scaling.loads(at)
-        spread, bars = self.scaling.spread, np.empty((len(at), len(self.scaling.spread)))
+        others, x = self.scaling.loads(pending), self.scaling.loads(at)
+        bars = np.empty((len(x), len(self.scaling.spread)))
         with one_thread():
-            for part in self._chunks(len(at)):
-                bars[part] = self.inside.answers(places[part])[1] * spread
-                if len(pending):
-                    bars[part] *= self.inside.sigmas_with(others, places[part])[:, None]
+            for part in self._chunks(len(x)):
+                bars[part] = self._scaled_answers(x[part])[1] * self.scaling.spread
+            if not len(pending):
+                return bars
+            factor = max((share.factor for share in self.shares), key=lambda own: len(own.rows))
+            held, doubt, places = (
+                self.hyperparameters,
+                factor.mean_covariance,
+                self.equations.places,
+            )
+            known = np.zeros((len(others), places), dtype=bool)
+            known[:, 0], known[:, 1:] = True, self.equations.known[:, 1:].any(axis=0)
+            new, new_left = factor.explained_at(others, known)
+            within = covariance(others, known, others, known, held) - new @ new.T
+            within += new_left @ doubt @ new_left.T
+            prior = np.tile(held.prior(places), (len(others), 1))[known]
+            within[np.diag_indices_from(within)] += factor.nugget * prior
+            for part in self._chunks(len(x)):
+                value = np.zeros((len(x[part]), places), dtype=bool)
+                value[:, 0] = True
+                here, left = factor.explained_at(x[part], value)
+                between = covariance(x[part], value, others, known, held) - here @ new.T
+                between += left @ doubt @ new_left.T
+                won = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
+                before = factor.variance_of(here, left, doubt)
+                bars[part] *= np.sqrt(np.clip(1 - won / before, 0.0, 1.0))[:, None]
         return bars
 
     def left_out(self) -> Floats:
         """Return the errors (n, 6), m and rad, at rows left out; NaN where a row has no output."""
-        return self.inside.errors * self.scaling.spread
+        return self.errors * self.scaling.spread
 
 
 def one_thread() -> AbstractContextManager[object]:
@@ -229,3 +306,16 @@ def too_large_in_words(rows: int, equations: int, settings: KrigingSettings = DE
         f"no kriging: {rows} rows bring {equations} equations, one factor holds "
         f"{settings.dense_equations}"
     )
+
+
+def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> Floats:
+    """Return the ends of the loads that rows span, shape (2, 6), half ranges.
+
+    Rows that are spread evenly over an interval leave so much of it beyond the outermost ones, at
+    most, at the confidence of the settings: of n uniform numbers the largest is above the part
+    a^(1/n) of their interval with the probability 1 - a. A load that takes no part has no ends.
+    """
+    low, high = equations.x.min(axis=0), equations.x.max(axis=0)
+    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + settings.same
+    ends = np.stack((low - beyond, high + beyond))
+    return np.where(scaling.active, ends, [[-np.inf], [np.inf]])

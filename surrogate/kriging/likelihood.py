@@ -7,15 +7,19 @@ tr((inv(K) - a a' / s^2) dK) / 2 with a = inv(K) (y - F b).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
 from ..table.rows import Floats
 from .correlation import (
     Hyperparameters,
+    covariance,
     derivatives_of_term,
     indices,
     joins,
@@ -23,11 +27,12 @@ from .correlation import (
     order_of,
     seen_by,
 )
-from .equations import Equations
-from .factor import KrigingFactor, Share, SingularCovarianceError, factorise
+from .equations import Equations, Scaling
+from .factor import KrigingFactor, Share, SingularCovarianceError, factorise, shares_of
 from .settings import DEFAULTS, KrigingSettings
 
 REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
+DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
 
 
 class Profile(NamedTuple):
@@ -117,23 +122,20 @@ def negative_log_likelihood(
             found = profile(equations, hyperparameters, share, ratio, settings)
         except SingularCovarianceError:
             return REFUSED, np.zeros(len(logarithms))
-        factor, own, part = found.factor, equations.take(share.rows), len(share.outputs) / outputs
+        factor, part = found.factor, len(share.outputs) / outputs
         value += part * float(found.values.mean())
         unit = factor.weights / np.sqrt(found.variance * len(share.outputs))
         sensitivity = factor.T.T @ factor.T - unit @ unit.T
-        gradient[:places] += (
-            0.5 * part * _contracted(sensitivity, own, hyperparameters, factor.nugget)
-        )
-        values = numbers(own.known)[:, 0]
+        gradient[:places] += 0.5 * part * _contracted(sensitivity, factor)
+        values = numbers(factor.equations.known)[:, 0]
         by_ratio = ratio * reading_parts(equations, share) @ np.diag(sensitivity)[values]
         gradient[places] += part * (0.5 * by_ratio + found.by_noise)
     return value, gradient[: len(logarithms)]
 
 
-def _contracted(
-    sensitivity: Floats, own: Equations, hyperparameters: Hyperparameters, nugget: float
-) -> Floats:
+def _contracted(sensitivity: Floats, factor: KrigingFactor) -> Floats:
     """Return the sum of a symmetric matrix (e, e) times the covariance's seven derivatives."""
+    own, hyperparameters = factor.equations, factor.hyperparameters
     # A symmetric matrix's sums by the derivatives that its entries stand with.
     n, places = len(own), own.places
     whole = np.zeros((n, places, n, places))
@@ -141,7 +143,7 @@ def _contracted(
     whole.reshape(n * places, n * places)[np.ix_(known, known)] = sensitivity
     one, other = np.triu_indices(n, 1)
     itself = np.einsum("ipiq->pq", whole)
-    itself[np.diag_indices(places)] *= 1 + nugget
+    itself[np.diag_indices(places)] *= 1 + factor.nugget
     pairs = np.concatenate((2 * whole[one, :, other], itself[None]))
     joined, sign = joins(own.loads, places, places)
     shape = (int(joined.max()) + 1, joined.size)
@@ -186,63 +188,28 @@ def maximise(
     shares: list[Share],
     before: Hyperparameters | None = None,
     settings: KrigingSettings = DEFAULTS,
+    *,
+    with_noise: bool = False,
 ) -> Hyperparameters:
-    """Return the most likely hyperparameters, from two starts or from those before."""
-    starts, bounds = _starts(equations, before, settings), bounds_of(equations, settings)
-    found = _best(starts, bounds, equations, shares, settings)
-    return _hyperparameters(found, equations)
+    """Return the most likely hyperparameters, from two starts or from those before.
 
-
-def maximise_with_noise(
-    equations: Equations,
-    shares: list[Share],
-    before: Hyperparameters | None = None,
-    settings: KrigingSettings = DEFAULTS,
-) -> Hyperparameters:
-    """Return the most likely hyperparameters where the noise of readings is to be found too.
-
-    All outputs are taken to have the same noise over their process variance here.
+    With noise, that of a reading which nobody stated is searched too; all outputs are taken to have
+    the same over their process variance.
     """
-    bounds = [*bounds_of(equations, settings), settings.ratio_bounds]
-    starts = [
-        np.append(start, settings.ratio_start) for start in _starts(equations, before, settings)
-    ]
-    found = _best(starts, bounds, equations, shares, settings)
-    return _hyperparameters(found, equations)
-
-
-def _hyperparameters(logarithms: Floats, equations: Equations) -> Hyperparameters:
-    own = logarithms[: equations.loads + equations.weights]
-    return Hyperparameters.of_logarithms(own, equations.groups, equations.smoothness)
-
-
-def bounds_of(equations: Equations, settings: KrigingSettings) -> list[tuple[float, float]]:
-    """Return the bounds of the hyperparameters' logarithms."""
-    weights = [settings.weight_bounds] * equations.weights
-    return [settings.theta_bounds] * equations.loads + weights
-
-
-def _starts(
-    equations: Equations, before: Hyperparameters | None, settings: KrigingSettings
-) -> list[Floats]:
-    """Return where the search begins: the logarithms of the hyperparameters."""
+    bounds = [settings.theta_bounds] * equations.loads + [
+        settings.weight_bounds
+    ] * equations.weights
     if before is not None:
-        return [np.clip(before.logarithms, *np.array(bounds_of(equations, settings)).T)]
-    weights = [0.0] * (equations.weights - 1) + [settings.weight_start]
-    # With second derivatives the first start ended at the higher maximum, or both at one, for 35 of
-    # 35 tables: real solves of `plate_thin` and made-up parts.
-    thetas = settings.theta_starts[: 1 if equations.weights > 1 else None]
-    return [np.array([theta] * equations.loads + weights) for theta in thetas]
-
-
-def _best(
-    starts: list[Floats],
-    bounds: list[tuple[float, float]],
-    equations: Equations,
-    shares: list[Share],
-    settings: KrigingSettings,
-) -> Floats:
-    """Return the most likely logarithms that a search from these starts ends at."""
+        starts = [np.clip(before.logarithms, *np.array(bounds).T)]
+    else:
+        weights = [0.0] * (equations.weights - 1) + [settings.weight_start]
+        # With second derivatives the first start ended at the higher maximum, or both at one, for
+        # 35 of 35 tables: real solves of `plate_thin` and made-up parts.
+        thetas = settings.theta_starts[: 1 if equations.weights > 1 else None]
+        starts = [np.array([theta] * equations.loads + weights) for theta in thetas]
+    if with_noise:
+        bounds.append(settings.ratio_bounds)
+        starts = [np.append(start, settings.ratio_start) for start in starts]
     found = [
         minimize(
             negative_log_likelihood,
@@ -256,4 +223,171 @@ def _best(
         for start in starts
     ]
     # Rounded so that the rounding of another unit does not change them; the likelihood is flat.
-    return np.round(min(found, key=lambda run: run.fun).x, settings.decimals)
+    best = np.round(min(found, key=lambda run: run.fun).x, settings.decimals)
+    return _hyperparameters(best, equations)
+
+
+def _hyperparameters(logarithms: Floats, equations: Equations) -> Hyperparameters:
+    own = logarithms[: equations.loads + equations.weights]
+    return Hyperparameters.of_logarithms(own, equations.groups, equations.smoothness)
+
+
+def reading_noise(
+    equations: Equations,
+    scaling: Scaling,
+    hyperparameters: Hyperparameters,
+    before: Floats,
+    settings: KrigingSettings,
+) -> tuple[Floats, Floats]:
+    """Return each output's process variance and that of one of its readings, (6,) each.
+
+    The variance of a reading is the least with which any of several kernels is nearly as likely as
+    the most likely one. What may be response and may be noise is taken for response, whose error
+    bars are wider; one kernel for all outputs would take for noise what an output alone does.
+    Of rows as they lie, near each other too: rows spread widely do not show little noise.
+
+    Parameters
+    ----------
+    before : ndarray, shape (6,), spreads squared
+        Process variances that stated noise is held against.
+    """
+    ends = np.searchsorted(np.cumsum(equations.known.sum(axis=1)), settings.likelihood_equations)
+    count = max(min(int(ends), len(equations)), 1)
+    chosen = equations.take(np.linspace(0, len(equations) - 1, count).round().astype(np.intp))
+    ratios = np.arange(*settings.ratio_bounds, settings.ratio_step)
+    groups = equations.groups
+    kernels = [hyperparameters] + [  # and kernels of one length in all loads
+        Hyperparameters.of_logarithms(np.array([theta] * groups.shape[1] + [weight]), groups)
+        for theta in settings.noise_thetas
+        for weight in settings.noise_weights
+    ]
+    curves = [_curves(chosen, kernel, before, ratios, settings) for kernel in kernels]
+    if not chosen.known[:, 1:].any():
+        curves += [
+            _curves(chosen, hyperparameters, before, ratios, settings, part)
+            for part in settings.noise_rough
+        ]
+    variance, reading = before.copy(), np.zeros_like(before)
+    fine = np.arange(ratios[0], ratios[-1], settings.ratio_accuracy)
+    for output in np.flatnonzero(~scaling.silent):
+        # Half the negative log likelihood, and the logarithm of a reading's variance, (k, r) each.
+        values = np.array([found[:, output] for found, _ in curves])
+        readings = np.array([ratios + found[:, output] for _, found in curves])
+        known = (values < REFUSED).all(axis=1)
+        smooth = np.array([CubicSpline(ratios, one)(fine) for one in values[known]])
+        likely = smooth <= smooth.min() + settings.ratio_caution
+        at = np.array([np.interp(fine, ratios, one) for one in readings[known]])
+        least = float(at[likely].min())
+        own = np.maximum.accumulate(readings[0])  # it grows with the ratio but for rounding
+        ratio = np.interp(least, own, ratios)
+        reading[output], variance[output] = np.exp(least), np.exp(least - ratio)
+    return variance, reading
+
+
+def _curves(
+    equations: Equations,
+    hyperparameters: Hyperparameters,
+    before: Floats,
+    ratios: Floats,
+    settings: KrigingSettings,
+    rough: float = 0.0,
+) -> tuple[Floats, Floats]:
+    """Return half the negative log likelihood and the log process variance, (r, 6) each.
+
+    By the logarithms (r,) of a reading's variance over the process variance.
+    """
+    x, known = equations.x, equations.known
+    table = covariance(x, known, x, known, hyperparameters)
+    if rough:
+        table = table + rough * sum(np.exp(-np.abs(one[:, None] - one)) for one in x.T)
+    values, variances = np.full((2, len(ratios), len(before)), REFUSED)
+    for share in shares_of(equations, before, settings):
+        if not len(share.rows):
+            continue
+        for place, ratio in enumerate(np.exp(ratios).tolist()):
+            try:
+                found = profile(equations, hyperparameters, share, ratio, settings, table)
+            except SingularCovarianceError:
+                continue
+            values[place, share.outputs] = found.values
+            variances[place, share.outputs] = np.log(found.variance)
+    return values, variances
+
+
+def estimated(
+    equations: Equations, scaling: Scaling, settings: KrigingSettings
+) -> tuple[Hyperparameters, Floats, Floats]:
+    """Return the hyperparameters of all outputs, and how noisy the rows are.
+
+    Noise counts relative to the process variance, which the hyperparameters decide: with noise the
+    likelihood is maximised a second time, with what the first time found. Noise that nobody stated
+    is one more hyperparameter, first of all outputs together, then of each by itself.
+
+    Returns
+    -------
+    hyperparameters : Hyperparameters
+    noise_scale : ndarray, shape (6,), spreads squared
+        Process variances that noise is held against.
+    reading_variance : ndarray, shape (6,), spreads squared
+        Of one reading whose uncertainty nobody stated; 0 where all is stated or solved.
+    """
+    chosen = equations.take(spread_rows(equations, settings.likelihood_equations))
+    variance, reading = np.ones_like(scaling.spread), np.zeros_like(scaling.spread)
+    unstated = bool((chosen.readings > 0).any())
+    if unstated:
+        bounds = settings.theta_bounds[0], settings.noise_theta_most
+        settings = replace(settings, theta_bounds=bounds)
+    before: Hyperparameters | None = None
+    noisy = unstated or bool((chosen.noise > settings.nugget).any())
+    for stage in range(1 + noisy):
+        current = chosen.with_reading_noise(reading)
+        # The shares without the outputs that vary by rounding only, and with enough rows.
+        varying = [
+            share._replace(outputs=share.outputs[~scaling.silent[share.outputs]])
+            for share in shares_of(current, variance, settings)
+        ]
+        shares = [share for share in varying if len(share.outputs) and len(share.rows)]
+        before = maximise(current, shares, before, settings, with_noise=unstated and not stage)
+        if unstated:
+            variance, reading = reading_noise(equations, scaling, before, variance, settings)
+            continue
+        for share in shares:
+            found = factorise(chosen, before, *share, settings)
+            variance[share.outputs] = found.variance
+    assert before is not None
+    return before, variance, reading
+
+
+def within_one_factor(equations: Equations, settings: KrigingSettings) -> Equations:
+    """Return the equations that one factor holds: second derivatives of as many rows as fit.
+
+    These rows are spread farthest: between distant rows a second derivative tells most.
+    """
+    if equations.count <= settings.dense_equations:
+        return equations
+    second = np.zeros_like(equations.known)
+    second[:, 1 + equations.loads :] = equations.known[:, 1 + equations.loads :]
+    room = settings.dense_equations - int((equations.known & ~second).sum())
+    kept = np.zeros((len(equations), 1), dtype=bool)
+    kept[spread_rows(replace(equations, known=second), room)] = True
+    return replace(equations, known=equations.known & (~second | kept))
+
+
+def spread_rows(equations: Equations, most_equations: int) -> NDArray[np.intp]:
+    """Return rows within the limit, each the farthest from those before it, in their own order.
+
+    Shape (k,): indices of the rows.
+    """
+    size = equations.known.sum(axis=1)
+    chosen = [int(np.argmin(np.round((equations.x**2).sum(axis=1), DECIMALS)))]
+    total = size[chosen[0]]
+    distance = np.full(len(equations), np.inf)
+    while len(chosen) < len(equations):
+        apart = ((equations.x - equations.x[chosen[-1]]) ** 2).sum(axis=1)
+        distance = np.minimum(distance, apart)
+        place = int(np.argmax(np.round(distance, DECIMALS)))
+        total += size[place]
+        if total > most_equations:
+            break
+        chosen.append(place)
+    return np.sort(chosen)

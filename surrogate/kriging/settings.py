@@ -20,8 +20,6 @@ class KrigingSettings:
     nugget_limit: float = 1e-4
     # Rows nearer than this, of the range in each load, are one row: their difference is rounding.
     same: float = 1e-6
-    # A load beyond the range by no more than this of it counts as on its end.
-    edge: float = 1e-9
     # Fewer rows than this leave nothing to calibrate a bar on once one is left out.
     least_rows: int = 4
     # The mean's coefficients have this variance: so wide that rows decide, but finite, so that
@@ -114,12 +112,6 @@ class KrigingSettings:
     # all axes too, and rows at the corners of one axis err more (bars up to 16 x their errors).
     # Fewer than 15 tell no size: measured with 4 and 8, 52 to 100 % of errors were inside.
     full_rows: int = 15
-    level: float = 0.95
-    # Few rows tell a size badly: factors widen so that bars would hold `level` in all six outputs
-    # of so many tables, were errors normal. Of 30 random solves, nine responses, seeds 100 and 101
-    # (`make bench NAME=calibration`), the worst output's part inside is 81, 84, 86 and 88 % with
-    # confidences of 0.5, 0.8, 0.95 and 0.99; median bars are 4.6, 4.8, 5.1 and 5.5 x the errors.
-    confidence: float = 0.95
     # Where errors may be more than three times what rows tell (of all rows some four make the
     # size, or fewer), or where bars miss more than 15 % of the left-out rows themselves, nothing
     # is `covered`. Of 200 made-up tables that cover more than 5 % of answers that takes 8.

@@ -13,7 +13,7 @@ from itertools import accumulate, chain
 import numpy as np
 from numpy.typing import NDArray
 
-from ..axes.axes import Composition
+from ..axes.axes import Axes
 from ..axes.axis_table import LARGEST, AxisTable
 from ..error_law import FEWEST
 from ..table.rows import Floats
@@ -24,27 +24,9 @@ SIMPLEX, VERTEX = 16, 16  # doubles of a simplex and of a point: wb_simplex, wb_
 Array = NDArray[np.generic]
 
 
-def axes_arrays(
-    composition: Composition, members: Sequence[tuple[int, ...]]
-) -> Iterator[tuple[str, Array]]:
-    """Yield the names and arrays of a composition, of the default space.
-
-    With p points, s simplices, f facets of hulls, of all axes one after another: ``simplex``
-    (s, 16): four vertices and four neighbours as 32-bit integers, the slopes (3, 3) of the
-    barycentric coordinates but the last, the place of the last vertex; ``state`` (s), how sound
-    it is; ``vertex`` (p, 16): place, nothing, outputs, uncertainty; ``slopes`` (p, 6, 3) by the
-    scaled loads; ``grid``, where walks start; ``ints`` (3, 5) and ``floats`` (3, 22), the frames,
-    see `numbering`; ``facets`` (f, 4): vertices and the simplex behind; ``simplex_first``,
-    ``point_first``, ``facet_first`` (4); ``fewest`` (3), points that an axis needs; ``together``
-    (3), points of an axis with several loads at once; ``largest``
-    (4), the largest part of the range of a simplex by dimension; ``span`` (3, 3, 2), N and N·m;
-    ``rest_point`` (2, 6), the answer at no load and its error; ``error`` (3, 2, 6), A and C of the
-    error of interpolation; ``left_out`` (4), points left out an axis, and how many are needed;
-    ``cutMK``, the answers to moment M alone by the axis it comes first (K = 0) or second in;
-    ``member_first`` (p + 1), ``members``, the rows behind each point. Outputs and errors are m and
-    rad, scaled loads dimensionless.
-    """
-    tables = composition.tables
+def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tuple[str, Array]]:
+    """Yield the names and arrays of the axes, of the default space."""
+    tables = axes.tables
     first_simplex = _first([0 if table is None else len(table.state) for table in tables])
     # Points, simplices and hulls, of all axes one after another.
     first_point = _first([0 if table is None else len(table.values) for table in tables])
@@ -84,9 +66,9 @@ def axes_arrays(
     yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
     yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])
-    yield "rest_point", np.stack((composition.at_rest.displacement, composition.at_rest.error))
+    yield "rest_point", np.stack((axes.at_rest.displacement, axes.at_rest.error))
     yield "error", np.array([_error(table) for table in tables])
-    for moment, cuts in enumerate(composition.cuts):
+    for moment, cuts in enumerate(axes.cuts):
         for cut in cuts:
             name, count = f"cut{moment}{cut.column - 1}", len(cut.state)
             yield f"{name}/state", cut.state.astype(np.int32)

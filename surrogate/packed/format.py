@@ -67,7 +67,7 @@ class Packed(NamedTuple):
     Attributes
     ----------
     arrays : dict of str to ndarray
-        Read-only views of the file's bytes; `packed.writer` has their shapes and units.
+        Read-only views of the file's bytes; `packed.arrays` says what each is.
     words : dict
         The JSON block.
     content : memoryview

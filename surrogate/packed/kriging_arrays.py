@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
-from ..kriging.neighbourhood import Neighbourhoods
+from ..kriging.factor import Neighbourhoods
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 
@@ -23,54 +23,41 @@ Array = NDArray[np.generic]
 
 
 def kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
-    """Yield the names and arrays of a kriging with one factor over all rows.
-
-    With n loads, m outputs, r rows padded to s, and t terms of the covariance: ``x`` (n, s), scaled
-    loads; ``terms`` (t, n + 1), inverse squared lengths and weight; ``rates`` (n), inverse squared
-    lengths of the distance between rows; ``weights`` (m, p s), of the rows' values, slopes by one
-    load after another and, where rows bring them, second derivatives by one pair after another;
-    ``smoothness`` (1), of Matern smoothness + 1/2, where rows bring these, else it is 3;
-    ``coefficients`` (n + 1, m), the mean; ``centre``, ``rate`` (n), of the scaled loads, 1/N and
-    1/(N·m); ``offset``, ``spread`` (m), m and rad; ``deviation`` (m), the process', m and rad;
-    ``lost`` (m), what sums lose to rounding, m and rad; ``floor`` (1), the least error over an
-    answer's size; ``tangent`` (m, n), SI, added to the derivative; ``span`` and ``span_loads``
-    (2, n), the ends, scaled and in N and N·m, between which errors are known; ``shares`` (1), how
-    many factors there are.
-    """
-    inside, scaling = kriging.inside, kriging.scaling
-    rows = len(inside.equations)
+    """Yield the names and arrays of a kriging with one factor over all rows."""
+    scaling = kriging.scaling
+    rows = len(kriging.equations)
     stride = -(-rows // LANES) * LANES
-    x = np.pad(inside.equations.x.T, ((0, 0), (0, stride - rows)))
-    weights_by_place = np.zeros((*inside.weights.shape[:0:-1], stride))
-    weights_by_place[:, :, :rows] = inside.weights.transpose(2, 1, 0)
+    x = np.pad(kriging.equations.x.T, ((0, 0), (0, stride - rows)))
+    weights_by_place = np.zeros((*kriging.weights.shape[:0:-1], stride))
+    weights_by_place[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
     yield "x", x
     rates, weights = kriging.hyperparameters.terms
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", kriging.hyperparameters.inverse_squares
     yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
-    if inside.equations.places > 1 + len(x):
+    if kriging.equations.places > 1 + len(x):
         yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)
-    yield "coefficients", inside.coefficients
+    yield "coefficients", kriging.coefficients
     yield "centre", scaling.centre
     yield "rate", np.where(scaling.active, 1 / scaling.half, 0.0)
     yield "offset", scaling.offset
     yield "spread", scaling.spread
-    yield "deviation", inside.deviation * scaling.spread
-    yield "lost", inside.rounding * scaling.spread
+    yield "deviation", kriging.deviation * scaling.spread
+    yield "lost", kriging.rounding * scaling.spread
     yield "floor", np.array([kriging.settings.error_floor])
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
-    yield "span", inside.span
-    yield "span_loads", scaling.wrenches(inside.span)
-    yield "shares", np.array([len(inside.shares)], dtype=np.int32)
-    for number, (share, found) in enumerate(zip(inside.shares, inside.calibrations, strict=True)):
-        outputs, places = len(inside.deviation), inside.equations.places
+    yield "span", kriging.span
+    yield "span_loads", scaling.wrenches(kriging.span)
+    yield "shares", np.array([len(kriging.shares)], dtype=np.int32)
+    for number, (share, found) in enumerate(zip(kriging.shares, kriging.calibrations, strict=True)):
+        outputs, places = len(kriging.deviation), kriging.equations.places
         arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
         for name, array in chain(*arrays):
             yield f"share{number}/{name}", array
 
 
 def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
-    """Yield a calibration with l levels: ``sigma`` (l), ``factors`` (l, m) and ``reach`` (1)."""
+    """Yield the calibration of one factor."""
     factors = np.zeros((len(found.sigma), outputs))
     factors[:, share.factor.outputs] = found.factors.reshape(len(found.sigma), -1)
     yield "sigma", found.sigma
@@ -81,14 +68,7 @@ def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator
 def _share_arrays(
     share: Neighbourhoods, stride: int, outputs: int, places_of_row: int
 ) -> Iterator[tuple[str, Array]]:
-    """Yield what gives sigma for the outputs of one factor.
-
-    With k neighbourhoods of at most e equations: ``outputs`` (m), which; ``number`` (s), each row's
-    neighbourhood; ``places`` (k, e), where its equations stand among the p s covariances;
-    ``panels``; ``unsettled`` (k, n + 1, e), T times the mean's terms; ``least`` (s), the smallest
-    sigma squared but for the mean's; ``penalty`` (s), 0, or infinite for a row without a
-    neighbourhood; ``mean_covariance`` (n + 1, n + 1). All are dimensionless.
-    """
+    """Yield what gives sigma for the outputs of one factor."""
     count = len(share.around)
     most = max(len(local.places) for local in share.around)
     padded = -(-most // PANEL) * PANEL

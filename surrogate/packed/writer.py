@@ -1,7 +1,6 @@
 """From what was built of a table to its packed file: everything that an answer needs.
 
-n inputs, m outputs and g groups of outputs are data; today's builder makes 6 and 6. Arrays of group
-k are named ``gK/...``: `_group_arrays`, `axes_arrays` and `kriging_arrays` state their shapes.
+`arrays` describes each array; those of group k of outputs are named ``gK/...``.
 """
 
 from __future__ import annotations
@@ -17,13 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..answer import METHODS, allowed_by
-from ..build import AnyTable, tangent_at_zero
-from ..describe import axis_gaps
+from ..build import Group, Table
 from ..kriging import Kriging
-from ..limits import LONGEST, TRANSLATION_LIMIT
 from ..methods import ENOUGH_FULL
-from ..surrogate import Surrogate
-from ..table.rows import CLEAN, Floats
+from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats
+from .arrays import check
 from .axes_arrays import axes_arrays
 from .format import pieces, write_file
 from .kriging_arrays import kriging_arrays
@@ -36,7 +33,7 @@ Array = NDArray[np.generic]
 
 
 def pack(
-    table: AnyTable,
+    table: Table,
     *,
     component: str = "",
     fingerprint: str = "",
@@ -55,24 +52,23 @@ def pack(
     origin
         Digests of what the table is built from; kept as they are.
     """
-    groups = table.groups
-    arrays = dict(_space_arrays(table, len(groups))) | dict(_solver_arrays(table))
+    arrays = dict(_space_arrays(table, len(table.groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
-    for number, (outputs, group) in enumerate(groups):
-        for name, array in _group_arrays(outputs, group, sources):
+    for number, group in enumerate(table.groups):
+        for name, array in _group_arrays(group, sources):
             arrays[f"g{number}/{name}"] = array
     # The gaps of each axis; None where the compliance answers, which needs no axes.
-    no_axes = not table.load_range.space.is_default or (table.linear and table.fit.complete)
+    first = table.groups[0]
+    no_axes = not first.has_axes or (table.linear and first.fit.complete)
     words = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
         "space": table.load_range.space.words(),
-        "groups": [_group_words(outputs, group) for outputs, group in groups],
+        "groups": [_group_words(group) for group in table.groups],
         "sources": sources.words,
         "solver_error": None if table.solver_error is None else table.solver_error.values,
         "summary": table.coverage_summary(),
-        "gaps": None if no_axes else axis_gaps(table.composition, table.load_range),
-        "tangent": dict(zip(("matrix", "origin"), tangent_at_zero(table), strict=True)),
+        "gaps": None if no_axes else first.axes.gaps(table.load_range),
         "provenance": {
             "component": component,
             "fingerprint": fingerprint,
@@ -83,7 +79,7 @@ def pack(
             "linear": table.linear,
         },
     }
-    return pieces(arrays, _plain(words))
+    return pieces(check(arrays), _plain(words))
 
 
 def _plain(value: Any) -> Any:
@@ -97,7 +93,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def write(table: AnyTable, path: Path, **about: Any) -> None:
+def write(table: Table, path: Path, **about: Any) -> None:
     """Write a table's packed file; parameters are those of `pack`.
 
     Raises
@@ -108,14 +104,8 @@ def write(table: AnyTable, path: Path, **about: Any) -> None:
     write_file(path, pack(table, **about))
 
 
-def _space_arrays(table: AnyTable, groups: int) -> Iterator[tuple[str, Array]]:
-    """Yield what is the same for all outputs.
-
-    ``sizes`` (n, m, g); ``range`` and ``ends`` (2, n), ``scale`` and ``small`` (n), N and N·m;
-    ``locked`` (n); ``tolerance`` (m), NaN where there is none; ``limit`` (m), and ``vector_limit``
-    of the length of three outputs from ``vector_first``, and ``rig_error`` (m) where there
-    is one: m and rad.
-    """
+def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
+    """Yield what is the same for all outputs."""
     span, space = table.load_range, table.load_range.space
     inputs, outputs = len(space.inputs), len(space.outputs)
     yield "space/sizes", np.array([inputs, outputs, groups], dtype=np.int32)
@@ -135,15 +125,9 @@ def _space_arrays(table: AnyTable, groups: int) -> Iterator[tuple[str, Array]]:
     yield "space/vector_limit", np.full(len(rotations), LONGEST)
 
 
-def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
-    """Yield the solver's share of errors.
-
-    ``mesh`` (m, n), ``square`` (m), ``one_over`` (n), ``stiffness`` (n, m), SI, see
-    `SolverError.packed`; ``zero`` (n), from where inputs count, if one is not 0; ``flags``: when
-    an answer's tangent is needed, whether the discretisation error is known, whether the component
-    is linear, whether its linearity is known, whether all parts of the error are known.
-    """
-    error, shape = table.solver_error, table.fit.matrix.shape
+def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
+    """Yield the solver's share of errors."""
+    error, shape = table.solver_error, table.groups[0].fit.matrix.shape
     matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
     stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
     known, linear, linearity_known = table.bars_are_whole, False, True
@@ -164,7 +148,7 @@ def _solver_arrays(table: AnyTable) -> Iterator[tuple[str, Array]]:
 class _Sources:
     """The sources of the rows at each wrench, as numbers of lists of words."""
 
-    def __init__(self, table: AnyTable) -> None:
+    def __init__(self, table: Table) -> None:
         self.words: list[list[str]] = []
         self._numbers: dict[tuple[str, ...], int] = {}
         self._at: dict[bytes, list[str]] = {}
@@ -193,25 +177,16 @@ class _Sources:
         return self._numbers[sources]
 
 
-def _group_arrays(
-    outputs: tuple[int, ...], group: Surrogate, sources: _Sources
-) -> Iterator[tuple[str, Array]]:
-    """Yield what answers one group of outputs.
-
-    ``outputs`` (m), which; ``flags``: the default method, the bits of its reference, whether rows
-    show interaction, whether the answer at no load is unknown, whether the fit is exact, whether
-    there are rows to answer from, full wrenches, full wrenches needed, whether there are rows in
-    the load range; ``allowed`` (m), the largest interpolation error of a covered answer, m and rad.
-    """
+def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]]:
+    """Yield what answers one group of outputs."""
     used, exact = group.can_answer, group.is_exact
     mode, missed = _reference(group, exact) if used else (0, None)
-    evidence = group.evidence
     flags = [
-        *(METHODS.index(group.default), mode, evidence.knows_interaction, evidence.rest_unknown),
-        *(exact, used, evidence.full_wrenches, evidence.needed, len(group.used) > 0),
+        *(METHODS.index(group.default), mode, group.knows_interaction, group.rest_unknown),
+        *(exact, used, group.full_wrenches, group.full_needed, len(group.used) > 0),
     ]
     yield "flags", np.array(flags, dtype=np.int32)
-    yield "outputs", np.isin(np.arange(len(group.fit.matrix)), outputs).astype(np.int32)
+    yield "outputs", np.isin(np.arange(len(group.fit.matrix)), group.outputs).astype(np.int32)
     yield "allowed", np.array(group.allowed.of(None), dtype=float)
     yield "fit/matrix", group.fit.matrix
     yield "fit/bar", group.fit.error
@@ -224,36 +199,31 @@ def _group_arrays(
         sloped = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2)))
         members = tuple(members[place] for place in sloped.tolist())
     yield "fit/rows", np.array(sorted(chain.from_iterable(members)), dtype=np.int64)
-    # The rows (r) that answer at their own wrenches, in the order of a key. ``row/key`` (r),
-    # ``row/rates`` (n), 1/N and 1/(N·m); ``row/steepest`` (m), the most that an output moves over
-    # half the range, m and rad; ``row/wrench`` (r, n), N and N·m; ``row/moved`` and ``row/bar``
-    # (r, m), m and rad, NaN of a reading whose uncertainty is not known; ``row/tangent`` (t, m,
-    # n), SI, by ``row/tangent_of`` (r), -1 without; ``row/seq`` and ``row/number`` (r), the row's
-    # number in the ledger and its place; ``row/source`` (r), see `_Sources`.
-    exact, rows = group.exact, group.rows
-    order = exact.index.order
-    owner = exact.owner[order]
-    tangents = exact.merged.compliance[owner]
+    # The rows that answer at their own wrenches, in the order of a key.
+    index, merged = group.row_index, group.merged.rows
+    order = index.order
+    owner = group.merged.owner[order]
+    tangents = merged.compliance[owner]
     has_one = np.isfinite(tangents).any(axis=(1, 2))
-    wrenches = np.ascontiguousarray(exact.wrenches[order])
-    bucket, start = buckets_of(exact.index.keys)
-    yield "row/key", exact.index.keys
+    wrenches = np.ascontiguousarray(group.rows.wrench[order])
+    bucket, start = buckets_of(index.keys)
+    yield "row/key", index.keys
     yield "row/bucket", bucket
     yield "row/start", start
-    yield "row/rates", exact.index.rates
-    yield "row/steepest", exact.steepest
+    yield "row/rates", index.rates
+    yield "row/steepest", group.steepest
     yield "row/number", order.astype(np.int32)
-    yield "row/seq", rows.seq[order]
+    yield "row/seq", group.rows.seq[order]
     yield "row/wrench", wrenches
-    yield "row/moved", exact.merged.displacement[owner]
-    yield "row/bar", exact.uncertainty[owner]
+    yield "row/moved", merged.displacement[owner]
+    yield "row/bar", group.row_uncertainty[owner]
     places = np.where(has_one, np.cumsum(has_one) - 1, -1)
     yield "row/tangent_of", places.astype(np.int32)
     yield "row/tangent", tangents[has_one]
     yield "row/source", sources.numbers(wrenches)
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used and group.has_axes:
-        parts.append(("axes", axes_arrays(group.composition, group.members)))
+        parts.append(("axes", axes_arrays(group.axes, group.members)))
     for name, kriging in (("kriging", group.kriging), ("missed", missed)):
         if kriging is not None:
             parts.append((name, kriging_arrays(kriging)))
@@ -261,7 +231,7 @@ def _group_arrays(
         yield from ((f"{name}/{own}", array) for own, array in arrays)
 
 
-def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
+def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
     """Return the bits of what errors are measured against, and the kriging of what axes miss."""
     if exact:  # its default needs no reference: none is built
         return _ADDITIVE if group.has_axes else 0, None
@@ -271,13 +241,13 @@ def _reference(group: Surrogate, exact: bool) -> tuple[int, Kriging | None]:
     return _ADDITIVE if missed is None else _ADDITIVE | _MISSED, missed
 
 
-def _group_words(outputs: tuple[int, ...], group: Surrogate) -> dict[str, Any]:
+def _group_words(group: Group) -> dict[str, Any]:
     kriging = group.kriging
     return {
-        "outputs": [group.rows.space.output_names[output] for output in outputs],
+        "outputs": [group.rows.space.output_names[output] for output in group.outputs],
         "method": group.default,
         "method_reason": group.choice.reason,
         "kriging": "" if kriging is None else kriging.detail,
         "errors_left_out": group.choice.errors,
-        "has_tangents": group.evidence.needed != ENOUGH_FULL,
+        "has_tangents": group.full_needed != ENOUGH_FULL,
     }

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from ..answer import METHODS, allowed_by
 from ..kernel.binding import PackedTable
+from ..packed.arrays import check
 from ..packed.format import pieces
 from ..packed.numbering import DIMENSION, FIRST_CELL, buckets_of
 from ..table.axes import AXES
 from ..table.rows import Floats
-from .need import Mask, Need
+from .plan import Mask, Need
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -27,9 +28,7 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     """Return the packed file of a table cut to a scene, as pieces of bytes.
 
     It answers by the table's default method. Left out are groups whose outputs the scene does not
-    read, and rows and axes whose loads cannot occur. ``scene/range`` and ``scene/ends`` (2, n) are
-    the scene's loads, N and N·m, the latter with room for rounding; ``scene/varying`` (n), which
-    have more than one value; ``scene/slopes`` (n), by which loads derivatives are known.
+    read, and rows and axes whose loads cannot occur.
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
         "groups": [whole.words["groups"][group] for group in groups],
         "scene": {"outputs": need.output_names(), "plan": plan or {}},
     }
-    return pieces(arrays, words)
+    return pieces(check(arrays), words)
 
 
 def _scene_arrays(whole: PackedTable, need: Need, groups: int, slopes: Mask) -> Arrays:

@@ -5,22 +5,25 @@ Filling, downloading and the reply of the server all follow what is decided here
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..answer import allowed_by
-from ..build import AnyTable
+from ..build import Table
 from ..design import Design, Known, first_count, first_design, next_wrenches
-from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
 from ..packed.reasons import UNKNOWN_ERROR
-from ..table.rows import Floats, LoadRange
+from ..table.axes import AXES
+from ..table.rows import CLEAN, Floats, LoadRange, Tolerance
+from ..table.space import LOADS
 from ..table.spread import spread_wrenches
-from .need import Need
+
+Mask = NDArray[np.bool_]
 
 Decision = Literal["rigid", "linear", "table"]
 
@@ -34,6 +37,130 @@ LOOKED_UP = (
     "for components of one interface without further inputs and for linear ones only"
 )
 NO_LOAD = "no load can occur in the scene, so it stays as it is"
+
+
+@dataclass(frozen=True, eq=False)
+class Need:
+    """What a scene needs of one component.
+
+    Attributes
+    ----------
+    span : LoadRange
+        The loads that can occur, N and N·m; a load on a locked freedom is held at 0.
+    outputs : tuple of int
+        The outputs it reads, ascending.
+    tolerance : Tolerance or None, m and rad
+        The scene's own, else the component's.
+    idle : tuple of int
+        Loads on locked freedoms: whatever they are, nothing depends on them.
+    slack : ndarray, shape (n,), N and N·m
+        What rounding may add to an end: 1e-9 of the component's range.
+    """
+
+    span: LoadRange
+    outputs: tuple[int, ...]
+    tolerance: Tolerance | None
+    idle: tuple[int, ...]
+    slack: Floats
+
+    @property
+    def occurring(self) -> Mask:
+        """Which loads, N and N·m, can be other than zero, shape (n,)."""
+        return (self.span.low != 0) | (self.span.high != 0)
+
+    @property
+    def varying(self) -> Mask:
+        """Which loads, N and N·m, can have more than one value: the dimensions, shape (n,)."""
+        return self.span.high > self.span.low
+
+    @property
+    def loads(self) -> list[str]:
+        """The names of the loads that can occur."""
+        return [self.span.space.input_names[load] for load in np.flatnonzero(self.occurring)]
+
+    def beyond(self, wrenches: Floats) -> Mask:
+        """Return which loads of wrenches (k, n), N and N·m, the scene has not, shape (k, n)."""
+        return (wrenches < self.span.low - self.slack) | (wrenches > self.span.high + self.slack)
+
+    def axes(self) -> dict[str, dict[str, object]]:
+        """Return the axes that are composed: their inputs that can occur, and their dimensions.
+
+        An axis is composed if some of its loads can occur and one of its outputs is read. Tables
+        of several interfaces or further inputs compose none.
+        """
+        found: dict[str, dict[str, object]] = {}
+        for axis in AXES if self.span.space.is_default else ():
+            inputs = [load for load in axis.inputs if self.occurring[load]]
+            if inputs and set(axis.outputs) & set(self.outputs):
+                names = [LOADS[load] for load in inputs]
+                dimensions = int(self.varying[list(axis.inputs)].sum())
+                found[axis.name] = {"inputs": names, "dimensions": dimensions}
+        return found
+
+    def output_names(self) -> list[str]:
+        """Return the names of the outputs that are read."""
+        return [self.span.space.output_names[output] for output in self.outputs]
+
+
+class NeedError(ValueError):
+    """A scene's loads that cannot be: each mistake by the place of its load.
+
+    Attributes
+    ----------
+    mistakes : list of (int, str)
+        Place of the load among the inputs, and what is wrong with its ends.
+    """
+
+    def __init__(self, mistakes: list[tuple[int, str]]) -> None:
+        super().__init__("; ".join(message for _, message in mistakes))
+        self.mistakes = mistakes
+
+
+def need_of(
+    whole: LoadRange,
+    bounds: Floats | None = None,
+    outputs: Sequence[int] | None = None,
+    tolerance: Tolerance | None = None,
+    idle: Sequence[int] = (),
+) -> Need:
+    """Return what a scene needs of a component.
+
+    Parameters
+    ----------
+    whole : LoadRange
+        The component's load range, N and N·m; it is stretched to hold zero.
+    bounds : ndarray, shape (n, 2), optional, N and N·m
+        Low and high end of each load; the component's own by default.
+    outputs : sequence of int, optional
+        Those that are read; all by default.
+    idle : sequence of int
+        Loads on locked freedoms.
+
+    Raises
+    ------
+    NeedError
+        If an end lies outside the component's load range, or the ends are the wrong way round.
+    """
+    ends = np.column_stack((whole.low, whole.high)) if bounds is None else np.array(bounds, float)
+    slack = CLEAN * whole.scale
+    mistakes = []
+    for load, (low, high) in enumerate(ends.tolist()):
+        one = whole.space.inputs[load]
+        least, most = min(whole.low[load], one.zero), max(whole.high[load], one.zero)
+        if low > high:
+            message = f"the low end of {one.name}, {low:g}, is above the high end, {high:g}"
+            mistakes.append((load, message))
+        elif load not in idle and (low < least - slack[load] or high > most + slack[load]):
+            within = f"{least:g} to {most:g} {one.unit}, the load range"
+            message = f"{one.name} must lie within {within}"
+            mistakes.append((load, message))
+    if mistakes:
+        raise NeedError(mistakes)
+    ends[list(idle)] = 0.0
+    ends += 0.0  # no minus zero
+    read = tuple(sorted(set(range(len(whole.space.outputs)) if outputs is None else outputs)))
+    span = LoadRange(ends[:, 0], ends[:, 1], whole.space)
+    return Need(span, read, tolerance, tuple(idle), slack)
 
 
 @dataclass(frozen=True)
@@ -63,7 +190,7 @@ class ScenePlan:
     solves: tuple[int, int]
 
 
-def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
+def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
     """Return the plan of a scene's need of a component, from the rows there are, if any.
 
     Parameters
@@ -72,43 +199,47 @@ def plan_of(table: AnyTable, need: Need, *, solved: bool = True) -> ScenePlan:
         Whether finite elements answer, which move by nothing where there is no load.
     """
     solves = first_solves(table, table.load_range), first_solves(table, need.span)
-    limit = need.tolerance or table.tolerance
-    need = replace(need, tolerance=limit)
-    count, allowed = len(need.span.space.outputs), _allowed(need)
-    hangs = any(group.fit.offset.any() for _, group in table.groups)
+    need, space = replace(need, tolerance=need.tolerance or table.tolerance), need.span.space
+    hangs = any(group.fit.offset.any() for group in table.groups)
     if solved and not need.occurring.any() and not hangs:
-        return ScenePlan(need, "rigid", NO_LOAD, np.zeros(count), None, (solves[0], 0))
+        still = np.zeros(len(space.outputs))
+        return ScenePlan(need, "rigid", NO_LOAD, still, None, (solves[0], 0))
     bound, why = _bound(table, need)
+    if need.tolerance is not None:
+        allowed = allowed_by(need.tolerance, space)
+        parts = [bound[output] / allowed[output] for output in need.outputs]
+        if all(part <= 1.0 for part in parts):
+            worst = need.outputs[int(np.argmax(parts))]
+            name, unit = space.outputs[worst].name, space.outputs[worst].unit
+            reason = (
+                f"it moves by no more than the tolerance: {name} at most {bound[worst]:.2g} {unit} "
+                f"of {allowed[worst]:.2g} {unit}"
+            )
+            return ScenePlan(need, "rigid", reason, bound, None, (solves[0], 0))
     if table.linear:
-        decision: Decision = "linear"
-        reason, matrix = _linear_reason(table), _restricted(table.fit.matrix, need)
-        known = table.fit.known[need.occurring].all() and not hangs  # C w alone is no answer
-        compliance = matrix if known else None
-    elif not need.span.space.is_default:
-        decision, reason, compliance = "table", LOOKED_UP, None
-    else:
-        compliance, missed = _one_compliance(table, need)
-        decision = "table" if compliance is None else "linear"
-        reason = why or missed
-    read = list(need.outputs)
-    if allowed is not None and (bound[read] <= allowed[read]).all():
-        reason = f"it moves by no more than the tolerance: {_worst(bound, need)}"
-        return ScenePlan(need, "rigid", reason, bound, None, (solves[0], 0))
-    return ScenePlan(need, decision, reason, bound, compliance, solves)
+        is_known = "it is known" if table.groups[0].fit.complete else "one solve tells it"
+        reason = f"the component is linear: one compliance answers, and {is_known}"
+        compliance = None
+        if table.groups[0].fit.known[need.occurring].all() and not hangs:  # C w alone is no answer
+            compliance = np.where(need.occurring, table.groups[0].fit.matrix, 0.0)
+        return ScenePlan(need, "linear", reason, bound, compliance, solves)
+    if not space.is_default:
+        return ScenePlan(need, "table", LOOKED_UP, bound, None, solves)
+    compliance, missed = _one_compliance(table, need)
+    decision: Decision = "table" if compliance is None else "linear"
+    return ScenePlan(need, decision, why or missed, bound, compliance, solves)
 
 
 def design_of(
-    table: AnyTable, plan: ScenePlan, budget: int, pending: ArrayLike | None = None
+    table: Table, plan: ScenePlan, budget: int, pending: ArrayLike | None = None
 ) -> Design:
     """Return at most `budget` wrenches to solve next for a scene, none where it needs none.
 
     Parameters are those of `next_wrenches`: `pending` has shape (m, 6), N and N·m.
     """
-    if plan.decision == "rigid":
-        return Design(
-            plan.need.span.low[None][:0], "met", f"the scene needs no solve: {plan.reason}"
-        )
     need = plan.need
+    if plan.decision == "rigid":
+        return Design(need.span.low[None][:0], "met", f"the scene needs no solve: {plan.reason}")
     return next_wrenches(
         table,
         budget,
@@ -119,7 +250,7 @@ def design_of(
     )
 
 
-def first_solves(table: AnyTable, span: LoadRange) -> int:
+def first_solves(table: Table, span: LoadRange) -> int:
     """Return how many solves the first design of a span has, from an empty table.
 
     A solve of a linear component brings its whole compliance.
@@ -131,7 +262,7 @@ def first_solves(table: AnyTable, span: LoadRange) -> int:
     return len(first_design(span, known, first_count(span, table.rows)))
 
 
-def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
+def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     """Return what the displacement does not exceed, (m,), m and rad, and why it is not known.
 
     The larger of two: the answers with their errors at corners and wrenches of the scene; and the
@@ -146,36 +277,31 @@ def _bound(table: AnyTable, need: Need) -> tuple[Floats, str]:
         solver = table.solver_error.share(full)
     if not table.linear and not need.span.space.is_default:
         return bound, LOOKED_UP  # corners of many inputs are too many to look at
-    found = None if table.linear else packed_of(table).batch(_sample(need))
-    for outputs, surrogate in table.groups:
-        own, fit = list(outputs), surrogate.fit
-        unknown = need.occurring & ~fit.known
-        if not len(surrogate.used) or unknown.any():
-            names = [need.span.space.input_names[load] for load in np.flatnonzero(unknown)]
-            why = (
-                f"no row tells the influence of {', '.join(names)}" if len(surrogate.used) else why
-            )
+    sample = _sample(need)
+    found = None if table.linear else packed_of(table).batch(sample)
+    for surrogate in table.groups:
+        own, fit = list(surrogate.outputs), surrogate.fit
+        if not len(surrogate.used):
+            continue
+        unknown = np.flatnonzero(need.occurring & ~fit.known)
+        if len(unknown):
+            names = [need.span.space.input_names[load] for load in unknown]
+            why = f"no row tells the influence of {', '.join(names)}"
             continue
         most = np.abs(fit.matrix) @ full + np.abs(fit.offset) + fit.error + solver
         if found is not None:
             if not found.coverage.any():  # slopes of a table that is thin here prove nothing
-                most = np.fmin(most, _reach(packed_of(table), need) + found.errors.max(axis=0))
+                # The steepest slopes reach so far from the scene's middle to its ends (mean value
+                # theorem): where loads are small the component moves little, however far it bends
+                # from one compliance at its largest.
+                middle = (need.span.low + need.span.high) / 2
+                there = packed_of(table).batch(middle[None])
+                steepest = np.abs(packed_of(table).derivatives(sample)).max(axis=0)
+                reach = np.abs(there.outputs[0]) + steepest @ (need.span.high - middle)
+                most = np.fmin(most, reach + there.errors[0] + found.errors.max(axis=0))
             most = np.maximum(most, (np.abs(found.outputs) + found.errors).max(axis=0))
         bound[own], why = most[own], UNKNOWN_ERROR if np.isnan(most[own]).any() else ""
     return bound, why if np.isnan(bound[list(need.outputs)]).any() else ""
-
-
-def _reach(table: PackedTable, need: Need) -> Floats:
-    """Return how far the steepest slopes reach from a scene's middle to its ends, (6,), m and rad.
-
-    By the mean value theorem: where loads are small the component moves little, however far it
-    bends from one compliance at its largest.
-    """
-    middle = (need.span.low + need.span.high) / 2
-    there = table.batch(middle[None])
-    steepest = np.abs(table.derivatives(_sample(need))).max(axis=0)
-    moved = np.abs(there.outputs[0]) + steepest @ (need.span.high - middle)
-    return np.asarray(moved + there.errors[0])
 
 
 def _sample(need: Need) -> Floats:
@@ -186,18 +312,7 @@ def _sample(need: Need) -> Floats:
     return np.concatenate((corners, inner))
 
 
-def _restricted(matrix: Floats, need: Need) -> Floats:
-    """Return a compliance (m, n), SI, without the loads that cannot occur."""
-    return np.where(need.occurring, matrix, 0.0)
-
-
-def _linear_reason(table: AnyTable) -> str:
-    if table.fit.complete:
-        return "the component is linear: one compliance answers, and it is known"
-    return "the component is linear: one compliance answers, and one solve tells it"
-
-
-def _one_compliance(table: AnyTable, need: Need) -> tuple[Floats | None, str]:
+def _one_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
     """Return the compliance (6, 6), SI, that answers within the tolerance, if one does, and why.
 
     The least-squares one through the answers at wrenches of the scene; it must miss each of them,
@@ -210,32 +325,15 @@ def _one_compliance(table: AnyTable, need: Need) -> tuple[Floats | None, str]:
     scale = table.load_range.scale
     finite = np.asarray(np.isfinite(found.outputs).all(axis=0))
     moved = np.where(finite, found.outputs, 0.0)
-    if not np.isfinite(moved).all():
-        return None, NO_ROWS
     columns = np.linalg.lstsq(wrenches / scale, moved, rcond=None)[0]
     matrix = np.where(finite[:, None], columns.T / scale, 0.0)
     missed = np.abs(moved - wrenches @ matrix.T) + found.errors
     share = (missed / np.array(allowed_by(need.tolerance)))[:, read]
     if (share <= 1.0).all():
         reason = f"over the scene's loads one compliance answers within {share.max():.2g} of the "
-        return _restricted(matrix, need), reason + "tolerance"
+        return np.where(need.occurring, matrix, 0.0), reason + "tolerance"
     if not np.isfinite(share).all():
         return None, "its rows do not tell yet how its response bends over the scene's loads"
     worst = need.output_names()[int(np.argmax(share.max(axis=0)))]
     reason = f"one compliance would miss {worst} by {share.max():.3g} times the "
     return None, reason + "tolerance"
-
-
-def _allowed(need: Need) -> Floats | None:
-    """Return the largest error of each output, (m,), m and rad; None without a tolerance."""
-    return need.tolerance and np.array(allowed_by(need.tolerance, need.span.space))
-
-
-def _worst(bound: Floats, need: Need) -> str:
-    """Return the output that comes nearest to its tolerance, and by how much it moves."""
-    allowed = _allowed(need)
-    assert allowed is not None
-    worst = max(need.outputs, key=lambda output: bound[output] / allowed[output])
-    one = need.span.space.outputs[worst]
-    name, unit = one.name, one.unit
-    return f"{name} at most {bound[worst]:.2g} {unit} of {allowed[worst]:.2g} {unit}"

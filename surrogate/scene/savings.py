@@ -7,7 +7,7 @@ from time import perf_counter, thread_time
 
 import numpy as np
 
-from ..build import AnyTable
+from ..build import Table
 from ..kernel.binding import PackedTable
 from ..kernel.packing import packed_of
 from ..table.rows import Floats
@@ -40,12 +40,12 @@ class Savings:
     origin: dict[str, str]
 
 
-def measured(table: AnyTable, plan: ScenePlan) -> Savings:
+def measured(table: Table, plan: ScenePlan) -> Savings:
     """Return what the scene's table saves against the whole.
 
     A component that is rigid in the scene is left out: all of the whole is saved.
     """
-    if not any(len(surrogate.used) for _, surrogate in table.groups):
+    if not any(len(surrogate.used) for surrogate in table.groups):
         none = "not measured: there are no rows yet"
         keys = ("build_s", "memory_bytes", "us_per_answer")
         return Savings(None, None, None, dict.fromkeys(keys, none))
@@ -70,9 +70,9 @@ def measured(table: AnyTable, plan: ScenePlan) -> Savings:
     return Savings(whole[0] - own[0], whole[1] - own[1], whole[2] - own[2], origin)
 
 
-def built_s(table: AnyTable) -> float:
+def built_s(table: Table) -> float:
     """Return the processor time, s, that building a table took."""
-    return sum(surrogate.build_s for _, surrogate in table.groups)
+    return sum(surrogate.build_s for surrogate in table.groups)
 
 
 def _us(table: PackedTable, wrenches: Floats) -> float:

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..error_law import conformal_factor
-from .rows import Floats, LoadRange, Rows
+from ..calibration import conformal_factor
+from .rows import SMALLEST, Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not tell a load
 LONE = 1e-6  # of a row's own weight in its prediction: with less to spare the others do not tell it
 LEAST = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
 SAME_LINE = 1e-5  # a linear deck's gap to its compliance: fea/deck/solving.py refuses more
-SMALLEST = 1e-30  # m and rad: where nothing moves at all; its square is still a number
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
         alone = spare < LONE
         missed = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, spare))
         stored = np.nan_to_num(rows.uncertainty).max(axis=0)
-        error = conformal_factor(np.abs(missed), np.ones_like(missed)) + stored
+        error = conformal_factor(np.abs(missed)) + stored
     return ComplianceFit(matrix, known, error, "fitted", offset)
 
 

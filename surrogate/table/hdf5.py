@@ -22,8 +22,15 @@ import numpy as np
 from h5py import h5l  # pyright: ignore[reportAttributeAccessIssue] (compiled, not described)
 
 from .axes import OffAxis
-from .file_digest import USER_BLOCK, is_as_written, may_be_foreign, sync, write_digest
-from .meta import SCHEMA_VERSION, TableMeta
+from .meta import (
+    SCHEMA_VERSION,
+    USER_BLOCK,
+    TableMeta,
+    is_as_written,
+    may_be_foreign,
+    sync,
+    write_digest,
+)
 from .rows import LoadRange, Rows, Tolerance, unknown_column
 from .space import DEFAULT, LOAD_UNITS, OUTPUT_UNITS, Space
 

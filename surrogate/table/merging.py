@@ -1,4 +1,4 @@
-"""The rows that answers are made of: those within the load range, repeated ones merged.
+"""Rows at the same wrench: which they are, their mean, and whether they contradict each other.
 
 A row beyond the load range answers its own wrench and nothing else: one row at 25 times the range
 makes simplices that take most of it, and bends every fit. Two rows that are almost one tell, by the
@@ -8,8 +8,9 @@ they differ by is its uncertainty.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,41 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from .rows import CLEAN, Floats, LoadRange, Rows
+from .rows import CLEAN, NEAR, Floats, LoadRange, Rows
 
-NEAR = 1e-6  # of the range: rows closer than this, in each load, are one
 DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
-ROUNDING = 1e-6  # of the distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
+ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
 EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured
+SOLVED = "fea"  # the source of a row that repeats exactly
+# Wrenches that are near each other are so along any direction; of those apart few are. The parts
+# are roots of primes, of which no two loads' steps cancel, and their sum is 1, so that what is
+# within `NEAR` in each load is so along it.
+_PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
+WINDOW = NEAR * ALONG
+
+AGREE = 1e-6  # of an output's range: what rounding in a file may do
+MOST_LISTED = 50
+
+
+class Readings(NamedTuple):
+    """Measured values of unstated uncertainty behind each row and output, shape (n, 6).
+
+    Their scatter and the likelihood of a kriging show their noise.
+
+    Attributes
+    ----------
+    number : ndarray, dimensionless
+        How many there are; 0 where an uncertainty is stated, or a value is solved.
+    scatter : ndarray, squares of m and rad
+        Sum of their squared differences from their mean.
+    """
+
+    number: Floats
+    scatter: Floats
+
+    def take(self, which: NDArray[np.intp]) -> Readings:
+        """Return those of some rows, whose indices have shape (k,)."""
+        return Readings(self.number[which], self.scatter[which])
 
 
 class Merged(NamedTuple):
@@ -40,19 +70,23 @@ class Merged(NamedTuple):
         Which lie within the load range.
     owner : ndarray of int, shape (given rows,)
         The index, in these rows, of each row that was given.
+    readings : Readings
+        Behind each of these rows.
     """
 
     rows: Rows
     members: tuple[tuple[int, ...], ...]
     within: NDArray[np.bool_]
     owner: NDArray[np.intp]
+    readings: Readings
 
-    def usable(self) -> tuple[Rows, tuple[tuple[int, ...], ...]]:
-        """Return the rows within the load range, and their members."""
+    def usable(self) -> tuple[Rows, tuple[tuple[int, ...], ...], Readings]:
+        """Return the rows within the load range, their members and readings."""
         if self.within.all():
-            return self.rows, self.members
-        members = tuple(self.members[place] for place in np.flatnonzero(self.within))
-        return self.rows.take(self.within), members
+            return self.rows, self.members, self.readings
+        inside = np.flatnonzero(self.within)
+        members = tuple(self.members[place] for place in inside)
+        return self.rows.take(inside), members, self.readings.take(inside)
 
 
 def merge(rows: Rows, load_range: LoadRange) -> Merged:
@@ -60,41 +94,158 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
 
     A row beyond the range never merges with one within it.
     """
-    scaled = rows.wrench / load_range.scale
-    within = load_range.holds(rows.wrench)
-    owner = close_groups(np.column_stack((scaled, np.where(within, 0.0, 1.0))))
-    count = int(owner.max(initial=-1)) + 1
-    if count == len(rows):
-        return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner)
+    scaled, within, owner = rows.wrench / load_range.scale, *_groups(rows, load_range)
+    sizes = np.bincount(owner)
+    several = np.flatnonzero(sizes > 1)
+    present = np.isfinite(rows.displacement)
+    solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
+    stated = present & ((rows.uncertainty > 0) | solved[:, None])
+    readings = Readings(np.where(present & ~stated, 1.0, 0.0), np.zeros_like(rows.displacement))
+    if not len(several):
+        return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, readings)
     # The wrench is that of the row with the fewest loads, so that a clean row stays clean and the
     # row at no load at no load; then of the outermost, so that the hull does not shrink.
     loaded = (np.abs(scaled) > CLEAN).sum(axis=1)
     order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
-    first = order[np.searchsorted(owner[order], np.arange(count))]
-    by_seq = np.argsort(owner, kind="stable")
-    sizes = np.bincount(owner, minlength=count)
-    starts = np.cumsum(sizes) - sizes
-    members = list(zip(rows.seq[by_seq[starts]].tolist(), strict=True))
-    found = rows.take(first)
-    several = np.flatnonzero(sizes > 1)
-    curvature = rows.curvature[first]  # of the first ones alone it may be unknown
-    if len(several):  # what the means are written to
-        own = {name: np.array(getattr(found, name)) for name in ("uncertainty", "compliance")}
-        found = replace(found, **own)
-    for place in several.tolist():
-        group = by_seq[starts[place] : starts[place] + sizes[place]]
-        members[place] = tuple(rows.seq[group].tolist())
-        # Put the mean of merged rows in the place of one of them.
-        merged = rows.take(group)
-        found.displacement[place] = merged.displacement.mean(axis=0)
-        stored = np.nan_to_num(merged.uncertainty).max(axis=0)
-        found.uncertainty[place] = np.maximum(np.ptp(merged.displacement, axis=0) / 2, stored)
-        found.compliance[place] = _mean_known(merged.compliance)
-        measured = merged.source != "fea"  # solves repeat exactly; a merged row does only if all do
-        found.source[place] = merged.source[measured][0] if measured.any() else "fea"
-        curvature[place] = _mean_known(rows.curvature[group])
-    found = replace(found, curvature=curvature)
-    return Merged(found, tuple(members), within[first], owner)
+    first = order[np.cumsum(sizes) - sizes]
+    order, starts = _several(owner)
+    part, present = rows.take(order), present[order]
+    mean = _means(part.displacement, starts, ())
+    high = np.maximum.reduceat(np.where(present, part.displacement, -np.inf), starts)
+    low = np.minimum.reduceat(np.where(present, part.displacement, np.inf), starts)
+    largest = np.maximum.reduceat(np.nan_to_num(part.uncertainty), starts)
+    # Solves repeat exactly; a merged row does only if all do.
+    measured = np.where(part.source != SOLVED, np.arange(len(part)), len(part))
+    columns = {
+        "displacement": mean,
+        "uncertainty": np.maximum(np.where(high > low, high - low, 0.0) / 2, largest),
+        "compliance": _means(part.compliance, starts, (1, 2)),
+        "curvature": _means(rows.curvature[order], starts, (1,)),
+        "source": np.append(part.source, SOLVED)[np.minimum.reduceat(measured, starts)],
+    }
+    merged = {name: np.array(getattr(rows, name)[first]) for name in columns}
+    for name, values in columns.items():
+        merged[name][several] = values
+    members = list(zip(rows.seq[first].tolist(), strict=True))
+    for place, group in zip(several.tolist(), np.split(part.seq, starts[1:]), strict=True):
+        members[place] = tuple(group.tolist())
+    apart = np.where(present, part.displacement - mean.repeat(sizes[several], axis=0), 0.0)
+    unstated = ~np.logical_or.reduceat(stated[order], starts)
+    readings = readings.take(first)
+    readings.number[several] = np.where(unstated, np.add.reduceat(present, starts, dtype=float), 0)
+    readings.scatter[several] = np.where(unstated, np.add.reduceat(apart**2, starts), 0.0)
+    kept = replace(rows.take(first), **merged)
+    return Merged(kept, tuple(members), within[first], owner, readings)
+
+
+class RowIndex:
+    """The nearest row of each wrench, if that is within 1e-6 of the range in each load.
+
+    Rows as near as that are one (`merging`): a rounding error beside a row is the row's own place.
+    Of several rows of one wrench the first counts.
+
+    Parameters
+    ----------
+    wrenches : ndarray, shape (n, 6), N and N·m
+    scale : ndarray, shape (6,), N and N·m
+        Of the load range.
+
+    Attributes
+    ----------
+    keys : ndarray, shape (m,)
+        Each distinct wrench along the direction, ascending, dimensionless.
+    order : ndarray of int, shape (m,)
+        Its row.
+    rates : ndarray, shape (6,), 1/N and 1/(N·m)
+        What a wrench's loads add to its key.
+    """
+
+    def __init__(self, wrenches: Floats, scale: Floats) -> None:
+        self._wrenches, self._scale = wrenches, scale
+        # A direction whose parts have no common measure, shape (n,).
+        roots = np.sqrt(np.array(_PRIMES[: len(scale)], dtype=float))
+        self.rates = (roots / roots.sum()) / scale
+        self._one_over: list[float] = self.rates.tolist()
+        keys = wrenches @ self.rates
+        order = np.argsort(keys, kind="stable")
+        placed = wrenches[order]
+        first = np.ones(len(order), dtype=bool)
+        first[1:] = (placed[1:] != placed[:-1]).any(axis=1)
+        self.order: NDArray[np.intp] = order[first]
+        self.keys: Floats = keys[self.order]
+
+    def places(self, wrenches: Floats) -> NDArray[np.intp]:
+        """Return the row of each wrench (k, 6), N and N·m, shape (k,); -1 where none is near."""
+        found = np.full(len(wrenches), -1, dtype=np.intp)
+        with np.errstate(over="ignore", invalid="ignore"):  # a load may be 1e300
+            keys = wrenches @ self.rates
+            first = np.searchsorted(self.keys, keys - WINDOW)
+            last = np.searchsorted(self.keys, keys + WINDOW, side="right")
+        for place in np.flatnonzero(first < last).tolist():
+            found[place] = self._nearest(wrenches[place].tolist(), first[place], last[place])
+        return found
+
+    def place(self, wrench: Sequence[float]) -> int:
+        """Return the row of one wrench (6,), N and N·m, or -1: `places` without arrays."""
+        key = 0.0
+        for load, rate in zip(wrench, self._one_over, strict=True):
+            key += load * rate
+        first = int(self.keys.searchsorted(key - WINDOW))
+        if first == len(self.keys) or not self.keys[first] <= key + WINDOW:
+            return -1
+        last = int(self.keys.searchsorted(key + WINDOW, side="right"))
+        return self._nearest(wrench, first, last)
+
+    def _nearest(self, wrench: Sequence[float], first: int, last: int) -> int:
+        """Return the nearest row of a part of the order, or -1; of equally near ones the first."""
+        rows = np.sort(self.order[first:last])
+        steps = np.abs(self._wrenches[rows] - wrench) / self._scale
+        apart = steps.max(axis=1)
+        nearest = int(np.argmin(apart))
+        return int(rows[nearest]) if apart[nearest] <= NEAR else -1
+
+
+def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:
+    """Return the rows of each wrench that several have, as indices, shape (k,), ascending."""
+    order, starts = _several(_groups(rows, load_range)[1])
+    return np.split(order, starts[1:]) if len(starts) else []
+
+
+def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
+    """Return what a coverage summary says of repeated wrenches: how many, and which disagree.
+
+    Rows of a wrench disagree if an output's spread is over twice the largest stored uncertainty
+    plus a millionth of the output's range: no two of such rows can both be right.
+    """
+    groups = repeated(rows, load_range)
+    size = AGREE * np.abs(np.nan_to_num(rows.displacement)).max(axis=0, initial=0.0)
+    names, found = rows.space.output_names, []
+    for places in groups:
+        moved = rows.displacement[places]
+        spread = np.fmax.reduce(moved) - np.fmin.reduce(moved)  # NaN where none is measured
+        allowed = 2 * np.nan_to_num(rows.uncertainty[places]).max(axis=0) + size
+        over = np.flatnonzero(spread > allowed)
+        if len(over):
+            wrench = rows.wrench[places[0]].tolist()
+            found.append(
+                {
+                    "rows": rows.seq[places].tolist(),
+                    "wrench": dict(zip(rows.space.input_names, wrench, strict=True)),
+                    "spread": {names[output]: float(spread[output]) for output in over},
+                }
+            )
+    return {
+        "conflicts": found[:MOST_LISTED],
+        "conflicting_wrenches": len(found),
+        "repeated_wrenches": len(groups),
+    }
+
+
+def _groups(rows: Rows, load_range: LoadRange) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Return which rows lie within the range, and the group of rows at one wrench of each."""
+    within = load_range.holds(rows.wrench)
+    scaled = rows.wrench / load_range.scale
+    return within, close_groups(np.column_stack((scaled, np.where(within, 0.0, 1.0))))
 
 
 def close_groups(points: Floats) -> NDArray[np.intp]:
@@ -123,7 +274,7 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     for direction in directions:
         along = distinct[left] @ direction
         order = np.argsort(along)
-        close = np.diff(along[order]) <= NEAR * direction.sum() * (1 + ROUNDING)
+        close = np.diff(along[order]) <= NEAR * direction.sum() * ALONG
         kept = np.zeros(len(left), dtype=bool)
         kept[order[1:][close]] = True
         kept[order[:-1][close]] = True
@@ -139,7 +290,17 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     return rank[number.reshape(-1)]
 
 
-def _mean_known(values: Floats) -> Floats:
-    """Return the mean of the entries, (n, ...) -> (...), that are known; NaN if none is."""
-    known = values[np.isfinite(values).all(axis=tuple(range(1, values.ndim)))]
-    return known.mean(axis=0) if len(known) else np.full(values.shape[1:], np.nan)
+def _several(owner: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows of all groups of several, group by group, and where each group begins."""
+    sizes = np.bincount(owner)
+    order = np.argsort(owner, kind="stable")
+    several = sizes[sizes > 1]
+    return order[sizes[owner[order]] > 1], np.cumsum(several) - several
+
+
+def _means(values: Floats, starts: NDArray[np.intp], whole: tuple[int, ...]) -> Floats:
+    """Return each group's mean, (k, ...), of entries that are known along `whole`; else NaN."""
+    known = np.asarray(np.isfinite(values).all(axis=whole, keepdims=True))
+    count = np.add.reduceat(known, starts, dtype=float)
+    total = np.add.reduceat(np.where(known, values, 0.0), starts)
+    return np.where(count > 0, total / np.maximum(count, 1.0), np.nan)

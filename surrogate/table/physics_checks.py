@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from .axes import CLEAN
 from .compliance import ComplianceFit
-from .rows import Floats, LoadRange, Rows, Tolerance
+from .rows import CLEAN, Floats, LoadRange, Rows, Tolerance
 from .second_derivatives import symmetric_tangents
 from .space import Space
 

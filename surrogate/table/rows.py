@@ -6,6 +6,7 @@ its m outputs: of the default space six numbers, force then moment, translation 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,8 +17,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from .space import DEFAULT, Floats, Space
 
-CLEAN = 1e-9  # of the range: a load below it counts as none (rounding)
-ON_END = 1e-9  # of the range: what a load may lie beyond its end and still be on it (rounding)
+# Of the range, in each load. The C kernel has the same numbers in wb_internal.h.
+CLEAN = 1e-9  # a smaller load counts as none, and one as little beyond an end as on it (rounding)
+NEAR = 1e-6  # wrenches closer than this are one
+ROUNDING = 1e-12  # of a number's size: what its computation loses; no error bar is smaller
+SMALLEST = 1e-30  # m and rad: an error bar where nothing moves at all; its square is a number
+
+# Limits of every displacement: what no row of a table may exceed, and no estimate is given beyond.
+# An estimate off the rows goes on linearly, so it may be any number; beyond these limits the
+# small-deformation contract has ended.
+
+ROTATION_LIMIT = math.radians(20.0)
+"""Longest rotation vector a table may hold, rad: beyond it the small-deformation contract ends."""
+
+TRANSLATION_LIMIT = 10.0
+"""Largest translation a table may hold, m.
+
+A cantilever's tip moves by 2/3 of its length times its rotation (u = P L^3 / 3EI, r = P L^2 /
+2EI), so within 20 degrees a part has to be 43 m long to move by 10 m: no part of a machine is
+refused. A millimetre taken for a metre is noticed from 10 mm on, a micrometre from 10 um on.
+"""
+
+LONGEST = ROTATION_LIMIT * (1.0 + ROUNDING)
+"""rad: the last bits of a conversion from degrees must not refuse exactly 20 degrees."""
 
 
 class RowError(ValueError):
@@ -72,7 +94,7 @@ class LoadRange:
     @cached_property
     def ends(self) -> Floats:
         """The range stretched to hold no load, and by what rounding may add, (2, n)."""
-        slack, zero = ON_END * self.scale, self.space.zero
+        slack, zero = CLEAN * self.scale, self.space.zero
         return np.stack((np.minimum(self.low, zero) - slack, np.maximum(self.high, zero) + slack))
 
     def exceeded(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
@@ -302,6 +324,17 @@ class Rows:
             source=[str(record.get("source") or "") for record in found],
             fingerprint=[str(record.get("fingerprint") or "") for record in found],
         )
+
+
+def rotation_angles(displacements: Floats) -> Floats:
+    """Return the rotation angles of displacements (n, 6), m and rad: (n,), rad; NaN counts as 0."""
+    with np.errstate(over="ignore"):
+        return np.sqrt(np.nansum(displacements[:, 3:] ** 2, axis=1))
+
+
+def is_too_far(angles: Floats) -> NDArray[np.bool_]:
+    """Return which rotations, shape (n,), rad, are beyond the limit."""
+    return np.asarray(angles > LONGEST)
 
 
 _COLUMNS = (

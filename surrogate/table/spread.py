@@ -1,10 +1,22 @@
-"""Evenly spread wrenches: an additive recurrence (Roberts 2018, the R sequence)."""
+"""Evenly spread wrenches (an additive recurrence: Roberts 2018, the R sequence).
+
+And where among them a joint can invert a part's compliance: where it is positive definite.
+"""
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
+from numpy.typing import NDArray
 
 from .rows import Floats, LoadRange
+
+INSIDE = 448  # wrenches inside the range: with its 64 corners they are answered in 5 ms
+# Steps of an additive sequence that spreads points over a cube of six dimensions evenly: powers of
+# the root of g^7 = g + 1 (Roberts 2018, the generalised golden ratio).
+STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)
+ROUNDING = 1e-10  # of the largest eigenvalue: a kriging's slopes are right to some 1e-11
 
 
 def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
@@ -18,3 +30,33 @@ def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
     wrenches = np.tile(span.low, (count, 1))
     wrenches[:, vary] += fraction * (span.high - span.low)[vary]
     return wrenches
+
+
+def sample_of(ends: Floats, centre: Floats, places: NDArray[np.intp]) -> Floats:
+    """Return the corners of a load range, shape (2, n), and wrenches within it, shape (m, n).
+
+    Inputs at other places are those of `centre`, shape (n,).
+    """
+    (low, high), count = ends, len(places)
+    corners = np.array(list(product((0.0, 1.0), repeat=count)))
+    inside = np.mod(0.5 + np.outer(np.arange(INSIDE), STEPS[:count]), 1.0)
+    loads = np.tile(centre, (len(corners) + INSIDE, 1))
+    loads[:, places] = low[places] + np.vstack([corners, inside]) * (high - low)[places]
+    return loads
+
+
+def weakest(compliances: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Return the least eigenvalue (k,), J, of compliances (k, n, n), SI, and its loads (k, n).
+
+    Loads are over `scale`, (n,), the largest 1. Below zero the part moves against them; NaN where a
+    compliance is not known.
+    """
+    least, loads = np.full(len(compliances), np.nan), np.full(compliances.shape[:2], np.nan)
+    known = np.isfinite(compliances).all(axis=(1, 2))
+    energy = compliances[known] * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(0.5 * (energy + energy.transpose(0, 2, 1)))
+    rounding = np.abs(values[:, 0]) <= ROUNDING * np.abs(values).max(axis=1, initial=0.0)
+    least[known] = np.where(rounding, 0.0, values[:, 0])
+    own = vectors[:, :, 0]
+    loads[known] = own / np.take_along_axis(own, np.abs(own).argmax(axis=1)[:, None], axis=1)
+    return least, loads

@@ -37,7 +37,7 @@ from wrenchbook.service.fmu.export import NotExportableError, make_fmu
 from wrenchbook.service.ops.backup import back_up
 from wrenchbook.service.ops.restore import restore
 from wrenchbook.surrogate.answer import METHODS
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table as BuiltTable
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
@@ -112,7 +112,7 @@ class Asked:
             return None
 
     @cached_property
-    def law(self) -> AnyTable:
+    def law(self) -> BuiltTable:
         """What numpy has made of its rows."""
         rows, meta = read_table(self.folder / "rows.h5")
         told, own = self.packed.words["solver_error"], self.table.tolerance
@@ -170,7 +170,7 @@ def assert_all_same(told: dict[str, dict[str, Said]]) -> None:
 
 
 def assert_numpy(
-    table: AnyTable,
+    table: BuiltTable,
     packed: PackedTable,
     asked: np.ndarray,
     tolerance: Limit,
@@ -288,7 +288,7 @@ class Made(NamedTuple):
     tolerance: Limit
     low: float
 
-    def built(self, kind: str) -> AnyTable:
+    def built(self, kind: str) -> BuiltTable:
         """The numpy law of rows of a kind."""
         rows, more = ROWS[kind](self.size, np.random.default_rng(self.seed))
         scale = np.ones(6) if kind == "softening" else FULL

@@ -27,17 +27,17 @@ def spent(call: Callable[[], object], repeats: int = 30) -> tuple[float, float]:
     return 1e3 * min(walls), 1e3 * min(works)
 
 
-def kernel_ms(wrenches: np.ndarray) -> float:
-    """Return the processor time of the kernel for answers and derivatives, ms."""
-    packed = packed_of("solved")
-    return spent(lambda: (packed.batch(wrenches), packed.derivatives(wrenches)))[1]
+def kernel_ms(wrenches: np.ndarray) -> tuple[float, float]:
+    """Return the times of the kernel's batches of answers and derivatives by two threads, ms."""
+    packed, options = packed_of("solved"), (None, "kriging", 2)
+    return spent(lambda: (packed.batch(wrenches, *options), packed.derivatives(wrenches, *options)))
 
 
-def show(name: str, found: tuple[float, float], kernel: float) -> None:
+def show(name: str, found: tuple[float, float], kernel: tuple[float, float]) -> None:
     wall, work = found
     print(
-        f"\n{name}: {wall:.1f} ms, {work:.1f} ms of the processors "
-        f"(kernel, answers and derivatives on one: {kernel:.1f} ms), load {os.getloadavg()[0]:.1f}"
+        f"\n{name}: {wall:.1f} ms, {work:.1f} ms of the processors (the kernel's batches by two "
+        f"threads: {kernel[0]:.1f} and {kernel[1]:.1f} ms), load {os.getloadavg()[0]:.1f}"
     )
 
 
@@ -56,8 +56,8 @@ def test_jax_answers_4096_wrenches() -> None:
     whole_ms = spent(lambda: jax.block_until_ready(whole(asked)))
     show("JAX, value and derivative (at most 12 ms on two idle cores)", bare_ms, kernel)
     show("JAX, with error bars (at most 20 ms)", whole_ms, kernel)
-    assert bare_ms[1] < 3 * kernel
-    assert whole_ms[1] < 3 * kernel
+    assert bare_ms[1] < 1.5 * kernel[1]
+    assert whole_ms[1] < 1.5 * kernel[1]
 
 
 def test_torch_answers_4096_wrenches() -> None:
@@ -69,4 +69,4 @@ def test_torch_answers_4096_wrenches() -> None:
     whole = spent(lambda: (own(asked), own.derivative(asked)), 10)
     show("PyTorch, value and derivative", bare, kernel)
     show("PyTorch, with error bars", whole, kernel)
-    assert bare[1] < 3 * kernel
+    assert bare[1] < 1.5 * kernel[1]

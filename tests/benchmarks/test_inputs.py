@@ -21,7 +21,7 @@ from tests.fea.shipped_meshes import COMPONENTS
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.library.component import component_of
-from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.design import next_wrenches
 from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import Floats, Rows, Tolerance
@@ -97,7 +97,7 @@ class Lab:
         least = NEAR_ZERO * self.range.space.largest_of_kind(span)
         return np.where(span > 0, np.maximum(span, least), np.inf)
 
-    def filled(self, rows: Rows, solves: int) -> tuple[Rows, AnyTable]:
+    def filled(self, rows: Rows, solves: int) -> tuple[Rows, Table]:
         """Return rows that fill has brought to so many, and their table."""
         table = build(rows, self.range, tolerance=UNREACHABLE)
         while len(rows) < solves:
@@ -108,7 +108,7 @@ class Lab:
         return rows, table
 
 
-def figures(lab: Lab, table: AnyTable, where: str) -> tuple[float, ...]:
+def figures(lab: Lab, table: Table, where: str) -> tuple[float, ...]:
     """Return errors over ranges and what the bars hold, %.
 
     The worst output's RMS and largest error over its range; the part of answers with bars (too few

@@ -17,7 +17,7 @@ from tests.surrogate.kriging.responses import hardening, kink_across
 from tests.surrogate.kriging.responses import solved as with_slopes
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.build import compiler_command, ready_library
 from wrenchbook.surrogate.packed.writer import pack
@@ -37,7 +37,7 @@ def spent(call: Callable[[], object], repeats: int = 5) -> float:
     return best
 
 
-def rates(surrogate: AnyTable, wrenches: np.ndarray, folder: Path) -> tuple[float, ...]:
+def rates(surrogate: Table, wrenches: np.ndarray, folder: Path) -> tuple[float, ...]:
     """Return us of a single answer and of one of a batch in C, then of both from Python."""
     content = b"".join(pack(surrogate))
     (folder / "table.wbt").write_bytes(content)
@@ -86,7 +86,7 @@ def test_second_derivatives_of_60_solves_cost_microseconds(tmp_path: Path) -> No
 def test_length_scales_of_every_output_cost_its_covariances(tmp_path: Path) -> None:
     at, asked = full_wrenches(60, 3), full_wrenches(100_000, 4) * HIGH
     own, common = (build(with_slopes(response, at), RANGE) for response in (hardening, kink_across))
-    shares = [len(one.table.thinnest.kriging.inside.shares) for one in (own, common)]
+    shares = [len(one.table.groups[0].kriging.shares) for one in (own, common)]
     assert shares == [6, 1]
     found, plain = (rates(one, asked, tmp_path) for one in (own, common))
     print(
@@ -109,7 +109,7 @@ def test_griddata_is_faster_than_three_bare_calls(
     single, batch, python, many = rates(surrogate, scaled * HIGH, tmp_path)
     bare = [
         (LinearNDInterpolator(one.triangulation.delaunay, one.values), scaled[:, one.axis.inputs])
-        for one in surrogate.composition.tables
+        for one in surrogate.axes.tables
         if one is not None
     ]
     theirs = 1e6 * spent(lambda: [call(places) for call, places in bare], 3) / len(scaled)

@@ -12,8 +12,9 @@ from tests.surrogate.kriging.responses import RESPONSES, solved, spread_wrenches
 from tests.surrogate.responses import RANGE
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.kriging.equations import equations_of, scaling_of, within
-from wrenchbook.surrogate.kriging.estimate import estimated
+from wrenchbook.surrogate.kriging.likelihood import estimated
 from wrenchbook.surrogate.kriging.settings import DEFAULTS
+from wrenchbook.surrogate.table.merging import merge
 
 RESPONSE = RESPONSES["strongly_coupled"]
 
@@ -39,7 +40,7 @@ def test_builds_are_ready_in_time(solves: int) -> None:
     rows = rows_of(solves)
     inside = within(rows, RANGE)
     scaling = scaling_of(inside, RANGE)
-    equations = equations_of(inside, scaling)
+    equations = equations_of(inside, scaling, merge(inside, RANGE).readings)
     first = best(lambda: Kriging.build(rows, RANGE), 2)
     estimate = best(lambda: estimated(equations, scaling, DEFAULTS), 1)
     before = Kriging.build(rows.take(np.arange(len(rows) - 1)), RANGE)

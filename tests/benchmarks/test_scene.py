@@ -20,12 +20,11 @@ import pytest
 from tests.surrogate.calibrating import shipped
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE
-from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.scene.cut import cut
-from wrenchbook.surrogate.scene.need import Need, need_of
-from wrenchbook.surrogate.scene.plan import design_of, plan_of
+from wrenchbook.surrogate.scene.plan import Need, design_of, need_of, plan_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 PLANAR, ALL = np.isin(np.arange(6), (0, 2, 4)), np.ones(6, dtype=bool)
@@ -76,7 +75,7 @@ def us(table: PackedTable, wrenches: np.ndarray) -> float:
     return 1e6 * seconds(lambda: [table.answer(wrench) for wrench in asked]) / len(asked)
 
 
-def packed_of(table: AnyTable) -> PackedTable:
+def packed_of(table: Table) -> PackedTable:
     return PackedTable.from_bytes(b"".join(pack(table)))
 
 

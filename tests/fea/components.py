@@ -10,7 +10,8 @@ from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.coupling.section import section_of_facets
-from wrenchbook.fea.spec.schema import Analysis, Material
+from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.spec.schema import Analysis
 
 
 def body_of(mesh, free, young=1e9, poisson=0.3, integration="reduced"):

@@ -21,7 +21,7 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.spec.material import Material
 
 YOUNG = 210e9
 RUBBER = 3e6

@@ -72,7 +72,7 @@ def test_the_bound_of_13_inputs_is_that_of_the_matrix_and_judges_each_output(wor
     rows = Rows.of(np.eye(13), matrix.T, SPACE, compliance=np.tile(matrix, (13, 1, 1)))
     built = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0), linear=True)
     packed = packed_of(built)
-    table = SimpleNamespace(load_range=RANGE, linear=True, fit=built.fit, packed=packed)
+    table = SimpleNamespace(load_range=RANGE, linear=True, fit=built.groups[0].fit, packed=packed)
     store = RecordingStore(workspace)
     store.widen("link", wrenches(20), None)
     envelope = store.envelope("link")

@@ -11,8 +11,8 @@ import numpy as np
 from tests.surrogate.kriging.responses import Response, noisy_rows, solved, spread_wrenches
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth, table
+from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.design import next_wrenches
-from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 TABLES = Path(__file__).parent / "tables"
@@ -101,7 +101,7 @@ class Case(NamedTuple):
 
 
 def calibration(
-    surrogate: Surrogate,
+    surrogate: Group,
     wrenches: np.ndarray,
     true: np.ndarray,
     method: str | None = None,

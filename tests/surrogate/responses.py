@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tests.surrogate.law.methods import AxesReference, StraightDirection
-from wrenchbook.surrogate.axes.axes import build_composition
+from wrenchbook.surrogate.axes.axes import build_axes
 from wrenchbook.surrogate.methods import interaction_of
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.compliance import fit_compliance
@@ -74,9 +74,9 @@ def axes_of(rows: Rows, method: str = "griddata") -> StraightDirection:
     Its answers are those of every table (`test_methods` holds them together); it is made in a
     hundredth of the time, so that properties of the axes can be tried on many tables.
     """
-    used, _ = merge(rows, RANGE).usable()
+    used, *_ = merge(rows, RANGE).usable()
     fit = fit_compliance(used, RANGE, linear=False)
-    composition = build_composition(used, RANGE, fit, "correct")
+    composition = build_axes(used, RANGE, fit, "correct")
     reference = AxesReference(composition, interaction_of(used, RANGE, composition))
     return StraightDirection(composition, reference, method)
 

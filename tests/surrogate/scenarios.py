@@ -16,8 +16,9 @@ from tests.surrogate.calibrating import TABLES
 from tests.surrogate.kriging.responses import Response, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE
-from wrenchbook.surrogate.build import AnyTable
-from wrenchbook.surrogate.kriging import Kriging
+from wrenchbook.surrogate import build as product
+from wrenchbook.surrogate.build import Table
+from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 ASKED = 300  # wrenches that answers are judged at
@@ -79,10 +80,11 @@ def shipped_truth(name: str) -> Truth:
             source=["fea"] * count,
         )
         load_range = LoadRange(file["low"], file["high"])
-    kriging = Kriging.build(rows, load_range)
+    kriging = packed_of(product.build(rows, load_range))
 
     def solve(wrenches: np.ndarray) -> Rows:
-        moved, tangents = kriging.answer_many(wrenches)[0], kriging.derivatives(wrenches)
+        moved = kriging.batch(wrenches, method="kriging", without_rows=True).outputs
+        tangents = kriging.derivatives(wrenches, method="kriging", without_rows=True)
         return Rows.of(wrenches, moved, compliance=tangents, source=["fea"] * len(wrenches))
 
     return Truth(name, load_range, TOLERANCES[name], solve)
@@ -120,7 +122,7 @@ def corner(count: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0, 1, (count, 6))
 
 
-def _table(truth: Truth, parts: np.ndarray) -> AnyTable:
+def _table(truth: Truth, parts: np.ndarray) -> Table:
     rows = truth.rows(truth.at(parts))
     return build(rows, truth.load_range, tolerance=truth.tolerance)
 

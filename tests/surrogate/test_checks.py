@@ -10,9 +10,8 @@ from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches
 from tests.surrogate.tables.write import HERE
 from tests.surrogate.test_space import range_of
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.compliance import fit_compliance
-from wrenchbook.surrogate.table.conflicts import conflicts
+from wrenchbook.surrogate.table.merging import row_conflicts
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import Input, space_of
@@ -35,7 +34,7 @@ TANGENTS = np.tile(MATRIX, (len(SCALED), 1, 1))
 
 def gaps_of(rows, load_range):
     """Return the gaps of a table's axes."""
-    return axis_gaps(build(rows, load_range).composition, load_range)
+    return build(rows, load_range).groups[0].axes.gaps(load_range)
 
 
 def test_a_linear_elastic_table_passes_and_a_6x6_suffices() -> None:
@@ -130,7 +129,7 @@ def test_rows_without_all_outputs_are_left_out_of_the_checks() -> None:
     partial = LINEAR.copy()
     partial[::2, 3:] = np.nan
     rows = Rows.of(SCALED * HIGH, partial)
-    told = check_physics(rows, RANGE, build(rows, RANGE).fit)
+    told = check_physics(rows, RANGE, build(rows, RANGE).groups[0].fit)
     assert told["rows_checked"] == len(SCALED) // 2
 
 
@@ -141,11 +140,11 @@ def test_rows_that_contradict_each_other_are_listed_and_repeats_are_not() -> Non
     moved[1, 2] += 1e-4
     rows = table(smooth, SCALED) + Rows.of(wrench, moved, seq=[101, 102, 103, 104])
     rows = rows.take(np.delete(np.arange(len(rows)), [5, 6]))
-    found = conflicts(rows, RANGE)
+    found = row_conflicts(rows, RANGE)["conflicts"]
     assert [one["rows"] for one in found] == [[101, 102]]
     assert found[0]["spread"] == pytest.approx({"uz": 1e-4})
     doubtful = Rows.of(wrench, moved, uncertainty=np.full((4, 6), 1e-4))
-    assert conflicts(doubtful, RANGE) == []
+    assert row_conflicts(doubtful, RANGE)["conflicts"] == []
     summary = build(rows, RANGE).coverage_summary()
     assert summary["conflicting_wrenches"] == 1
     assert summary["repeated_wrenches"] == 2

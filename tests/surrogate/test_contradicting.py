@@ -7,7 +7,7 @@ import pytest
 
 from tests.surrogate.calibrating import Shipped, shipped
 from tests.surrogate.law import build
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kriging.calibration import Level, calibrate
 from wrenchbook.surrogate.table.rows import Rows
 
@@ -48,7 +48,7 @@ def others(plate: Shipped) -> np.ndarray:
     return np.setdiff1d(np.arange(len(plate.asked)), middle(plate))
 
 
-def inside(plate: Shipped, table: AnyTable) -> np.ndarray:
+def inside(plate: Shipped, table: Table) -> np.ndarray:
     """Part of the solver's displacements inside the bars that the kriging gives, (6,)."""
     chosen = others(plate)
     told = table.batch(plate.asked[chosen], None, "kriging")
@@ -58,7 +58,7 @@ def inside(plate: Shipped, table: AnyTable) -> np.ndarray:
     return 1 - (missed & known).sum(axis=0) / known.sum(axis=0)
 
 
-def covered(plate: Shipped, table: AnyTable) -> float:
+def covered(plate: Shipped, table: Table) -> float:
     """Part of the wrenches that are not measured that a table covers."""
     return float((table.batch(plate.asked[others(plate)]).coverage == 0).mean())
 

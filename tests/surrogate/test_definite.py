@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.surrogate.table.definite import weakest
+from wrenchbook.surrogate.table.spread import weakest
 
 
 def test_the_direction_against_which_a_part_moves_is_found_whatever_the_units():

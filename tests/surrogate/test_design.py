@@ -1,4 +1,5 @@
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from tests.surrogate.kriging.responses import solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smooth, table
 from wrenchbook.surrogate.answer import allowed_by
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.design import (
     CORNERS,
     ENOUGH,
@@ -19,8 +20,8 @@ from wrenchbook.surrogate.design import (
     spread_wrenches,
 )
 from wrenchbook.surrogate.table.axes import clean_rows
-from wrenchbook.surrogate.table.definite import sample_of, weakest
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.spread import sample_of, weakest
 
 EMPTY = build(Rows.empty(), RANGE)
 FIRST = first_design(RANGE, Known(RANGE, np.empty((0, 6)), np.empty((0, 6))), 15)
@@ -224,7 +225,7 @@ def test_a_table_whose_rows_lack_outputs_is_filled_for_those_that_fewest_rows_ho
     partial = build(rows, RANGE)
     assert partial.rows.partial
     asked = next_wrenches(partial, 12).wrenches
-    thin = next_wrenches(AnyTable(rows, RANGE, partial.groups[:1], None), 12).wrenches
+    thin = next_wrenches(replace(partial.table, groups=partial.groups[:1]), 12).wrenches
     np.testing.assert_array_equal(asked, thin)
 
 
@@ -242,7 +243,7 @@ def test_a_table_of_which_no_row_tells_an_error_covers_nothing_but_has_next_wren
     assert len(next_wrenches(surrogate, 3, pending=-wrenches).wrenches) == 3
 
 
-def elastic(count: int) -> AnyTable:
+def elastic(count: int) -> Table:
     """A table of a part that stiffens, whose wide tolerance is met."""
     first = next_wrenches(EMPTY, count).wrenches
     return build(BENT.rows(first / HIGH), RANGE, tolerance=Tolerance(1.0, 1.0))
@@ -265,10 +266,8 @@ def test_a_fill_for_a_joint_ends_with_a_positive_definite_compliance() -> None:
         design = next_wrenches(filled, 12, for_joint=True)
     assert design.stage == "met"
     assert "a joint's wrench 5% of the load range, the compliance positive d" in design.reason
-    kriging = filled.groups[0][1].kriging
-    assert kriging is not None
     sample = sample_of(RANGE.ends, np.zeros(6), np.arange(6))
-    assert (weakest(kriging.derivatives(sample), HIGH)[0] > 0).all()
+    assert (weakest(filled.derivatives(sample, "kriging"), HIGH)[0] > 0).all()
 
 
 def test_a_fill_for_a_joint_does_not_end_while_the_part_moves_against_loads() -> None:

@@ -27,7 +27,7 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
-from wrenchbook.surrogate.error_law import conformal_factor
+from wrenchbook.surrogate.calibration import conformal_factor, quantile, widening
 from wrenchbook.surrogate.packed.reasons import ERRORS_UNKNOWN
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
@@ -181,11 +181,31 @@ def test_errors_are_known_only_within_what_the_rows_span() -> None:
 def test_the_factor_covers_its_level_and_is_careful_with_few_errors() -> None:
     rng = np.random.default_rng(4)
     errors = np.abs(rng.normal(size=(400, 1)))
-    factor = conformal_factor(errors, np.ones((400, 1)))[0]
+    factor = conformal_factor(errors)[0]
     assert 1.75 < factor < 2.2
-    assert conformal_factor(errors[:6], np.ones((6, 1)))[0] == pytest.approx(2 * errors[:6].max())
-    assert conformal_factor(np.zeros((30, 1)), np.zeros((30, 1)))[0] == 0
-    assert np.isinf(conformal_factor(errors[:30], np.zeros((30, 1)))[0])
+    assert conformal_factor(errors[:6])[0] == pytest.approx(1.9155 * errors[:6].max(), rel=1e-4)
+    assert conformal_factor(np.zeros((30, 1)))[0] == 0
+    assert conformal_factor(np.zeros((0, 2))).tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("count", [4, 9, 15, 40, 100, 400])
+def test_the_factor_holds_its_level_in_seven_of_eight_tables(count: int) -> None:
+    errors = np.abs(np.random.default_rng(5).normal(size=(count, 2000)))
+    # 95 % of a normal distribution; each column is a table.
+    assert (conformal_factor(errors) >= 1.96).mean() >= 0.875
+
+
+def test_the_quantile_weighs_groups_and_is_of_one_more() -> None:
+    ratios = np.arange(1.0, 40.0)
+    assert quantile(ratios) == 38.0  # of 39 the one at 0.95 x 40
+    assert quantile(np.append(ratios, np.full(39, 0.5)), np.repeat([1.0, 1e-9], 39)) == 38.0
+    assert quantile(ratios[:5]) == 5.0
+
+
+def test_few_degrees_of_freedom_widen_more_and_for_several_outputs_more_still() -> None:
+    # sqrt(f / chi2) with the 5 % quantiles of the tables: 1.145 of 5, 10.851 of 20.
+    np.testing.assert_allclose(widening(np.array([5.0, 20.0])), [2.0897, 1.3576], rtol=1e-3)
+    assert widening(20.0, 6) > widening(20.0)
 
 
 def test_a_table_whose_left_out_rows_tell_no_size_covers_nothing_and_says_why() -> None:

@@ -11,9 +11,9 @@ import pytest
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, six
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kernel.packing import packed_of
-from wrenchbook.surrogate.table.row_index import RowIndex
+from wrenchbook.surrogate.table.merging import RowIndex
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 SMOOTH = RESPONSES["smooth"]
@@ -21,7 +21,7 @@ BESIDE = (0.0, 1e-16, 1e-12, 1e-9, 1e-7, 9e-7)  # of the range
 
 
 @cache
-def few(*, tangents: bool = True) -> AnyTable:
+def few(*, tangents: bool = True) -> Table:
     """A table of too few rows to cover anything between them."""
     rows = solved(SMOOTH, 0.9 * full_wrenches(6, 3))
     if not tangents:

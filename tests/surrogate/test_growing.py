@@ -16,16 +16,16 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.table import thinning
-from wrenchbook.surrogate.table.row_index import RowIndex
+from wrenchbook.surrogate.table.axes import evenly_chosen
+from wrenchbook.surrogate.table.merging import RowIndex
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
-from wrenchbook.surrogate.table.thinning import evenly_chosen
 
 ASKED = np.concatenate((full_wrenches(80, 11), clean_wrenches(20, 12) * 0.9)) * HIGH
 
 
-def same_digits(one: AnyTable, other: AnyTable) -> bool:
+def same_digits(one: Table, other: Table) -> bool:
     for method in ("griddata", "additive", None):
         ours, theirs = one.batch(ASKED, method=method), other.batch(ASKED, method=method)
         if any(a.tobytes() != b.tobytes() for a, b in zip(ours, theirs, strict=True)):
@@ -64,7 +64,7 @@ def test_a_row_of_one_axis_has_the_others_taken_over() -> None:
     after = build(one_more(rows, [0.3, 0, 0, 0, 0.1, 0.2]), RANGE, before=before)
     kept = [
         one.triangulation is other.triangulation  # type: ignore[union-attr]
-        for one, other in zip(after.composition.tables, before.composition.tables, strict=True)
+        for one, other in zip(after.axes.tables, before.axes.tables, strict=True)
     ]
     assert kept == [False, True, True]
 
@@ -103,18 +103,18 @@ def test_no_version_holds_the_one_before() -> None:
     rows = table(smooth, clean_wrenches(30, 1))
     before = build(rows, RANGE)
     after = build(one_more(rows, [0.3, 0, 0, 0, 0.1, 0.2]), RANGE, before=before)
-    kept = [cut.table for cuts in after.composition.cuts for cut in cuts]
-    assert all(one in after.composition.tables for one in kept)
-    holders = after.table, after.thinnest
+    kept = [cut.table for cuts in after.axes.cuts for cut in cuts]
+    assert all(one in after.axes.tables for one in kept)
+    holders = after.table, after.groups[0]
     assert all(value is not before.table for one in holders for value in vars(one).values())
-    assert all(value is not before.thinnest for value in vars(after.thinnest).values())
+    assert all(value is not before.groups[0] for value in vars(after.groups[0]).values())
 
 
 def test_a_table_too_large_for_one_factor_is_built_without_its_kriging() -> None:
     rows = table(smooth, np.concatenate((clean_wrenches(1000, 1), full_wrenches(25, 2))))
     surrogate = build(rows, RANGE)
     assert surrogate.default == "griddata"
-    assert "kriging" not in vars(surrogate.thinnest)
+    assert "kriging" not in vars(surrogate.groups[0])
     assert surrogate.answer(ASKED[0].tolist(), method="kriging").method == "griddata"
 
 
@@ -125,7 +125,7 @@ def test_a_thinned_axis_is_told_and_its_bars_hold_the_points_left_out(
     rows = table(smooth, clean_wrenches(3500, 1))
     surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     assert "triangulated" in surrogate.choice.reason
-    assert all(len(one.values) < 1500 for one in surrogate.composition.tables if one)
+    assert all(len(one.values) < 1500 for one in surrogate.axes.tables if one)
     asked = 0.95 * clean_wrenches(500, 9)
     found = surrogate.batch(asked * HIGH)
     inside = np.abs(found.displacement - smooth(asked)) <= found.error

@@ -92,10 +92,10 @@ def test_full_wrenches_are_thin_on_tables_without_full_wrenches(method: str) -> 
 def test_twenty_full_wrenches_or_four_with_tangents_tell_what_axes_leave_out() -> None:
     for count, known in ((19, False), (20, True)):
         rows = table(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
-        assert build(rows, RANGE).evidence.knows_interaction is known
+        assert build(rows, RANGE).knows_interaction is known
     for count, known in ((3, False), (4, True)):
         rows = with_slopes(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
-        assert build(rows, RANGE).evidence.knows_interaction is known
+        assert build(rows, RANGE).knows_interaction is known
 
 
 def test_forty_full_wrenches_show_the_errors_of_most_full_wrenches() -> None:

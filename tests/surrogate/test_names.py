@@ -7,7 +7,6 @@ import json
 from tests.surrogate.law import build
 from tests.surrogate.responses import RANGE, clean_wrenches, smooth, table
 from wrenchbook.service.contract import LOADS, OUTPUTS
-from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.physics_checks import check_physics
 
 SYMBOLS = {name[0].upper() + "_" + name[1] for name in (*LOADS, *OUTPUTS)}
@@ -28,7 +27,7 @@ def test_no_key_or_list_that_leaves_the_room_spells_them_another_way() -> None:
     told = {
         "explained": surrogate.explain([100.0, 50, 30, 4, 5, 6]),
         "linear": surrogate.explain([100.0, 50, 30, 4, 5, 6], None, "linear"),
-        "gaps": axis_gaps(surrogate.composition, surrogate.load_range),
+        "gaps": surrogate.axes.gaps(surrogate.load_range),
         "summary": surrogate.coverage_summary(),
         "checks": check_physics(surrogate.rows, RANGE, surrogate.fit),
     }

@@ -88,6 +88,6 @@ def test_whole_fields_are_told_by_the_kriging_of_whole_rows_though_others_lack_o
     measured = Rows.of(ASKED[:2] * HIGH, wrong, source=["measured"] * 2)
     found = build(joined([whole, measured]), RANGE)
     assert found.rows.partial
-    (_, fullest), _ = found.groups
+    fullest, _ = found.groups
     assert len(fullest.rows) == len(whole)
     assert fullest.kriging is not None

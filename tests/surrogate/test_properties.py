@@ -93,7 +93,7 @@ def test_one_more_row_changes_only_the_simplices_around_it(seed: int) -> None:
     asked[:, [0, 4, 5]] = rng.uniform(-0.85, 0.85, (300, 3))
     old = before.estimate(asked * HIGH).displacement[:, 0]
     fresh = after.estimate(asked * HIGH).displacement[:, 0]
-    table_x = after.composition.tables[0]
+    table_x = after.axes.tables[0]
     assert table_x is not None
     shape = table_x.triangulation
     place = int(((shape.points - new[[0, 4, 5]]) ** 2).sum(axis=1).argmin())

@@ -17,7 +17,7 @@ from tests.surrogate.responses import (
     table,
 )
 from wrenchbook.surrogate.axes.triangulation import Triangulation
-from wrenchbook.surrogate.surrogate import Surrogate
+from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 GRID = np.array(np.meshgrid(*[np.linspace(-1, 1, 5)] * 3)).reshape(3, -1).T
@@ -30,7 +30,7 @@ def grid_table(points: np.ndarray = GRID) -> Rows:
     return table(smooth, wrenches.reshape(-1, 6))
 
 
-def same_as_one_by_one(surrogate: Surrogate, asked: np.ndarray) -> None:
+def same_as_one_by_one(surrogate: Group, asked: np.ndarray) -> None:
     batch = surrogate.batch(asked)
     for place, wrench in enumerate(asked.tolist()):
         answer = surrogate.answer(wrench)

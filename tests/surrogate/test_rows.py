@@ -1,7 +1,13 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from tests.surrogate.law.exact_rows import STEEPER
+from wrenchbook.surrogate.table import rows as limits
 from wrenchbook.surrogate.table.rows import LoadRange, RowError, Rows, Tolerance
+
+HEADER = Path(limits.__file__).resolve().parents[1] / "kernel" / "wb_internal.h"
 
 RECORD = {"seq": 7, "wrench": [1, 0, 0, 0, 0, 0], "displacement": [1e-6, 0, 0, 0, 0, 0]}
 
@@ -101,3 +107,10 @@ def test_an_infinite_or_missing_third_derivative_is_refused_by_row(wrong: float)
     thirds[1, 7] = wrong
     with pytest.raises(RowError, match="row 2: curvature is not 56 finite numbers"):
         Rows.of(np.eye(6)[:2], np.eye(6)[:2], curvature=thirds)
+
+
+def test_the_kernel_calls_the_same_wrenches_one_and_the_same_loads_none() -> None:
+    lines = [line.split() for line in HEADER.read_text().splitlines()]
+    found = {line[1]: float(line[2]) for line in lines if line[:1] == ["#define"] and line[2:]}
+    same = {f"WB_{name}": getattr(limits, name) for name in ("CLEAN", "NEAR", "ROUNDING")}
+    assert found.items() >= {**same, "WB_STEEPER": STEEPER}.items()

@@ -14,14 +14,8 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.schema import (
-    Analysis,
-    Bundle,
-    DeclaredRange,
-    Interface,
-    Material,
-    Supports,
-)
+from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.spec.schema import Analysis, Bundle, DeclaredRange, Interface, Supports
 
 Array = np.ndarray
 Warp = Callable[[Array], Array]
@@ -58,7 +52,7 @@ def clamped(
     part = section_of_facets(mesh.points, mesh.facet_groups[section])
     place = part.centre if point is None else point
     frame = np.eye(3) if axes is None else axes
-    interface = Interface(section, place, frame, coupling)
+    interface = Interface(section, coupling, place, frame)
     bundle = _bundle(Material("all", *material), fixed, interface, nonlinear)
     return ComponentModel(
         bundle=bundle,

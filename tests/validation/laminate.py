@@ -12,8 +12,7 @@ from tests.validation.clamped import clamped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.orthotropic import Orthotropic
-from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.spec.material import Orthotropic
 
 Array = np.ndarray
 
@@ -54,16 +53,16 @@ def strip(angles: Sequence[float], divisions: tuple[int, int] = DIVISIONS) -> Co
     return replace(part, materials=tuple(map(ply, angles)), material_of_cells=(number,))
 
 
-def ply(angle: float) -> Material:
+def ply(angle: float) -> Orthotropic:
     """Return a ply with its fibres at an angle, degrees, to x in the plane of x and y."""
     c, s = float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))
-    own = Orthotropic(
+    return Orthotropic(
+        "ply",
         (ALONG, ACROSS, ACROSS),
         (RATIO, RATIO, RATIO_ACROSS),
         (SHEAR, SHEAR, ACROSS / (2 * (1 + RATIO_ACROSS))),
-        ((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)),
+        np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]),
     )
-    return Material("ply", ALONG, own.isotropic_ratio, law="orthotropic", orthotropic=own)
 
 
 def stiffness(angles: Sequence[float]) -> Array:

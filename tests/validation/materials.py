@@ -12,15 +12,14 @@ from tests.validation.calculix import same_mesh
 from tests.validation.clamped import clamped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.spec.orthotropic import Orthotropic
-from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.spec.material import Cylinder, Material, Orthotropic
 from wrenchbook.fea.tensors import rotation
 
 Array = np.ndarray
 
 _X, _Y, _Z = rotation(np.array([0.3, -0.8, 0.5])).tolist()
 CARBON = Orthotropic(
-    (135e9, 10e9, 9e9), (0.3, 0.32, 0.45), (5e9, 4.8e9, 3.2e9), (tuple(_X), tuple(_Y), tuple(_Z))
+    "all", (135e9, 10e9, 9e9), (0.3, 0.32, 0.45), (5e9, 4.8e9, 3.2e9), np.array([_X, _Y, _Z])
 )
 """Carbon fibre with nine different constants, its directions askew to every axis."""
 
@@ -28,13 +27,13 @@ TURN = rotation(np.array([0.4, -0.2, 0.7]))
 CENTRE = (0.3, -0.1, 0.2)
 _AXIAL = TURN[:, 2].tolist()
 WOUND = Orthotropic(
+    "all",
     (9e9, 135e9, 10e9),
     (0.02, 0.4, 0.3),
     (5e9, 3.2e9, 4.8e9),
-    (tuple(_X), tuple(_Y), tuple(_Z)),
-    (CENTRE, (_AXIAL[0], _AXIAL[1], _AXIAL[2])),
+    cylinder=Cylinder(CENTRE, (_AXIAL[0], _AXIAL[1], _AXIAL[2])),
 )
-"""Carbon fibre wound round an axis askew: radial, circumferential, axial. Its axes do not count."""
+"""Carbon fibre wound round an axis askew: radial, circumferential, axial."""
 
 TIP_LOAD = (90.0, -60.0, 270.0, 9.0, -7.5, 3.6)
 SQUEEZE = (250.0, -100.0, -900.0, 0.5, 1.0, 0.8)
@@ -77,8 +76,7 @@ def wound_tube(divisions: tuple[int, int, int] = (1, 8, 5)) -> ComponentModel:
 
     axes = rotation(np.array([0.2, 0.1, -0.4]))
     part = clamped(box("hex20", divisions, warp=bent), "z0", "z1", (1.0, 0.0), axes=axes)
-    own = Material("all", 135e9, WOUND.isotropic_ratio, law="orthotropic", orthotropic=WOUND)
-    return replace(part, materials=(own,))
+    return replace(part, materials=(WOUND,))
 
 
 def orthotropic_beam(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> ComponentModel:
@@ -86,8 +84,7 @@ def orthotropic_beam(kind: str, divisions: tuple[int, int, int] = (2, 2, 5)) -> 
     axes = rotation(np.array([0.2, 0.1, -0.4]))
     mesh = box(kind, divisions, (0.05, 0.02, 0.4))
     part = clamped(mesh, "z0", "z1", (1.0, 0.0), axes=axes)
-    own = Material("all", 135e9, CARBON.isotropic_ratio, law="orthotropic", orthotropic=CARBON)
-    return replace(part, materials=(own,))
+    return replace(part, materials=(CARBON,))
 
 
 def rubber_block(

@@ -14,7 +14,7 @@ from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.spec.material import Material
 from wrenchbook.fea.tensors import rotation
 
 Array = np.ndarray

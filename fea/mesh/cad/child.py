@@ -22,7 +22,7 @@ import numpy as np
 from wrenchbook.fea.mesh.cad.entities import METRES, Face, Solid, bodies_of, faces_of
 from wrenchbook.fea.mesh.generators import too_many
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
-from wrenchbook.fea.spec.schema import GeometryMeshing, Selector
+from wrenchbook.fea.spec.schema import BodySelector, FaceSelector, GeometryMeshing
 
 Array = np.ndarray
 
@@ -174,7 +174,7 @@ Place = tuple[float, float, float]
 def choose_faces(
     gmsh: Any,
     faces: Sequence[Face],
-    groups: Mapping[str, Selector],
+    groups: Mapping[str, FaceSelector],
     size: float,
     problems: list[BundleProblem],
 ) -> dict[str, list[int]]:
@@ -189,9 +189,9 @@ def choose_faces(
     chosen = {}
     for name, choice in groups.items():
         where = f"mesh.groups.{name}"
-        numbers = _by_number(faces, choice, f"{where}.faces", "face", problems)
-        if choice.plane is not None:
-            axis, at = choice.plane
+        numbers = _by_number(faces, choice.faces, f"{where}.faces", "face", problems)
+        if choice.plane is not None and choice.at is not None:
+            axis, at = _AXES.index(choice.plane), choice.at
             square = [f for f in faces if f.normal is not None and abs(f.normal[axis]) > 1 - 1e-9]
             on_plane = [f.number for f in square if abs(f.centre[axis] - at) < _NEAR * size]
             if not on_plane:
@@ -222,7 +222,7 @@ def choose_faces(
 def choose_bodies(
     gmsh: Any,
     bodies: Sequence[Solid],
-    regions: Mapping[str, Selector],
+    regions: Mapping[str, BodySelector],
     size: float,
     problems: list[BundleProblem],
 ) -> dict[str, list[int]]:
@@ -230,7 +230,7 @@ def choose_bodies(
     chosen = {}
     for name, choice in regions.items():
         where = f"mesh.regions.{name}"
-        numbers = _by_number(bodies, choice, f"{where}.bodies", "body", problems)
+        numbers = _by_number(bodies, choice.bodies, f"{where}.bodies", "body", problems)
         for point in choice.near:
             numbers += _nearest(gmsh, bodies, point, where, size, problems)
         chosen[name] = sorted(set(numbers))
@@ -239,17 +239,17 @@ def choose_bodies(
 
 def _by_number(
     shapes: Sequence[Face | Solid],
-    choice: Selector,
+    numbers: tuple[int, ...],
     where: str,
     kind: str,
     problems: list[BundleProblem],
 ) -> list[int]:
     there = [shape.number for shape in shapes]
-    for number in choice.numbers:
+    for number in numbers:
         if number not in there:
             message = f"there is no {kind} {number}; the geometry has {_spans(there)}"
             problems.append(BundleProblem(where, message))
-    return [number for number in choice.numbers if number in there]
+    return [number for number in numbers if number in there]
 
 
 def _nearest(

@@ -19,7 +19,6 @@ from wrenchbook.service.library.bundles import surface_of
 from wrenchbook.service.library.component import require_one_wrench
 from wrenchbook.service.messages import Compliance
 from wrenchbook.service.tables.mapped import ServedTable
-from wrenchbook.surrogate.describe import axis_gaps
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
@@ -46,7 +45,7 @@ def coverage(name: str, table: Newest) -> Response:
     if not table.load_range.space.is_default:
         gaps = []  # its table has no axes
     elif gaps is None:
-        gaps = axis_gaps(table.surrogate().composition, table.load_range)
+        gaps = table.surrogate().groups[0].axes.gaps(table.load_range)
     return json_reply({"component": name, **table.summary, "gaps": gaps})
 
 
@@ -56,13 +55,13 @@ def coverage(name: str, table: Newest) -> Response:
     response_model=Compliance,
 )
 def compliance(name: str, table: Newest) -> Response:
-    fit, tangent, space = table.fit, table.packed.words["tangent"], table.load_range.space
+    fit, tangent, space = table.fit, table.packed.tangent_at_zero(), table.load_range.space
     return json_reply(
         Compliance(
             component=name,
             table_version=table.version,
-            tangent=tangent["matrix"],
-            tangent_origin=tangent["origin"],
+            tangent=tangent[0],
+            tangent_origin=tangent[1],
             origin=cast(Any, fit.origin),
             matrix=fit.matrix,
             offset=np.ascontiguousarray(np.broadcast_to(fit.offset, len(space.outputs))),

@@ -46,8 +46,8 @@ from wrenchbook.service.recording.store import (
     Tally,
     bound_of,
 )
-from wrenchbook.service.recording.thinning import MERGE
 from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.table.rows import NEAR
 
 Floats = NDArray[np.float64]
 Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
@@ -252,7 +252,7 @@ def _thinning(tally: Tally) -> str:
     if not tally.thinned:
         return ""
     near = f"each differs by at most {tally.within:.2g} of the load range from one kept"
-    if tally.within_outside > MERGE:
+    if tally.within_outside > NEAR:
         near += f", or, outside the range, by {tally.within_outside:.2g} of itself"
     return f"{tally.thinned} wrenches were thinned out: {near}"
 

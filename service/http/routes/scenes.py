@@ -31,8 +31,7 @@ from wrenchbook.service.messages import Plans
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.scene.cut import cut
-from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
-from wrenchbook.surrogate.scene.plan import plan_of
+from wrenchbook.surrogate.scene.plan import Need, NeedError, need_of, plan_of
 from wrenchbook.surrogate.scene.savings import measured
 from wrenchbook.surrogate.table.rows import Floats, LoadRange
 from wrenchbook.surrogate.table.space import Space

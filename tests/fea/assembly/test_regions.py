@@ -7,7 +7,8 @@ from tests.fea.boxes import box
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import Analysis, Material
+from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.spec.schema import Analysis
 
 LENGTH, SIDE = 0.2, 0.01
 SOFT, STIFF = 10e9, 200e9

@@ -8,11 +8,11 @@ import pytest
 from tests.validation.clamped import attached
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.bundle.tables import read_material
+from wrenchbook.fea.bundle.tables import MaterialTable
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.spec.fingerprint import fingerprint
-from wrenchbook.fea.spec.toml_table import Keys
+from wrenchbook.fea.spec.keys import validated
 
 CARBON = {
     "region": "all",
@@ -25,7 +25,8 @@ CARBON = {
 
 def read(table):
     problems = []
-    return read_material(Keys(table, problems, "material[0]")), [str(one) for one in problems]
+    material = validated(MaterialTable, table, "material[0]", problems)
+    return material, [str(one) for one in problems]
 
 
 def test_nine_constants_and_their_directions_are_read():

@@ -14,12 +14,12 @@ from wrenchbook.fea.element.st_venant_kirchhoff import (
     turned_elasticity,
 )
 from wrenchbook.fea.mesh.mapping import cell_gradients
-from wrenchbook.fea.spec.orthotropic import Orthotropic
+from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.tensors import rotation
 
 RNG = np.random.default_rng(17)
-STRAIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-CARBON = Orthotropic((135.0, 10.0, 9.0), (0.3, 0.32, 0.45), (5.0, 4.8, 3.2), STRAIGHT)
+STRAIGHT = np.eye(3)
+CARBON = Orthotropic("all", (135.0, 10.0, 9.0), (0.3, 0.32, 0.45), (5.0, 4.8, 3.2), STRAIGHT)
 TURN = rotation(np.array([0.3, -0.8, 0.5]))
 
 

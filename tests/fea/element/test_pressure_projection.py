@@ -15,7 +15,7 @@ from wrenchbook.fea.mesh.mapping import cell_gradients
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.spec.material import Material
 
 RNG = np.random.default_rng(11)
 RUBBER = 3e6

@@ -15,7 +15,7 @@ from wrenchbook.fea.mesh.cad.child import opened
 from wrenchbook.fea.mesh.cad.meshing import list_shape, mesh_geometry
 from wrenchbook.fea.mesh.mapping import area_weights, volumes
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import GeometryMeshing, Selector
+from wrenchbook.fea.spec.schema import BodySelector, GeometryMeshing
 
 BRACKET = {
     "name": "bracket",
@@ -280,7 +280,7 @@ def test_touching_bodies_are_glued_and_their_materials_told_apart(folder):
 
 
 def test_a_region_is_found_by_a_point_inside_its_body(folder):
-    choice = {"soft": Selector(near=((0.075, 0.005, 0.005),))}
+    choice = {"soft": BodySelector(near=((0.075, 0.005, 0.005),))}
     mesh = mesh_geometry(folder / "bars.step", GeometryMeshing(0.02, regions=choice))
     (cells,) = mesh.regions["soft"]
     middles = mesh.points[mesh.blocks[0].nodes].mean(axis=1)[:, 0]

@@ -12,8 +12,9 @@ from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.recovery.stress import yielding
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.material import Material
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.spec.schema import Analysis, Material
+from wrenchbook.fea.spec.schema import Analysis
 
 STRENGTH = 100e6
 AREA, MODULUS = 0.02 * 0.03, 0.03 * 0.02**2 / 6  # of a section 0.02 by 0.03 m, about y

@@ -11,7 +11,7 @@ from tests.fea.components import component
 from tests.validation.clamped import shipped
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Inertia, Riding
-from wrenchbook.fea.spec.schema import Material
+from wrenchbook.fea.spec.material import Material
 from wrenchbook.fea.tensors import rotation, skew
 
 DENSITY, SIZE = 2700.0, (0.05, 0.03, 0.4)
@@ -21,7 +21,7 @@ AXES = rotation(np.array([0.3, -0.5, 0.2]))
 def bar(coupling="rigid", **options):
     mesh = box("hex20", (1, 1, 6), SIZE)
     one = component(mesh, coupling=coupling, axes=AXES, integration="full", **options)
-    return Solver(replace(one, materials=(Material("all", 70e9, 0.3, DENSITY),)))
+    return Solver(replace(one, materials=(Material("all", 70e9, 0.3, density=DENSITY),)))
 
 
 def frequencies(solver, held):

@@ -16,7 +16,8 @@ from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
 from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import Analysis, Material
+from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.spec.schema import Analysis
 
 YOUNG, DENSITY, GRAVITY = 70e9, 2700.0, 9.81
 LENGTH, SIDE = 1.0, 0.02

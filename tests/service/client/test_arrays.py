@@ -217,6 +217,37 @@ def test_the_inverse_is_the_kernels_with_the_stiffness_as_its_derivative(on):
     assert np.isnan(found[3:5]).all()
 
 
+def test_beyond_the_range_the_start_decides_between_wrenches_of_one_displacement(on):
+    table, source = downloaded("clean and full"), table_of("clean and full")
+    asked = asked_of(source, 150, 3, 1.5)
+    moved = table.packed.batch(asked).outputs
+    own, scale = on.evaluator(table), source.load_range.scale
+    found = np.asarray(own.inverse(moved))
+    known = np.isfinite(found).all(axis=1)
+    back = table.packed.batch(found[known]).outputs
+    np.testing.assert_allclose(back, moved[known], rtol=1e-6, atol=1e-12)
+    another = known & (np.abs(found - asked) > 0.1 * scale).any(axis=1)
+    assert another.any()
+    assert (np.abs(asked[another]) > source.load_range.high).any(axis=1).all()
+    near = np.asarray(own.inverse(moved[another], 0.999 * asked[another]))
+    np.testing.assert_allclose(near, asked[another], atol=1e-6 * scale.max())
+
+
+def test_without_float64_jax_rounds_wrenches_and_answers_to_float32():
+    jax = pytest.importorskip("jax", reason=MISSING.format("jax"))
+    table, asked = downloaded("solved"), asked_of(table_of("solved"), 50, 4, 0.9)
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", False)
+    try:
+        moved, error, coverage = jax.jit(arrays.jax(table, "kriging"))(asked)
+    finally:
+        jax.config.update("jax_enable_x64", before)
+    expected = table.packed.batch(asked.astype(np.float32), None, "kriging")
+    np.testing.assert_array_equal(moved, expected.outputs.astype(np.float32))
+    np.testing.assert_array_equal(error, expected.errors.astype(np.float32))
+    np.testing.assert_array_equal(coverage, expected.coverage)
+
+
 def test_the_inverse_of_a_table_with_further_inputs_keeps_those_of_its_start(on):
     space = test_space.SPACES["temperature"]
     load_range = test_space.range_of(space)

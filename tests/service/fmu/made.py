@@ -12,7 +12,7 @@ import pytest
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 
 from wrenchbook.service.fmu.export import Fmu, make_fmu
-from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.build import KernelBuildError, compiler_command
 from wrenchbook.surrogate.packed.writer import pack
@@ -31,7 +31,7 @@ def need_compiler() -> list[str]:
         pytest.fail(str(error)) if os.environ.get("CI") == "true" else pytest.skip(str(error))
 
 
-def solved(name: str, clean: int, full: int, *, tangents: bool = True, **more: object) -> AnyTable:
+def solved(name: str, clean: int, full: int, *, tangents: bool = True, **more: object) -> Table:
     """A table of real solves of a shipped component."""
     with np.load(SOLVED / f"{name}.npz") as file:
         found = dict(file)
@@ -41,12 +41,12 @@ def solved(name: str, clean: int, full: int, *, tangents: bool = True, **more: o
     return build(rows, LoadRange(found["low"], found["high"]), **more)
 
 
-def packed(table: AnyTable) -> PackedTable:
+def packed(table: Table) -> PackedTable:
     """The packed form of a table."""
     return PackedTable.from_bytes(b"".join(pack(table)))
 
 
-def wrenches_of(table: AnyTable, count: int, span: float = 1.0, seed: int = 1) -> np.ndarray:
+def wrenches_of(table: Table, count: int, span: float = 1.0, seed: int = 1) -> np.ndarray:
     """Random wrenches, (count, 6), within so much of the load range."""
     loads = table.load_range
     x = np.random.default_rng(seed).uniform(-span, span, (count, 6))
@@ -106,7 +106,7 @@ class Opened:
         found.freeInstance()
 
 
-def opened(table: AnyTable, folder: Path, method: str | None = None) -> Opened:
+def opened(table: Table, folder: Path, method: str | None = None) -> Opened:
     """The FMU of a table."""
     need_compiler()
     return Opened(make_fmu("plate", packed(table), method), folder)

@@ -14,7 +14,7 @@ from tests.surrogate.law import Law, build
 from tests.surrogate.law.whole_bars import whole_bars
 from tests.surrogate.responses import HIGH
 from tests.surrogate.softening import softening_table
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.packed.writer import pack
@@ -25,7 +25,7 @@ RANGE = LoadRange(-FULL, FULL)
 SOLVED = Path(__file__).parents[1] / "tables"
 
 
-def solved(name: str, clean: int, full: int, **more: object) -> AnyTable:
+def solved(name: str, clean: int, full: int, **more: object) -> Table:
     """A table of real solves of a shipped component, with tangents."""
     with np.load(SOLVED / f"{name}.npz") as file:
         found = dict(file)
@@ -35,7 +35,7 @@ def solved(name: str, clean: int, full: int, **more: object) -> AnyTable:
     return build(rows, LoadRange(found["low"], found["high"]), **more)
 
 
-def measured(wrenches: np.ndarray, **columns: object) -> AnyTable:
+def measured(wrenches: np.ndarray, **columns: object) -> Table:
     """A table of the made-up response of `moved`."""
     return build(Rows.of(wrenches, moved(wrenches), **columns), RANGE)
 
@@ -57,7 +57,7 @@ def grid(loads: tuple[int, ...], count: int) -> np.ndarray:
     return wrenches * FULL
 
 
-def linear(count: int) -> AnyTable:
+def linear(count: int) -> Table:
     """A linear component of which so many unit solves are known."""
     compliance = np.random.default_rng(3).normal(size=(6, 6)) * 1e-6
     loads = np.eye(6)[:count] * FULL
@@ -66,7 +66,7 @@ def linear(count: int) -> AnyTable:
     return build(rows, RANGE, linear=True, solver_error=SolverError(told))
 
 
-def partial() -> AnyTable:
+def partial() -> Table:
     """A rig that measured r_y never, and u_z in some rows only."""
     wrenches = np.concatenate((clean(30), full_wrenches(24)))
     told = moved(wrenches)
@@ -74,7 +74,7 @@ def partial() -> AnyTable:
     return build(Rows.of(wrenches, told), RANGE)
 
 
-def uncertain() -> AnyTable:
+def uncertain() -> Table:
     """Rows of several noise levels, which have a factor each."""
     wrenches = np.concatenate((clean_wrenches(), full_wrenches(30)))
     doubt = np.abs(np.random.default_rng(5).normal(size=(len(wrenches), 6)))
@@ -82,26 +82,26 @@ def uncertain() -> AnyTable:
     return measured(wrenches, uncertainty=doubt)
 
 
-def huge() -> AnyTable:
+def huge() -> Table:
     """A response whose estimates beyond the range leave what tables may hold."""
     wrenches = clean(40)
     return build(Rows.of(wrenches, 3e3 * moved(wrenches)), RANGE)
 
 
-def tangent_rows(count: int) -> AnyTable:
+def tangent_rows(count: int) -> Table:
     """Full wrenches of the made-up response, with tangents."""
     wrenches = full_wrenches(count)
     return measured(wrenches, compliance=tangents(wrenches))
 
 
-def bent(second: int) -> AnyTable:
+def bent(second: int) -> Table:
     """Solves of a made-up part, of which so many bring second derivatives."""
     rows = part(PARTS["stiffening"], 1).rows(np.random.default_rng(2).uniform(-1, 1, (20, 6)))
     rows.curvature[second:] = np.nan
     return build(rows, LoadRange(-1.1 * HIGH, 1.1 * HIGH))
 
 
-def repeated() -> AnyTable:
+def repeated() -> Table:
     """Rows of one wrench, and near each other, of several sources."""
     wrenches = np.concatenate((clean(12), full_wrenches(6), full_wrenches(6)))
     wrenches[-3:] += 1e-8 * FULL
@@ -142,10 +142,11 @@ KINDS = {
 
 
 @cache
-def table_of(kind: str, locked: tuple[int, ...] = ()) -> AnyTable:
+def table_of(kind: str, locked: tuple[int, ...] = ()) -> Table:
     """The table of a kind, built once."""
     table = KINDS[kind]().table
-    for _, group in table.groups:
+    table.locked = locked
+    for group in table.groups:
         group.locked = locked
     return Law(table)
 
@@ -156,14 +157,14 @@ def packed_of(kind: str, locked: tuple[int, ...] = ()) -> PackedTable:
     return PackedTable.from_bytes(b"".join(pack(table_of(kind, locked), component=kind)))
 
 
-def asked_of(table: AnyTable, count: int, seed: int = 1, span: float = 1.1) -> np.ndarray:
+def asked_of(table: Table, count: int, seed: int = 1, span: float = 1.1) -> np.ndarray:
     """Random wrenches, (count, 6), within so much of the load range."""
     loads = table.load_range
     x = np.random.default_rng(seed).uniform(-span, span, (count, 6))
     return (loads.low + loads.high) / 2 + x * loads.scale
 
 
-def special_of(table: AnyTable, count: int, seed: int = 2) -> np.ndarray:
+def special_of(table: Table, count: int, seed: int = 2) -> np.ndarray:
     """Wrenches of few loads, of one, of none, of rows and near rows."""
     rng = np.random.default_rng(seed)
     asked = asked_of(table, count, seed) * (rng.random((count, 6)) < 0.4)
@@ -179,7 +180,7 @@ def six(tolerance: Tolerance | None) -> list[float] | None:
 
 
 def by_numpy(
-    table: AnyTable,
+    table: Table,
     asked: np.ndarray,
     tolerance: Tolerance | None = None,
     method: str | None = None,
@@ -190,33 +191,33 @@ def by_numpy(
     return found.displacement, errors, found.coverage
 
 
-def size_of(table: AnyTable) -> np.ndarray:
+def size_of(table: Table) -> np.ndarray:
     """What each output is compared relative to, (6,), m and rad: its largest row."""
     size = np.nanmax(np.abs(table.rows.displacement), axis=0, initial=0.0)
     size = np.fmax(size, 1e-3 * np.repeat(size.reshape(2, 3).max(axis=1), 3))
     return np.where(size > 0, size, 1.0)
 
 
-def rounding_of(table: AnyTable) -> np.ndarray:
+def rounding_of(table: Table) -> np.ndarray:
     """What sums of a kriging may lose to rounding, (6,), m and rad: no error bar is below it."""
-    return _of_krigings(table, lambda kriging: kriging.inside.rounding)
+    return _of_krigings(table, lambda kriging: kriging.rounding)
 
 
-def deviation_of(table: AnyTable) -> np.ndarray:
+def deviation_of(table: Table) -> np.ndarray:
     """The process deviation of a kriging, (6,), m and rad; 0 without one."""
-    return _of_krigings(table, lambda kriging: kriging.inside.deviation)
+    return _of_krigings(table, lambda kriging: kriging.deviation)
 
 
-def _of_krigings(table: AnyTable, part: Callable[[Kriging], np.ndarray]) -> np.ndarray:
+def _of_krigings(table: Table, part: Callable[[Kriging], np.ndarray]) -> np.ndarray:
     """The sum of a part in spreads, (6,), over a table's krigings, m and rad."""
     found = np.zeros(6)
-    for outputs, group in table.groups:
+    for group in table.groups:
         exact = group.by_kriging or group.default == "linear"
         interaction = group.interaction if len(group.used) and not exact else None
         for kriging in (group.kriging, interaction):
             if kriging is not None:
                 own = part(kriging) * kriging.scaling.spread
-                found[list(outputs)] += own[list(outputs)]
+                found[list(group.outputs)] += own[list(group.outputs)]
     return found
 
 
@@ -227,7 +228,7 @@ SQUARED = 1e-12  # of the process variance: what sigma squared loses as such a d
 
 
 def assert_law(
-    table: AnyTable,
+    table: Table,
     packed: PackedTable,
     asked: np.ndarray,
     tolerance: Tolerance | None = None,

@@ -16,12 +16,12 @@ from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 from tests.surrogate.test_space import SPACES, range_of, solved_with_second
 from tests.surrogate.test_space import solved as solved_in
 from wrenchbook.surrogate.answer import METHODS, NAMES, UnknownMethodError
-from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kriging import likelihood
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.scene.cut import cut
-from wrenchbook.surrogate.scene.need import need_of
+from wrenchbook.surrogate.scene.plan import need_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.axes import OffAxis
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
@@ -36,48 +36,48 @@ def response(random: Random) -> Callable[[np.ndarray], np.ndarray]:
     return RESPONSES[str(random.choice(sorted(RESPONSES)))]
 
 
-def single_axis(random: Random) -> AnyTable:
+def single_axis(random: Random) -> Table:
     """Rows of one axis each, from too few to many, some with a few of all loads."""
     x = spread_wrenches(int(random.integers(1, 14)), int(random.integers(0, 8)), _seed(random))
     return build(Rows.of(x * HIGH, response(random)(x)), RANGE, off_axis=_off_axis(random))
 
 
-def additive(random: Random) -> AnyTable:
+def additive(random: Random) -> Table:
     x = spread_wrenches(int(random.integers(4, 12)), int(random.integers(20, 30)), _seed(random))
     return build(Rows.of(x * HIGH, response(random)(x)), RANGE, off_axis=_off_axis(random))
 
 
-def from_values(random: Random) -> AnyTable:
+def from_values(random: Random) -> Table:
     x = full_wrenches(int(random.integers(20, 35)), _seed(random))
     return build(Rows.of(x * HIGH, response(random)(x)), RANGE)
 
 
-def from_slopes(random: Random) -> AnyTable:
+def from_slopes(random: Random) -> Table:
     rows = solved(response(random), full_wrenches(int(random.integers(1, 16)), _seed(random)))
     tolerance = random.choice([None, Tolerance(1e-4, 1e-3)])
     return build(rows, RANGE, tolerance=tolerance, solver_error=random.choice([None, MESH]))
 
 
-def from_second_derivatives(random: Random) -> AnyTable:
+def from_second_derivatives(random: Random) -> Table:
     made = part(PARTS[str(random.choice(sorted(PARTS)))], _seed(random))
     rows = made.rows(random.uniform(-1, 1, (int(random.integers(6, 14)), 6)))
     rows.curvature[int(random.integers(0, len(rows) + 1)) :] = np.nan
     return build(rows, LoadRange(-1.1 * HIGH, 1.1 * HIGH))
 
 
-def linear(random: Random) -> AnyTable:
+def linear(random: Random) -> Table:
     loads = np.eye(6)[: int(random.integers(2, 7))] * HIGH
     rows = Rows.of(loads, 1e-6 * loads @ random.normal(size=(6, 6)), source=["fea"] * len(loads))
     return build(rows, RANGE, linear=True, solver_error=random.choice([None, MESH]))
 
 
-def measured(random: Random) -> AnyTable:
+def measured(random: Random) -> Table:
     """Noisy rows, with or without stated uncertainties."""
     x = spread_wrenches(int(random.integers(6, 12)), int(random.integers(0, 25)), _seed(random))
     return build(noisy_rows(response(random), x, 3, bool(random.integers(2))), RANGE)
 
 
-def partial(random: Random) -> AnyTable:
+def partial(random: Random) -> Table:
     """Outputs that some rows, or all, do not have: several groups."""
     x = spread_wrenches(int(random.integers(6, 12)), int(random.integers(0, 25)), _seed(random))
     moved = response(random)(x)
@@ -86,7 +86,7 @@ def partial(random: Random) -> AnyTable:
     return build(Rows.of(x * HIGH, moved), RANGE)
 
 
-def several_inputs(random: Random) -> AnyTable:
+def several_inputs(random: Random) -> Table:
     """Two interfaces, or a temperature."""
     space = SPACES[str(random.choice(sorted(SPACES)))]
     make = solved_with_second if random.integers(2) else solved_in
@@ -122,7 +122,7 @@ def _off_axis(random: Random) -> OffAxis:
     return OFF_AXIS[int(random.integers(3))]
 
 
-def packed(table: AnyTable) -> PackedTable:
+def packed(table: Table) -> PackedTable:
     return PackedTable.from_bytes(b"".join(pack(table)))
 
 

@@ -10,12 +10,12 @@ from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scal
 from wrenchbook.surrogate.kriging.factor import (
     KrigingFactor,
     SingularCovarianceError,
-    diagonal_added,
     factorise,
     inverse_factor,
+    left_out,
 )
-from wrenchbook.surrogate.kriging.left_out import left_out
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
+from wrenchbook.surrogate.table.merging import merge
 
 HELD = Hyperparameters.of_logarithms(np.array([0.4, 0.6, 0.5, 0.3, 0.7, 0.2, -1.0]))
 SETTINGS = KrigingSettings(nugget=1e-8)
@@ -25,8 +25,8 @@ OUTPUTS = np.arange(6)
 def _equations(per_axis: int, full: int, measured: bool = False) -> Equations:
     x, response = spread_wrenches(per_axis, full, 5), RESPONSES["strongly_coupled"]
     rows = noisy_rows(response, x, 5, told=True) if measured else solved(response, x)
-    inside = within(rows, RANGE)
-    return equations_of(inside, scaling_of(inside, RANGE))
+    inside, _, readings = merge(within(rows, RANGE), RANGE).usable()
+    return equations_of(inside, scaling_of(inside, RANGE), readings)
 
 
 def _factor(equations: Equations, rows: np.ndarray) -> KrigingFactor:
@@ -51,7 +51,9 @@ def test_the_inverse_factor_is_that_of_the_covariance() -> None:
     equations = _equations(3, 6)
     factor = _factor(equations, np.arange(len(equations)))
     matrix = covariance(equations.x, equations.known, equations.x, equations.known, HELD)
-    matrix[np.diag_indices_from(matrix)] += diagonal_added(equations, factor.noise, 1e-8, HELD)
+    added = np.tile(1e-8 * HELD.prior(7), (len(equations), 1))
+    added[:, 0] += factor.noise
+    matrix[np.diag_indices_from(matrix)] += added[equations.known]
     unit = factor.T @ matrix @ factor.T.T
     np.testing.assert_allclose(unit, np.eye(len(unit)), atol=1e-7)
     assert (np.triu(factor.T, 1) == 0).all()
@@ -63,7 +65,7 @@ def test_left_out_groups_equal_refitting_without_them(measured: bool, size: int)
     equations = _equations(4, 10, measured)
     every = np.arange(len(equations))
     factor, labels = _factor(equations, every), every // size
-    told = left_out(equations, factor, labels)
+    told = left_out(factor, labels)
     for row in every[::3]:
         without = _factor(equations, every[labels != labels[row]])
         value, _ = _answer(equations, without, row)
@@ -79,7 +81,7 @@ def test_left_out_rows_with_the_mean_kept_equal_refitting_about_it() -> None:
     every = np.arange(len(equations))
     settings = KrigingSettings(nugget=1e-8, mean_variance=1e-14)
     factor = factorise(equations, HELD, OUTPUTS, every, np.zeros(len(every)), settings)
-    told = left_out(equations, factor, every)
+    told = left_out(factor, every)
     for row in every[::4]:
         rest = np.delete(every, row)
         without = factorise(equations, HELD, OUTPUTS, rest, np.zeros(len(rest)), settings)

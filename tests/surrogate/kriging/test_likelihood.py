@@ -8,10 +8,10 @@ from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spr
 from tests.surrogate.responses import RANGE, table
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters
 from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scaling_of, within
-from wrenchbook.surrogate.kriging.estimate import spread_rows
 from wrenchbook.surrogate.kriging.factor import Share, shares_of
-from wrenchbook.surrogate.kriging.likelihood import maximise, negative_log_likelihood
+from wrenchbook.surrogate.kriging.likelihood import maximise, negative_log_likelihood, spread_rows
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
+from wrenchbook.surrogate.table.merging import merge
 from wrenchbook.surrogate.table.rows import Rows
 
 PLACE = np.array([-0.5, 0.2, 0.1, -0.3, 0.4, 0.0, -0.7])
@@ -21,8 +21,8 @@ ROUGH = KrigingSettings(nugget=1e-6)
 
 
 def _equations(rows: Rows) -> Equations:
-    inside = within(rows, RANGE)
-    return equations_of(inside, scaling_of(inside, RANGE))
+    inside, _, readings = merge(within(rows, RANGE), RANGE).usable()
+    return equations_of(inside, scaling_of(inside, RANGE), readings)
 
 
 def _partial(rows: Rows) -> Rows:

@@ -6,7 +6,6 @@ import pytest
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 from wrenchbook.surrogate.kriging import Kriging
-from wrenchbook.surrogate.kriging.neighbourhood import Finder
 from wrenchbook.surrogate.table.rows import Rows
 
 
@@ -21,43 +20,43 @@ def gentle() -> Kriging:
 
 def _asked(kriging: Kriging) -> np.ndarray:
     """Rows, where bars are smallest, places beside them, and others."""
-    rows = kriging.inside.equations.x * HIGH
+    rows = kriging.equations.x * HIGH
     return np.concatenate((rows, 0.999 * rows, full_wrenches(300, 2) * HIGH))
 
 
 def test_weights_that_are_huge_are_told_by_the_floor_of_the_bars(gentle: Kriging) -> None:
-    assert np.abs(gentle.inside.weights).sum() > 1e7
-    assert gentle.inside.rounding.max() > 10 * gentle.settings.error_floor
+    assert np.abs(gentle.weights).sum() > 1e7
+    assert gentle.rounding.max() > 10 * gentle.settings.error_floor
 
 
 def test_the_nugget_keeps_rounding_below_a_thousandth_of_every_bar(gentle: Kriging) -> None:
     _, bars = gentle.answer_many(_asked(gentle))
     bars = bars[np.isfinite(bars).all(axis=1)]
     assert len(bars)
-    assert (gentle.inside.rounding * gentle.scaling.spread < 1e-3 * bars).all()
+    assert (gentle.rounding * gentle.scaling.spread < 1e-3 * bars).all()
 
 
 def test_of_equally_near_rows_the_first_tells_the_bar() -> None:
     x = np.concatenate((np.eye(6), -np.eye(6), np.zeros((1, 6)), full_wrenches(12, 4)))
     kriging = Kriging.build(solved(RESPONSES["strongly_coupled"], x), RANGE)
-    own = kriging.inside.equations.x
-    finder: Finder = kriging.inside.shares[0].finder
+    own = kriging.equations.x
+    share = kriging.shares[0]
     rates = kriging.hyperparameters.inverse_squares
     pairs = [(own[i] + own[j]) / 2 for i in range(12) for j in range(i)]
     asked = np.array([*pairs, *own])
     distance = ((asked[:, None] - own) ** 2) @ rates
     tied = distance <= distance.min(axis=1, keepdims=True) + 1e-10
     assert (tied.sum(axis=1) > 1).any()
-    np.testing.assert_array_equal(finder.nearest(asked), tied.argmax(axis=1))
+    np.testing.assert_array_equal(share.nearest(asked), tied.argmax(axis=1))
 
 
 def test_a_row_left_out_takes_the_first_of_its_equally_near_others() -> None:
     x = np.concatenate((np.eye(6), -np.eye(6), np.zeros((1, 6))))
     rows: Rows = solved(RESPONSES["smooth"], x)
-    finder: Finder = Kriging.build(rows, RANGE).inside.shares[0].finder
-    own, places = Kriging.build(rows, RANGE).inside.equations.x, np.arange(13)
-    found = finder.nearest_others(places, own, places)
-    distance = (((own[:, None] - own) * finder.roots[0]) ** 2).sum(axis=2)
+    share = Kriging.build(rows, RANGE).shares[0]
+    own, places = Kriging.build(rows, RANGE).equations.x, np.arange(13)
+    found = share.nearest_others(places, places)
+    distance = (((own[:, None] - own) * share.roots[0]) ** 2).sum(axis=2)
     np.fill_diagonal(distance, np.inf)
     tied = distance <= distance.min(axis=1, keepdims=True) + 1e-10
     np.testing.assert_array_equal(found, tied.argmax(axis=1))

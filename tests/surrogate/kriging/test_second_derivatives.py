@@ -5,6 +5,8 @@ import pytest
 
 from tests.surrogate.energies import PARTS, Part, part
 from tests.surrogate.responses import HIGH
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.kriging import Kriging, KrigingSettings
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.second_derivatives import second_derivatives
@@ -55,14 +57,19 @@ def test_answers_at_rows_have_their_values_slopes_and_second_derivatives(stiffen
     spread = rows.displacement.std(axis=0)
     values, _ = kriging.answer_many(rows.wrench)
     np.testing.assert_allclose(values / spread, rows.displacement / spread, atol=1e-7)
-    slopes = kriging.derivatives(rows.wrench) * HIGH / spread[:, None]
+    packed = packed_of(build(rows, RANGE))
+
+    def slopes_at(wrenches: np.ndarray) -> np.ndarray:
+        return packed.derivatives(wrenches, method="kriging", without_rows=True)
+
+    slopes = slopes_at(rows.wrench) * HIGH / spread[:, None]
     np.testing.assert_allclose(slopes, rows.compliance * HIGH / spread[:, None], atol=1e-5)
     step = 1e-3
     found = second_derivatives(
         rows.wrench, rows.displacement, rows.compliance, rows.curvature, rows.space
     )
     for load, way in enumerate(step * np.diag(HIGH)):
-        ends = (kriging.derivatives(rows.wrench + sign * way) for sign in (1, -1))
+        ends = (slopes_at(rows.wrench + sign * way) for sign in (1, -1))
         bent = np.subtract(*ends) / (2 * step) * HIGH / spread[:, None]
         expected = found[..., load] * HIGH[load] * HIGH / spread[:, None]
         np.testing.assert_allclose(bent, expected, atol=2e-3)
@@ -112,7 +119,7 @@ def test_beyond_one_factor_rows_far_apart_keep_their_second_derivatives(stiffeni
     close = np.clip(places(6, 6) * 0.01, -1, 1)
     rows = stiffening.rows(np.concatenate((places(8, 5), close)))
     settings = KrigingSettings(dense_equations=14 * 7 + 9 * 21)
-    equations = Kriging.build(rows, RANGE, settings).inside.equations
+    equations = Kriging.build(rows, RANGE, settings).equations
     assert equations.count <= settings.dense_equations
     bent = equations.known[:, 7:].any(axis=1)
     assert bent.sum() == 9

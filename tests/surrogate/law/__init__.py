@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from wrenchbook.surrogate import build as product
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN
+from wrenchbook.surrogate.build import Group
+from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.packed.reasons import (
     EMPTY,
     ERRORS_UNKNOWN,
@@ -19,13 +21,11 @@ from wrenchbook.surrogate.packed.reasons import (
     TOO_FAR,
     UNKNOWN_ERROR,
 )  # fmt: skip
-from wrenchbook.surrogate.surrogate import Surrogate
 from wrenchbook.surrogate.table.rows import (
     Floats,
     Tolerance,
     acting,
     acting_one,
-    without_locked,
 )  # fmt: skip
 from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUTS
 
@@ -46,16 +46,16 @@ def build(*arguments: Any, before: Any = None, **more: Any) -> Any:
 class Law:
     """A table's answers in numpy; all else is the table's."""
 
-    def __init__(self, table: product.AnyTable) -> None:
+    def __init__(self, table: product.Table) -> None:
         self.table = table
-        self.parts = [(outputs, GroupLaw(group)) for outputs, group in table.groups]
+        self.parts = [(group.outputs, GroupLaw(group)) for group in table.groups]
         held = {output for outputs, _ in self.parts for output in outputs}
         self.unmeasured = tuple(name for k, name in enumerate(OUTPUTS) if k not in held)
 
     def __getattr__(self, name: str) -> Any:
         if name == "table":  # while a copy or a pickle is made
             raise AttributeError(name)
-        return getattr(self.table if hasattr(self.table, name) else self.table.thinnest, name)
+        return getattr(self.table if hasattr(self.table, name) else self.table.groups[0], name)
 
     def answer(
         self,
@@ -125,20 +125,11 @@ class Law:
         return Batch(moved, bars, coverage)
 
     def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
+        """Return du/dw (n, 6, 6), SI, of a method at wrenches (n, 6), whatever rows are there.
 
-        NaN for an output that no row holds.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
+        The kernel's: test_parity compares it with differences of answers.
         """
-        asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
-        found = np.full((len(asked), 6, 6), np.nan)
-        for outputs, part in self.parts:
-            found[:, list(outputs)] = part.derivatives(asked, method)[:, list(outputs)]
-        return found
+        return packed_of(self.table).derivatives(wrenches, method=method, without_rows=True)
 
     def explain(
         self,
@@ -146,7 +137,7 @@ class Law:
         tolerance: Tolerance | None = None,
         method: str | None = None,
     ) -> list[dict[str, Any]]:
-        """Return per group and axis what `Surrogate.explain` does, for the outputs there are.
+        """Return per group and axis what `GroupLaw.explain` does, for the outputs there are.
 
         The wrench is six floats, N and N·m.
         """
@@ -187,10 +178,10 @@ class Law:
 class GroupLaw:
     """The answers of the outputs that the same rows hold."""
 
-    def __init__(self, table: Surrogate) -> None:
+    def __init__(self, table: Group) -> None:
         self.table = table
-        self.by_row = RowLaw(table.exact, table.load_range, table.locked)
-        self.doubts = DoubtLaw(table.evidence, table.load_range)
+        self.by_row = RowLaw(table)
+        self.doubts = DoubtLaw(table)
         self._made: dict[str, Method] = {}
 
     def __getattr__(self, name: str) -> Any:
@@ -264,23 +255,6 @@ class GroupLaw:
         told.error[unknown] = np.nan
         return self.by_row.put_into(asked, Batch(told.displacement, told.error, state), allowed)
 
-    def derivatives(self, wrenches: ArrayLike, method: str | None = None) -> Floats:
-        """Return du/dw (n, 6, 6) at wrenches (n, 6): m/N, m/(N·m), rad/N, rad/(N·m).
-
-        Exact of the method's interpolant; NaN for a table without rows.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the method is none of `METHODS`.
-        """
-        asked = acting(wrenches, self.locked).reshape(-1, 6)
-        name = method or self.default
-        if not len(self.used):
-            check(name)
-            return np.full((len(asked), 6, 6), np.nan)
-        return without_locked(self._method(name).derivatives(asked), self.locked)
-
     def explain(
         self,
         wrench: Sequence[float],
@@ -298,7 +272,7 @@ class GroupLaw:
             found = self.answer(wrench, tolerance, name)
             return explain_linear(self.fit, self.used, self.members, asked, found)
         limit = tolerance or self.tolerance
-        return explain_axes(self.table.composition, self.members, asked, limit)
+        return explain_axes(self.table.axes, self.members, asked, limit)
 
     def source_of(self, wrench: Sequence[float]) -> str | None:
         """Return the source of the row at or beside a wrench, N and N·m; None if none is.
@@ -326,10 +300,10 @@ class GroupLaw:
         kriging = self.kriging
         if not kriging.knows_errors:
             return ERRORS_UNKNOWN
-        x = kriging.scaling.loads(np.asarray(wrench, dtype=float).reshape(1, 6))
-        if kriging.inside.answers(x)[2].all():
+        bars = kriging.answer_many(np.asarray(wrench, dtype=float).reshape(1, 6))[1]
+        if np.isfinite(bars).all():
             return UNKNOWN_ERROR
-        low, high = kriging.scaling.wrenches(kriging.inside.span)
+        low, high = kriging.scaling.wrenches(kriging.span)
         found = [
             f"{LOADS[load]} = {wrench[load]:.6g} {LOAD_UNITS[load]} is further from the rows, "
             f"which tell errors from {low[load]:.6g} to {high[load]:.6g} {LOAD_UNITS[load]}"

@@ -37,7 +37,7 @@ def derivatives_at(
 ) -> Floats:
     """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), of a batch's answers.
 
-    Parameters are those of `Surrogate.batch`.
+    Parameters are those of `Law.batch`.
 
     Raises
     ------

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.methods import ENOUGH_FULL
 from wrenchbook.surrogate.packed.reasons import UNKNOWN_AT_REST, UNKNOWN_TOGETHER
-from wrenchbook.surrogate.surrogate import Evidence
 from wrenchbook.surrogate.table.axes import AXES, clean_wrenches
-from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
+from wrenchbook.surrogate.table.rows import CLEAN, Floats
 
 Mask = np.ndarray
 
@@ -19,8 +19,8 @@ Mask = np.ndarray
 class DoubtLaw:
     """What a table's rows do not show, at wrenches."""
 
-    def __init__(self, evidence: Evidence, load_range: LoadRange) -> None:
-        self._evidence, self._range = evidence, load_range
+    def __init__(self, group: Group) -> None:
+        self._evidence, self._range = group, group.load_range
 
     @cached_property
     def none(self) -> bool:
@@ -50,9 +50,9 @@ class DoubtLaw:
             return UNKNOWN_AT_REST
         if self._evidence.knows_interaction or any(loaded.issubset(axis.inputs) for axis in AXES):
             return ""
-        tangents = " and no tangents" if self._evidence.needed == ENOUGH_FULL else ""
+        tangents = " and no tangents" if self._evidence.full_needed == ENOUGH_FULL else ""
         return UNKNOWN_TOGETHER.format(
-            full=self._evidence.full_wrenches, tangents=tangents, needed=self._evidence.needed
+            full=self._evidence.full_wrenches, tangents=tangents, needed=self._evidence.full_needed
         )
 
     @cached_property

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from tests.surrogate.law.answer import Answer, Batch, within
 from wrenchbook.surrogate.answer import COVERED
-from wrenchbook.surrogate.exact_rows import STEEPER, ExactRows
-from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, acting, acting_one
+from wrenchbook.surrogate.build import STEEPER, Group
+from wrenchbook.surrogate.table.rows import Floats, Rows, acting, acting_one, without_locked
 
 
 class Beside(NamedTuple):
@@ -34,17 +34,15 @@ class RowLaw:
 
     Parameters
     ----------
-    exact : ExactRows
-    load_range : LoadRange
-        A row within it answers for no wrench beyond it, nor the other way round.
-    locked : sequence of int
+    group : Group
+        A row within its load range answers for no wrench beyond it, nor the other way round.
     """
 
-    def __init__(self, exact: ExactRows, load_range: LoadRange, locked: Sequence[int]) -> None:
-        self.index, self.steepest, self._locked = exact.index, exact.steepest, tuple(locked)
-        self.wrenches, self.told, self.owner = exact.wrenches, exact.merged, exact.owner
-        self.uncertainty = exact.uncertainty
-        self._range, self.tangent = load_range, exact.tangent
+    def __init__(self, group: Group) -> None:
+        self.index, self.steepest, self._locked = group.row_index, group.steepest, group.locked
+        self.wrenches, self.told = group.rows.wrench, group.merged.rows
+        self.owner, self.uncertainty = group.merged.owner, group.row_uncertainty
+        self._range = group.load_range
 
     def instead_of(
         self, wrench: Sequence[float], found: Answer, allowed: Sequence[float]
@@ -90,6 +88,13 @@ class RowLaw:
         place = self.index.place(acting_one(wrench, self._locked))
         return None if place < 0 else self.wrenches[place]
 
+    def tangent(self, wrench: Sequence[float]) -> Floats:
+        """Return the tangent (6, 6), SI, of the row at or near a wrench (6,); NaN if none has."""
+        place = self.index.place(acting_one(wrench, self._locked))
+        if place < 0:
+            return np.full(self.told.compliance.shape[1:], np.nan)
+        return without_locked(self.told.compliance[self.owner[place]], self._locked)
+
     def has(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""
         own = self.wrench_at(wrench)
@@ -127,7 +132,7 @@ def beside(
     scale : ndarray, shape (6,), N and N·m
         Of the load range.
     steepest : ndarray, shape (6,), m and rad
-        See `ExactRows`.
+        See `Group`.
     """
     displacement = rows.displacement[place]
     unread = np.isnan(displacement)  # of a table cut to a scene

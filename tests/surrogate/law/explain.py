@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.surrogate.law.answer import Answer, over_tolerance
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, allowed_by
-from wrenchbook.surrogate.axes.axes import OFF_HULL, Composition
+from wrenchbook.surrogate.axes.axes import OFF_HULL, Axes
 from wrenchbook.surrogate.axes.axis_table import SOUND
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.compliance import ComplianceFit
@@ -20,7 +20,7 @@ from .reasons import Look, look, why_axis
 
 
 def explain_axes(
-    composition: Composition,
+    composition: Axes,
     members: Sequence[tuple[int, ...]],
     wrench: Floats,
     tolerance: Tolerance | None,
@@ -68,7 +68,7 @@ def explain_linear(
 
 
 def _axis(
-    composition: Composition,
+    composition: Axes,
     members: Sequence[tuple[int, ...]],
     index: int,
     wrench: Floats,

@@ -9,14 +9,14 @@ import numpy as np
 
 from tests.surrogate.law.answer import Answer, Batch
 from wrenchbook.surrogate.answer import COVERED
-from wrenchbook.surrogate.limits import (
+from wrenchbook.surrogate.table.rows import (
     LONGEST,
     ROTATION_LIMIT,
     TRANSLATION_LIMIT,
+    Floats,
     is_too_far,
     rotation_angles,
 )
-from wrenchbook.surrogate.table.rows import Floats
 
 BEYOND_LIMITS = (
     f"the estimate leaves what tables may hold, {math.degrees(ROTATION_LIMIT):g} degrees and "

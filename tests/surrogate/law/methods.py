@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.surrogate.answer import COVERED, METHODS, OUTSIDE, THIN, UnknownMethodError
-from wrenchbook.surrogate.axes.axes import OFF_HULL, Composed, Composition
+from wrenchbook.surrogate.axes.axes import OFF_HULL, Axes, Composed
+from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.kriging import Kriging
-from wrenchbook.surrogate.surrogate import Surrogate
-from wrenchbook.surrogate.table.axes import CLEAN
 from wrenchbook.surrogate.table.compliance import ComplianceFit
-from wrenchbook.surrogate.table.rows import Floats, LoadRange, why_beyond
+from wrenchbook.surrogate.table.rows import CLEAN, ROUNDING, Floats, LoadRange, why_beyond
 from wrenchbook.surrogate.table.space import LOADS
 
 from .reasons import why_not
@@ -48,18 +47,18 @@ class AxesReference:
 
     Parameters
     ----------
-    composition : Composition
+    composition : Axes
     interaction : Kriging or None
         Through what the additive composition misses the full wrenches by; None where there are too
         few, or where they are points of the axes themselves.
     """
 
-    def __init__(self, composition: Composition, interaction: Kriging | None) -> None:
-        self.composition, self.interaction = composition, interaction
+    def __init__(self, composition: Axes, interaction: Kriging | None) -> None:
+        self.axes, self.interaction = composition, interaction
 
     def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """See `Reference`; (n, 6) each, m and rad, at wrenches (n, 6), N and N·m."""
-        return self.against(wrenches, self.composition.evaluate(wrenches))
+        return self.against(wrenches, self.axes.evaluate(wrenches))
 
     def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
         """See `Reference`; the error bars of axes and interaction add up in quadrature.
@@ -97,10 +96,6 @@ class Method(Protocol):
         """Answer wrenches, shape (n, 6), N and N·m."""
         ...
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m), exact of the method."""
-        ...
-
     def reason(self, wrench: Floats) -> str:
         """Return why one wrench is not covered; empty if no reason is the method's own.
 
@@ -114,18 +109,18 @@ class StraightDirection(Method):
 
     Parameters
     ----------
-    composition : Composition
+    composition : Axes
     reference : Reference
     name : {"griddata", "additive"}
         Translations of their own axis alone; all six outputs composed.
     """
 
-    def __init__(self, composition: Composition, reference: Reference, name: str) -> None:
-        self.composition, self.reference, self.name = composition, reference, name
+    def __init__(self, composition: Axes, reference: Reference, name: str) -> None:
+        self.axes, self.reference, self.name = composition, reference, name
 
     def estimate(self, wrenches: Floats) -> Estimates:
         """Answer wrenches, shape (n, 6), N and N·m."""
-        composed = self.composition.evaluate(wrenches)
+        composed = self.axes.evaluate(wrenches)
         displacement = composed.additive if self.name == "additive" else composed.griddata
         best, error = self.reference.against(wrenches, composed)
         error = np.abs(displacement - best) + error
@@ -135,13 +130,9 @@ class StraightDirection(Method):
         coverage = np.where(off[:, 0], OUTSIDE, np.where(composed.state > 0, THIN, COVERED))
         return Estimates(displacement, error, coverage.astype(np.uint8))
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m): the slopes of the simplices."""
-        return self.composition.derivatives(wrenches, self.name)
-
     def reason(self, wrench: Floats) -> str:
         """Return which axis does not hold a wrench (6,), N and N·m, and why."""
-        return why_not(self.composition, wrench)
+        return why_not(self.axes, wrench)
 
 
 class GaussianProcess(Method):
@@ -172,16 +163,9 @@ class GaussianProcess(Method):
         state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
         return Estimates(displacement, error, state)
 
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return du/dw (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""
-        return self.kriging.derivatives(wrenches)
-
     def reason(self, wrench: Floats) -> str:
         """Return which load of a wrench (6,), N and N·m, lies outside the load range."""
         return why_beyond(self.load_range, wrench)
-
-
-ROUNDING = 1e-12  # of the answer's size: what the solver's own arithmetic leaves
 
 
 class Linear(Method):
@@ -213,10 +197,6 @@ class Linear(Method):
         error[unknown] = np.nan
         outside = unknown | ~self.load_range.holds(wrenches)
         return Estimates(displacement, error, np.where(outside, OUTSIDE, COVERED).astype(np.uint8))
-
-    def derivatives(self, wrenches: Floats) -> Floats:
-        """Return the compliance for each wrench, (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)."""
-        return np.tile(self.fit.matrix, (len(wrenches), 1, 1))
 
     def reason(self, wrench: Floats) -> str:
         """Return which load of a wrench no row tells, or lies outside the load range.
@@ -254,15 +234,15 @@ def check(name: str) -> None:
         raise UnknownMethodError(name)
 
 
-def reference_of(table: Surrogate) -> Reference:
+def reference_of(table: Group) -> Reference:
     """Return what the answers of methods are compared with for their error bars."""
     if table.by_kriging and table.kriging is not None:
         return KrigingReference(table.kriging)
-    return AxesReference(table.composition, table.interaction)
+    return AxesReference(table.axes, table.interaction)
 
 
 def _straight(table: Any, name: str) -> Method:
-    return StraightDirection(table.composition, table.reference, name)
+    return StraightDirection(table.axes, table.reference, name)
 
 
 def _gaussian(table: Any) -> Method:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.surrogate.axes.axes import NO_ROWS, OFF_HULL, ON_HULL, Composed, Composition
+from wrenchbook.surrogate.axes.axes import NO_ROWS, OFF_HULL, Axes, Composed
 from wrenchbook.surrogate.axes.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
 from wrenchbook.surrogate.error_law import FEWEST
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
@@ -14,7 +14,7 @@ from wrenchbook.surrogate.table.rows import CLEAN, Floats
 from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS
 
 
-def why_not(composition: Composition, wrench: Floats) -> str:
+def why_not(composition: Axes, wrench: Floats) -> str:
     """Return why the axes do not cover a wrench, shape (6,), N and N·m; empty if they do."""
     found = composition.evaluate(wrench[None])
     worst = int(found.state[0])
@@ -36,7 +36,7 @@ class Look(NamedTuple):
     simplex: int | None
 
 
-def look(composition: Composition, index: int, wrench: Floats) -> Look:
+def look(composition: Axes, index: int, wrench: Floats) -> Look:
     """Return the answer of one axis to its three loads of a wrench (6,), N and N·m, alone."""
     axis = AXES[index]
     loads = np.where(np.isin(np.arange(6), axis.inputs), wrench, 0.0)[None]
@@ -53,7 +53,7 @@ def look(composition: Composition, index: int, wrench: Floats) -> Look:
     return Look(found, table, int(table.read(x).simplices[0]))
 
 
-def why_axis(composition: Composition, index: int, wrench: Floats) -> str:
+def why_axis(composition: Axes, index: int, wrench: Floats) -> str:
     """Return why one axis does not cover its part of a wrench (6,), N and N·m; empty if it does."""
     axis, seen = AXES[index], look(composition, index, wrench)
     state = int(seen.found.states[0, index])
@@ -110,7 +110,7 @@ def _why_outside(axis: LoadAxis, table: AxisTable | None, wrench: Floats) -> str
     spans, found = table.rows.points * table.scale, []
     for column, load in enumerate(axis.inputs):
         low, high = float(spans[:, column].min()), float(spans[:, column].max())
-        slack, unit = ON_HULL * table.scale[column], LOAD_UNITS[load]
+        slack, unit = CLEAN * table.scale[column], LOAD_UNITS[load]
         if low - slack <= wrench[load] <= high + slack:
             continue
         if high - low <= slack:

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from tests.surrogate.law.answer import Answer, Batch
-from wrenchbook.surrogate.table.rows import Floats, Tolerance, acting, acting_one
+from wrenchbook.surrogate.table.rows import ROUNDING, Floats, Tolerance, acting, acting_one
 
 from .derivative import derivative_at, derivatives_at, row_tangents
-from .methods import ROUNDING
 from .solver_share import parts, widened, widened_many
 
 
@@ -56,7 +55,7 @@ def solved(
         bars = np.full(6, np.nan)
         if told == "row":
             place = part.by_row.index.place(acting_one(wrench, table.locked))
-            bars = part.exact.uncertainty[part.exact.owner[place]]
+            bars = part.row_uncertainty[part.merged.owner[place]]
         elif told == "linear" and table.linear and part.fit.complete:
             most = np.abs(part.fit.matrix) @ table.load_range.scale
             bars = np.where(part.fit.error <= ROUNDING * most, 0.0, part.fit.error)

@@ -14,12 +14,18 @@ from hypothesis import strategies as st
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, table
-from wrenchbook.surrogate.build import AnyTable
+from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.reasons import UNKNOWN_ERROR
 from wrenchbook.surrogate.packed.writer import pack
-from wrenchbook.surrogate.scene.need import Need, NeedError, need_of
-from wrenchbook.surrogate.scene.plan import design_of, first_solves, plan_of
+from wrenchbook.surrogate.scene.plan import (
+    Need,
+    NeedError,
+    design_of,
+    first_solves,
+    need_of,
+    plan_of,
+)
 from wrenchbook.surrogate.scene.savings import measured
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
@@ -33,7 +39,7 @@ COUNTS = {"strongly_coupled": 150}  # the kriging's errors are known with more r
 
 
 @cache
-def filled(kind: str = "hardening") -> AnyTable:
+def filled(kind: str = "hardening") -> Table:
     """Return a table whose errors are known up to the corners of the range."""
     return build(solved(RESPONSES[kind], spread(COUNTS.get(kind, 40))), RANGE)
 
@@ -43,7 +49,7 @@ def spread(count: int) -> np.ndarray:
     return np.concatenate((CORNERS, full_wrenches(count, 3)))
 
 
-def empty(**more: bool) -> AnyTable:
+def empty(**more: bool) -> Table:
     return build(Rows.empty(), RANGE, **more)  # type: ignore[arg-type]
 
 
@@ -160,7 +166,7 @@ def test_a_linear_component_needs_one_compliance() -> None:
     matrix = plan_of(one, need(PLANAR)).compliance
     assert matrix is not None
     np.testing.assert_array_equal(matrix[:, [1, 3, 5]], 0.0)
-    np.testing.assert_allclose(matrix[:, [0, 2, 4]], one.fit.matrix[:, [0, 2, 4]])
+    np.testing.assert_allclose(matrix[:, [0, 2, 4]], one.groups[0].fit.matrix[:, [0, 2, 4]])
 
 
 def test_a_response_that_is_linear_within_the_tolerance_needs_one_compliance() -> None:

@@ -13,11 +13,11 @@ from tests.surrogate.kernel.kinds import table_of
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, coupled, full_wrenches, table
 from wrenchbook.surrogate.answer import UnknownMethodError
-from wrenchbook.surrogate.build import AnyTable, build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.scene.cut import cut
-from wrenchbook.surrogate.scene.need import Need, need_of
+from wrenchbook.surrogate.scene.plan import Need, need_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
@@ -26,7 +26,7 @@ MESH = SolverError({"mesh": np.full((6, 6), 1e-9).tolist(), "loads": HIGH.tolist
 
 
 @cache
-def built(kind: str) -> AnyTable:
+def built(kind: str) -> Table:
     """Tables of each default method, and one of a rig that measured some outputs in some rows."""
     mixed = np.concatenate((np.zeros((1, 6)), clean_wrenches(9, 1), full_wrenches(25, 2)))
     if kind == "kriging":
@@ -55,7 +55,7 @@ KINDS = (
 )
 
 
-def packed(full: AnyTable) -> PackedTable:
+def packed(full: Table) -> PackedTable:
     return PackedTable.from_bytes(b"".join(pack(full)))
 
 

@@ -1,0 +1,123 @@
+"""The reference of ``component.toml``, made of its models: a JSON schema, and README's tables.
+
+Run as a program it writes the tables of fea/README.md anew, each below the heading of its table.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from pydantic import TypeAdapter
+from pydantic.fields import FieldInfo
+
+from wrenchbook.fea.bundle.tables import ComponentFile
+from wrenchbook.fea.spec.keys import extra_of, keys_of, tables_in
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON schema of a parsed ``component.toml``, draft 2020-12."""
+    schema = _tidy(TypeAdapter(ComponentFile).json_schema(by_alias=True))
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "component.toml"}
+    return head | {key: value for key, value in schema.items() if key not in head}
+
+
+def _tidy(part: Any) -> Any:
+    """Return a part of a schema without null, which TOML has not, and with examples as values."""
+    if isinstance(part, list):
+        return [_tidy(each) for each in part if each != {"type": "null"}]
+    if not isinstance(part, dict):
+        return part
+    kept = {k: v for k, v in part.items() if k not in _OURS or isinstance(v, dict)}
+    tidy = {key: _tidy(value) for key, value in kept.items()}
+    if len(tidy.get("anyOf", ())) == 1:
+        tidy |= tidy.pop("anyOf")[0]
+    if part.get("default", ...) is None:
+        del tidy["default"]
+    if isinstance(example := part.get("toml"), str):
+        tidy["examples"] = [tomllib.loads(f"x = {example}")["x"]]
+    if isinstance(unit := part.get("unit"), str) and "description" in part:
+        tidy["description"] = f"{part['description']} ({unit})"
+    return tidy
+
+
+_OURS = ("toml", "absent", "write", "among", "title")
+
+
+def tables() -> dict[str, list[type]]:
+    """Return the models of each table by its heading, in the order of the file."""
+    found: dict[str, list[type]] = {"component.toml": [ComponentFile]}
+    waiting = [("", [ComponentFile])]
+    for path, classes in waiting:
+        for key, infos in _fields(classes).items():
+            kind = infos[0].annotation
+            if not (below := list(dict.fromkeys(tables_in(kind)))):
+                continue
+            name = f"{path}.{key}" if path else key
+            name += ".NAME" if get_origin(kind) is Mapping else ""
+            single = get_origin(kind) is Mapping or _has_single(kind)
+            found[f"[{name}]" if single else f"[[{name}]]"] = below
+            waiting.append((name, below))
+    return found
+
+
+def _has_single(kind: Any) -> bool:
+    """Return whether a type is, or may be, one table and not an array of them."""
+    if get_origin(kind) is tuple:
+        return False
+    return is_dataclass(kind) or any(map(_has_single, get_args(kind)))
+
+
+def _fields(classes: list[type]) -> dict[str, list[FieldInfo]]:
+    """Return the fields of each key of the models that stand for one table."""
+    fields: dict[str, list[FieldInfo]] = {}
+    for cls in classes:
+        for key, info in sorted(keys_of(cls).items(), key=lambda pair: bool(pair[1].kw_only)):
+            fields.setdefault(key, []).append(info)
+    return fields
+
+
+def rows(classes: list[type]) -> Iterator[str]:
+    """Yield the lines of a table's reference: key, unit, default, example and what it is."""
+    yield "| key | unit | default | example | what it is |"
+    yield "| --- | --- | --- | --- | --- |"
+    for key, infos in _fields(classes).items():
+        extra = extra_of(infos[0])
+        texts = dict.fromkeys(info.description for info in infos if info.description)
+        unit = extra.get("unit", "").replace("^2", "²").replace("^3", "³")
+        example = extra.get("toml", "")
+        cells = [f"`{key}`", unit, _default(infos[0]), f"`{example}`", "; ".join(texts)]
+        yield f"| {' | '.join(cells)} |".replace("|  |", "| |")
+
+
+def _default(info: FieldInfo) -> str:
+    if absent := extra_of(info).get("absent"):
+        return absent
+    if info.is_required():
+        return "-"
+    if info.default is None:
+        return "none"
+    value = list(info.default) if isinstance(info.default, tuple) else info.default
+    return f"`{value:g}`" if isinstance(value, float) else f"`{json.dumps(value)}`"
+
+
+def page(text: str) -> str:
+    """Return README's text with the tables of its reference as the models have them."""
+    for heading, classes in tables().items():
+        pattern = rf"(?m)(^### {re.escape(heading)}\n(?:(?!^[|#]).*\n)*)(?:^\|.*\n)*"
+        table = "".join(f"{line}\n" for line in rows(classes))
+        text, count = re.subn(pattern, lambda match, table=table: match[1] + table, text)
+        if count != 1:
+            raise ValueError(f"README must have the heading ### {heading} once")
+    return text
+
+
+if __name__ == "__main__":
+    README.write_text(page(README.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,436 @@
+"""Keys of ``component.toml`` as fields of models: their types, units, texts and refusals.
+
+A table of the file is a class under `table`, whose fields are made by `key`. `validated` returns an
+instance or notes every mistake in the words of `_sentence`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import field, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, cast, dataclass_transform, get_args, get_origin
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+)
+from pydantic.dataclasses import dataclass
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError, core_schema
+
+from wrenchbook.fea.spec.problems import BundleProblem, suggest
+
+Array = np.ndarray
+
+_MAX_COUNT = 10**9
+# Control characters, line ends, and marks that turn the writing direction of what follows: a
+# terminal obeys the first, a page shows another word than it holds with the last.
+_STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+_QUOTED = re.compile("'([^']*)'")
+_SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
+
+_T = TypeVar("_T")
+
+
+def key(
+    description: str,
+    unit: str = "",
+    example: str = "",
+    *,
+    default: Any = ...,
+    absent: str = "",
+    name: str | None = None,
+    write: str = "",
+    among: tuple[str, ...] = (),
+    **bounds: Any,
+) -> Any:
+    """Field of a table: a key of the file.
+
+    Parameters
+    ----------
+    description, unit, example
+        As the reference shows them; `example` is TOML.
+    default
+        A value, or a function that makes it; the key must be there without one.
+    absent
+        The reference's words for a default that no value shows.
+    name
+        The key, where the attribute has another name.
+    write
+        What a bundle without the key is asked to write, where its type does not say so.
+    among
+        The words to choose from, where the type has fewer.
+    """
+    extra = {"unit": unit, "toml": example, "absent": absent, "write": write, "among": list(among)}
+    shown: Any = {word: value for word, value in extra.items() if value}
+    if default is not ...:
+        bounds["default_factory" if callable(default) else "default"] = default
+    return Field(description=description, alias=name, json_schema_extra=shown, **bounds)
+
+
+_CONFIG = ConfigDict(
+    extra="forbid", validate_by_name=True, arbitrary_types_allowed=True, defer_build=True
+)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(key, field))
+def table(cls: type[_T]) -> type[_T]:
+    """Make a class a table of the file: a frozen dataclass that pydantic validates."""
+    return cast(Any, dataclass(frozen=True, config=_CONFIG)(cls))
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(key, field))
+def array_table(cls: type[_T]) -> type[_T]:
+    """Make a class a `table` that holds arrays, and so is equal to itself alone."""
+    return cast(Any, dataclass(frozen=True, eq=False, config=_CONFIG)(cls))
+
+
+class MistakesError(ValueError):
+    """Mistakes at keys of a table that only several of its keys together show."""
+
+    def __init__(self, *pairs: tuple[str, str]) -> None:
+        super().__init__("; ".join(message for _, message in pairs))
+        self.pairs = pairs
+
+
+def _text(value: str) -> str:
+    """Return a text of one line that is not blank and has no character that steers a screen."""
+    if steering := _STEERING.search(value):
+        raise ValueError(f"must be of one line of letters and signs, not hold {steering[0]!r}")
+    if not value.strip():
+        raise ValueError("must not be empty")
+    return value
+
+
+def is_slug(name: str) -> bool:
+    """Return whether a name does as a component's: as a folder and in a URL."""
+    return _SLUG.fullmatch(name) is not None
+
+
+def _name(value: str) -> str:
+    if is_slug(value):
+        return value
+    raise ValueError(
+        f'"{value}" will not do as a folder and in a URL; use 1 to 64 of a-z, 0-9, _ and -, '
+        "beginning with a letter or digit"
+    )
+
+
+def different(values: tuple[_T, ...]) -> tuple[_T, ...]:
+    """Refuse a value that is there twice."""
+    if len(set(values)) < len(values):
+        raise ValueError("names something twice; keep one of the two")
+    return values
+
+
+def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
+    """Return the path of a file of the bundle that exists and lies within its folder."""
+    if isinstance(value, Path):
+        return value
+    name: str = handler(value)
+    folder: Path = (info.context or {}).get("folder", Path())
+    path = folder / name
+    # Resolved, so that a symbolic link out of the folder is refused too.
+    if Path(name).is_absolute() or not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f'"{name}" is outside the bundle; put the file into its folder')
+    try:
+        there = path.is_file()
+    except OSError as error:  # a name that no disk takes
+        raise ValueError(f'"{name[:100]}" cannot be a file ({error.strerror})') from None
+    if not there:
+        known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
+        raise ValueError(f'there is no file "{name}" in the bundle (it has {", ".join(known)})')
+    return path
+
+
+def counted(count: int) -> BeforeValidator:
+    """Check for a list of so many numbers."""
+
+    def check(value: object) -> object:
+        if not isinstance(value, list | tuple) or len(value) != count:
+            raise PydanticCustomError("count", "{count} numbers", {"count": count})
+        return value
+
+    return BeforeValidator(check)
+
+
+def array_of(inner: Any, make: Callable[[Any], Array] = np.array) -> GetPydanticSchema:
+    """Make an array of an `inner` by `make`; one that is an array is taken as it is."""
+
+    def check(value: object, handler: Callable[[object], Any]) -> Array:
+        return value if isinstance(value, np.ndarray) else make(handler(value))
+
+    return GetPydanticSchema(
+        lambda _, handler: core_schema.no_info_wrap_validator_function(
+            check, handler.generate_schema(inner)
+        )
+    )
+
+
+def either(single: Any, several: Any, depth: int = 1) -> GetPydanticSchema:
+    """Take a `single`, or `several` where the value is a list of lists so many levels deep."""
+
+    def choose(value: Any) -> str:
+        for _ in range(depth - 1):
+            value = value[0] if isinstance(value, list | tuple) and value else None
+        return "|several" if isinstance(value, list | tuple) else "|single"
+
+    return GetPydanticSchema(
+        lambda _, handler: core_schema.tagged_union_schema(
+            {
+                "|single": handler.generate_schema(single),
+                "|several": handler.generate_schema(several),
+            },
+            discriminator=choose,
+        )
+    )
+
+
+def union(choose: Callable[[Mapping[str, Any]], type], *classes: type) -> GetPydanticSchema:
+    """Take one of several classes under `table`: that which `choose` returns for a parsed table."""
+
+    def tag(value: object) -> str:
+        return f"|{(choose(value) if isinstance(value, dict) else classes[0]).__name__}"
+
+    return GetPydanticSchema(
+        lambda _, handler: core_schema.tagged_union_schema(
+            {f"|{cls.__name__}": handler.generate_schema(cls) for cls in classes},
+            discriminator=tag,
+        )
+    )
+
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0)]
+Whole = Annotated[int, Field(strict=True, le=_MAX_COUNT)]
+Flag = Annotated[bool, Field(strict=True)]
+Text = Annotated[str, Field(strict=True), AfterValidator(_text)]
+Name = Annotated[Text, AfterValidator(_name)]
+Texts = Annotated[tuple[Text, ...], AfterValidator(different)]
+Pair = Annotated[tuple[Number, Number], counted(2)]
+Three = Annotated[tuple[Number, Number, Number], counted(3)]
+ThreePositive = Annotated[tuple[Positive, Positive, Positive], counted(3)]
+Six = Annotated[tuple[Number, Number, Number, Number, Number, Number], counted(6)]
+BundleFile = Annotated[
+    Path,
+    GetPydanticSchema(
+        lambda _, handler: core_schema.with_info_wrap_validator_function(
+            _in_folder, handler.generate_schema(Text)
+        )
+    ),
+]
+Point = Annotated[Array, array_of(Three)]
+
+
+def unit_vector(v: Sequence[float]) -> tuple[float, float, float]:
+    """Return a direction's unit vector, in plain floats."""
+    length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return v[0] / length, v[1] / length, v[2] / length
+
+
+def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
+    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
+
+
+def _three_directions(value: object) -> object:
+    if isinstance(value, list | tuple) and len(value) != 3:
+        raise ValueError("must be three directions, the frame's x, y and z")
+    return value
+
+
+def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
+    """Return three directions exactly orthonormal, shape (3, 3), dimensionless."""
+    axes = np.array(rows)
+    # A direction that is far from a unit's length would overflow in the product.
+    if np.abs(axes).max() > 2.0 or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
+        raise ValueError("must be three unit directions square to each other (to 1e-6)")
+    if np.linalg.det(axes) < 0.0:
+        raise ValueError("must be right-handed; turn one direction round")
+    # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so
+    # they must not depend on a machine's linear algebra library.
+    first, second, _ = axes.tolist()
+    x = unit_vector(first)
+    z = unit_vector(_cross(x, second))
+    return np.array([x, unit_vector(_cross(z, x)), z])
+
+
+Axes = Annotated[
+    Array,
+    array_of(
+        Annotated[tuple[Three, Three, Three], BeforeValidator(_three_directions)], _orthonormal
+    ),
+]
+
+
+def mesh_axes() -> Array:
+    """Return the mesh's axes, shape (3, 3)."""
+    return np.eye(3)
+
+
+def validated(
+    kind: Any, value: object, where: str, problems: list[BundleProblem], folder: Path | None = None
+) -> Any:
+    """Return `value`, of the key `where`, as a `kind`; None if it will not do.
+
+    kind: a type of fields, or a class under `table`.
+    problems: mistakes are added, each with its path from `where`.
+    folder: the bundle's, in which the files lie that it names.
+    """
+    try:
+        return _adapter(kind).validate_python(
+            value, by_alias=True, by_name=False, context={"folder": folder or Path()}
+        )
+    except ValidationError as error:
+        entries: list[Any] = list(error.errors(include_url=False))
+        for entry in entries:
+            if entry["type"] == "too_short" and len(entry["input"]) >= entry["ctx"]["min_length"]:
+                continue  # counted without its items that will not do
+            for problem in _problems(kind, where, entry):
+                if problem not in problems:
+                    problems.append(problem)
+        return None
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def keys_of(cls: type) -> dict[str, FieldInfo]:
+    """Map the keys of a class under `table`, as in the file, to its fields."""
+    known: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
+    return {info.alias or name: info for name, info in known.items() if info.init is not False}
+
+
+def tables_in(kind: Any) -> Iterator[type]:
+    """Yield the classes under `table` that a type has at one place."""
+    if isinstance(kind, type) and is_dataclass(kind):
+        yield kind
+    for each in get_args(kind) if get_origin(kind) is not Literal else ():
+        yield from tables_in(each)
+
+
+def extra_of(info: FieldInfo | None) -> Mapping[str, Any]:
+    """Return what `key` notes besides the description."""
+    extra = info.json_schema_extra if info is not None else None
+    return extra if isinstance(extra, dict) else {}
+
+
+def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[BundleProblem]:
+    """Yield the mistakes of one entry of pydantic's, each at its path."""
+    path, info, classes, named = where, None, list(tables_in(kind)), False
+    for part in entry["loc"]:
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif part.startswith("|"):  # the branch of a union
+            classes = [cls for cls in classes if f"|{cls.__name__}" == part] or classes
+        else:
+            path += f".{part}" if path else part
+            known = [keys_of(cls)[part] for cls in classes if part in keys_of(cls)]
+            if known and not named:
+                info = known[0]
+                classes = list(tables_in(info.annotation))
+            # Names of the user's, as of mesh.groups, stand between a key and the next table's.
+            named = bool(known) and not named and get_origin(known[0].annotation) is Mapping
+    unit = extra_of(info).get("unit") or "no unit"
+    if entry["type"] == "literal_error":
+        path = path.removesuffix("]").rstrip("0123456789").removesuffix("[")  # of the list
+    if entry["type"] == "value_error":
+        error = entry["ctx"]["error"]
+        pairs = (
+            error.pairs
+            if isinstance(error, MistakesError)
+            else (("", str(error).replace("{unit}", unit)),)
+        )
+        yield from (BundleProblem(f"{path}.{at}" if at else path, text) for at, text in pairs)
+    elif entry["type"] == "unexpected_keyword_argument":
+        yield BundleProblem(path, unknown(entry["loc"][-1], classes[0]))
+    else:
+        yield BundleProblem(path, _sentence(entry, info))
+
+
+def unknown(name: str, cls: type) -> str:
+    """Return the refusal of a key that a table does not have."""
+    refused: Mapping[str, str] = getattr(cls, "refused", {})
+    known = list(keys_of(cls))
+    return (
+        refused.get(name) or f"unknown key{suggest(name, known)} (known here: {', '.join(known)})"
+    )
+
+
+_KINDS = {
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "tuple_type": "a list",
+    "dataclass_type": "a table",
+    "dict_type": "a table",
+}
+
+
+def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
+    """Return what is wrong and what to write, by the type of pydantic's error."""
+    error, value, context = entry["type"], entry["input"], entry.get("ctx", {})
+    extra = extra_of(info)
+    unit = extra.get("unit") or "no unit"
+    if error == "missing":
+        return missing(info)
+    if error in _KINDS:
+        return f"must be {_KINDS[error]}, not {shown(value)}"
+    if error == "literal_error" and type(value) is not str:
+        return f"must be a text, not {shown(value)}"
+    if error == "literal_error":
+        among = extra.get("among") or _QUOTED.findall(context["expected"])
+        return f'"{value}" is none of {", ".join(among)}{suggest(value, among)}'
+    if error in ("greater_than", "less_than"):
+        bound = f"above {context['gt']:g}" if "gt" in context else f"below {context['lt']:g}"
+        return f"must be {bound} ({unit}), not {value:g}"
+    if error == "too_short":
+        return f"must name at least {context['min_length']}"
+    if error == "count":
+        return f"must be a list of {context['count']} numbers in {unit}, not {shown(value)}"
+    if error.startswith("int_") or error in ("greater_than_equal", "less_than_equal"):
+        return f"must be {_noun(info)}, not {shown(value)}"
+    return f"must be a finite number in {unit}, not {shown(value)}"
+
+
+def missing(info: FieldInfo | None) -> str:
+    """Return the sentence for a key that must be there."""
+    return f"missing; write {_noun(info)}"
+
+
+def _noun(info: FieldInfo | None) -> str:
+    """Return what a key is to hold."""
+    if info is None:
+        return "a value"
+    extra, kind = extra_of(info), _adapter(kind_of(info)).json_schema()
+    unit = extra.get("unit") or "no unit"
+    if write := extra.get("write"):
+        return write
+    if among := extra.get("among") or kind.get("enum"):
+        return f"one of {', '.join(among)}"
+    if kind.get("type") == "integer":
+        return f"a whole number from {kind['minimum']} to {_MAX_COUNT}"
+    nouns = {"number": f"a number in {unit}", "string": "a text", "boolean": "true or false"}
+    return nouns.get(kind.get("type", ""), "a table" if "$ref" in kind else "a list")
+
+
+def kind_of(info: FieldInfo) -> Any:
+    """Return the type of a field with all that bounds it."""
+    return Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
+
+
+def shown(value: object) -> str:
+    """Return `value` shortened to what fits into a message."""
+    text = repr(value).replace("'", '"') if type(value) is not bool else str(value).lower()
+    return text if len(text) <= 60 else text[:57] + "..."

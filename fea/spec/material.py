@@ -1,0 +1,239 @@
+"""Materials: isotropic ones, and orthotropic ones with what none of them can have."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator
+
+from wrenchbook.fea.spec.keys import (
+    Array,
+    Axes,
+    MistakesError,
+    Number,
+    Positive,
+    Text,
+    Three,
+    ThreePositive,
+    array_table,
+    either,
+    key,
+    mesh_axes,
+    table,
+    unit_vector,
+)
+
+LAWS = ("isotropic", "orthotropic", "neo-hookean")
+
+MAX_ISOTROPIC_RATIO = 0.4
+"""Of `Orthotropic.isotropic_ratio`: the least at which any kind of cells locks."""
+_LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
+
+
+def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(map(abs, expansion)) > _LARGEST_EXPANSION:
+        raise ValueError(
+            f"is above {_LARGEST_EXPANSION:g} 1/K, more than any solid's; aluminium has 23e-6"
+        )
+    return expansion
+
+
+def _alike(expansion: float | tuple[float, float, float]) -> tuple[float, float, float]:
+    three = expansion if isinstance(expansion, tuple) else (expansion, expansion, expansion)
+    if len(set(three)) > 1:
+        raise ValueError("must be a finite number in 1/K; three are of an orthotropic material")
+    return _small(three)
+
+
+Expansion = Annotated[tuple[float, float, float], either(Number, Three), AfterValidator(_alike)]
+
+
+def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not 1e-6 < np.sqrt(sum(x * x for x in axis)) < 1e6:
+        raise ValueError("must be a direction: three numbers that are not all zero")
+    return unit_vector(axis)
+
+
+@table
+class Solid:
+    """What every material has."""
+
+    region: Text = key(
+        "a cell group of the mesh; `all` is what no other material fills", example='"all"'
+    )
+    density: Positive | None = key(
+        "for mass and natural frequency; a must with `gravity` and `[inputs.acceleration]`",
+        "kg/m^3",
+        "2700.0",
+        default=None,
+        kw_only=True,
+    )
+    yield_strength: Positive | None = key(
+        "compared with the von Mises stress; `check` prints the largest under the full range",
+        "Pa",
+        "240e6",
+        default=None,
+        kw_only=True,
+    )
+
+
+@table
+class Material(Solid):
+    """An isotropic elastic material; `thermal_expansion` is along x, y and z, all equal."""
+
+    youngs_modulus: Positive = key("Young's modulus", "Pa", "70e9")
+    poisson_ratio: Number = key(
+        "Poisson's ratio, above -1 and below 0.5", example="0.33", gt=-1, lt=0.5
+    )
+    law: Literal["isotropic", "neo-hookean"] = key(
+        "or `neo-hookean` (rubber; the constants are those of small strains)",
+        example='"neo-hookean"',
+        default="isotropic",
+        among=LAWS,
+        kw_only=True,
+    )
+    thermal_expansion: Expansion | None = key(
+        "a must with `[inputs.temperature]`", "1/K", "23e-6", default=None, kw_only=True
+    )
+
+    @property
+    def orthotropic(self) -> Orthotropic | None:
+        """The constants of the orthotropic law: none."""
+        return None
+
+
+@table
+class Cylinder:
+    """An axis about which directions are radial, circumferential and axial, in the mesh's axes."""
+
+    point: Three = key("on the axis", "m", "[0, 0, 0]")
+    axis: Annotated[Three, AfterValidator(_direction)] = key(
+        "its direction, made a unit vector", example="[0, 0, 1]"
+    )
+
+
+@array_table
+class Orthotropic(Solid):
+    """An elastic material of nine constants in three directions square to each other."""
+
+    youngs_moduli: ThreePositive = key(
+        "orthotropic: `[E1, E2, E3]`", "Pa", "[135e9, 10e9, 10e9]", name="youngs_modulus"
+    )
+    # Strain across over strain along, less, when pulled along the first of the two directions;
+    # nu21 = nu12 E2 / E1.
+    poisson_ratios: Three = key(
+        "orthotropic: `[nu12, nu13, nu23]`; nu12 is along 2 when pulled along 1",
+        example="[0.3, 0.3, 0.4]",
+        name="poisson_ratio",
+    )
+    shear_moduli: ThreePositive = key(
+        "orthotropic only: `[G12, G13, G23]`", "Pa", "[5e9, 5e9, 3.5e9]", name="shear_modulus"
+    )
+    axes: Axes = key(
+        "orthotropic only: the directions 1, 2, 3 in the mesh's axes",
+        example="[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]",
+        default=mesh_axes,
+        absent="mesh's",
+    )
+    cylinder: Cylinder | None = key(
+        "orthotropic only, in place of `axes`: 1, 2, 3 are radial, circumferential and axial about "
+        "this axis, at each integration point",
+        example="{point = [0, 0, 0], axis = [0, 0, 1]}",
+        default=None,
+    )
+    law: Literal["orthotropic"] = key(
+        "or `orthotropic`", example='"orthotropic"', default="orthotropic", kw_only=True
+    )
+    thermal_expansion: Annotated[Three, AfterValidator(_small)] | None = key(
+        "orthotropic: three, along 1, 2, 3",
+        "1/K",
+        "[1e-6, 30e-6, 30e-6]",
+        default=None,
+        kw_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        if not self.stable:
+            message = (
+                "no material has these: some strain would give energy back. Each |nu_ij| must be "
+                "below sqrt(E_i / E_j); nu12 is the strain along 2 when pulled along 1 "
+                "(nu21 = nu12 E2 / E1)"
+            )
+            raise MistakesError(("poisson_ratio", message))
+        if (ratio := self.isotropic_ratio) > MAX_ISOTROPIC_RATIO:
+            message = (
+                f"the material keeps its volume like an isotropic one of {ratio:.3g}"
+                f"; orthotropic cells lock (are too stiff) above {MAX_ISOTROPIC_RATIO:g}"
+            )
+            raise MistakesError(("poisson_ratio", message))
+
+    @property
+    def orthotropic(self) -> Orthotropic | None:
+        """The constants of the orthotropic law: these."""
+        return self
+
+    @property
+    def youngs_modulus(self) -> float:
+        """The largest, Pa."""
+        return max(self.youngs_moduli)
+
+    @property
+    def poisson_ratio(self) -> float:
+        """`isotropic_ratio`, which tells cells that would lock."""
+        return self.isotropic_ratio
+
+    def directions(self, places: Array) -> Array:
+        """Return the directions 1, 2 and 3 at places (..., 3), m: shape (..., 3, 3), in rows.
+
+        Places and directions are in the mesh's axes. On the axis itself any radial one will do.
+        """
+        if self.cylinder is None:
+            return np.broadcast_to(self.axes, (*places.shape[:-1], 3, 3))
+        point, axial = np.array(self.cylinder.point), np.array(self.cylinder.axis)
+        off = places - point
+        off = off - (off @ axial)[..., None] * axial
+        size = np.linalg.norm(off, axis=-1, keepdims=True)
+        any_radial = np.cross(axial, np.eye(3)[np.abs(axial).argmin()])
+        radial = np.where(size > 0, off / np.where(size > 0, size, 1.0), any_radial)
+        radial = radial / np.linalg.norm(radial, axis=-1, keepdims=True)
+        around = np.cross(axial, radial)
+        return np.stack([radial, around, np.broadcast_to(axial, radial.shape)], axis=-2)
+
+    @property
+    def elasticity(self) -> Array:
+        """Stresses (11, 22, 33, 12, 13, 23) by strains, the shears 2 E_ij: shape (6, 6), Pa."""
+        matrix = np.diag([0.0, 0.0, 0.0, *self.shear_moduli])
+        matrix[:3, :3] = np.linalg.inv(self._compliance)
+        return 0.5 * (matrix + matrix.T)
+
+    @property
+    def stable(self) -> bool:
+        """Whether every strain costs energy (Lempriere 1968)."""
+        # Scaled to a unit diagonal, or a modulus of 1e11 next to one of 1e6 would decide it.
+        scale = np.sqrt(np.array(self.youngs_moduli))
+        return bool(np.linalg.eigvalsh(self._compliance * np.outer(scale, scale))[0] > 1e-9)
+
+    @property
+    def isotropic_ratio(self) -> float:
+        """Poisson's ratio of the isotropic material nearest to it (Voigt's mean of directions)."""
+        matrix = self.elasticity
+        pulls, shears = np.trace(matrix[:3, :3]), np.trace(matrix[3:, 3:])
+        across = matrix[0, 1] + matrix[0, 2] + matrix[1, 2]
+        bulk, shear = (pulls + 2 * across) / 9, (pulls - across + 3 * shears) / 15
+        return float((3 * bulk - 2 * shear) / (6 * bulk + 2 * shear))
+
+    @property
+    def _compliance(self) -> Array:
+        e1, e2, e3 = self.youngs_moduli
+        nu12, nu13, nu23 = self.poisson_ratios
+        return np.array(
+            [
+                [1 / e1, -nu12 / e1, -nu13 / e1],
+                [-nu12 / e1, 1 / e2, -nu23 / e2],
+                [-nu13 / e1, -nu23 / e2, 1 / e3],
+            ]
+        )
+
+
+AnyMaterial = Material | Orthotropic

@@ -1,0 +1,295 @@
+"""The arrays of a packed table: name, type, shape and meaning of each, described here alone.
+
+`check` compares what is written with it. `python -m wrenchbook.surrogate.packed.arrays` writes
+surrogate/kernel/wb_arrays.h from it, by which wb_open.c checks what it opens. Numbers are SI: N,
+N·m, m and rad; scaled loads, flags and places have no unit. n inputs and m outputs are data.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .format import PackedTableError
+
+HEADER = Path(__file__).resolve().parents[1] / "kernel" / "wb_arrays.h"
+TYPES = {"f8": np.float64, "i4": np.int32, "i8": np.int64, "u1": np.uint8}
+
+
+class Array(NamedTuple):
+    """One array: the last part of its name, its type, its shape in symbols, what it is.
+
+    `optional` arrays may be missing. `member` is where the kernel keeps it: the name itself if
+    empty; `-` for what Python alone reads.
+    """
+
+    name: str
+    type: str
+    shape: str
+    meaning: str
+    optional: bool = False
+    member: str = ""
+
+
+class Block(NamedTuple):
+    """Arrays whose names begin alike.
+
+    `names` is a pattern of that beginning, `struct` what the kernel keeps the block in.
+    """
+
+    names: str
+    struct: str
+    arrays: tuple[Array, ...]
+
+
+SYMBOLS = {
+    "n": "inputs",
+    "m": "outputs",
+    "n1": "inputs and one, n + 1",
+    "s": "rows of a kriging, padded to a multiple of 8 (WB_LANES)",
+    "r": "rows that answer at their own wrench",
+    "t": "of these those with a tangent",
+    "b": "bounds of buckets: one more than buckets",
+    "v": "triples of outputs whose length is limited",
+    "k": "neighbourhoods of a kriging, or stretches of a cut",
+    "e": "equations of a neighbourhood, padded to a multiple of 16 (WB_PANEL)",
+    "d": "numbers of a lower triangle (e, e) in panels of 16 rows",
+    "c": "terms of a covariance",
+    "w": "numbers that s rows bring: p s, p of values, slopes and second derivatives",
+    "l": "levels of a calibration",
+    "i": "simplices of all axes one after another",
+    "p": "points of all axes",
+    "p1": "points and one",
+    "f": "facets of all hulls",
+    "g": "cells of all grids that walks start from",
+    "u": "stations of a cut: k + 1, or none",
+    "x": "any number",
+}
+OUTER = 3  # the first symbols are those of the table; the others are those of a block
+SHARED = 4  # and `s`, which the factors of a kriging share with it
+
+_REACH = "of the load range"
+_BOUNDS = (
+    Array("bucket", "f8", "2", "frame of buckets over ascending numbers: `buckets_of`"),
+    Array("start", "i4", "b", "where each bucket begins among them, and the end"),
+)
+
+BLOCKS = {
+    "space": Block("space/", "wb_table", (
+        Array("sizes", "i4", "3", "n, m and the number of groups of outputs"),
+        Array("range", "f8", "2 n", "ends of the load range", member="-"),
+        Array("ends", "f8", "2 n", "the same with room for rounding"),
+        Array("scale", "f8", "n", "of loads: half the range or the larger end"),
+        Array("small", "f8", "n", "up to which a load counts as none"),
+        Array("locked", "i4", "n", "which loads act on locked freedoms"),
+        Array("tolerance", "f8", "m", "of the total error, NaN without"),
+        Array("rig_error", "f8", "m", "hysteresis and drift of the measured rows", True),
+        Array("limit", "f8", "m", "the largest displacement that tables hold"),
+        Array("vector_first", "i4", "v", "first of three outputs whose length is limited"),
+        Array("vector_limit", "f8", "v", "the largest such length"),
+    )),
+    "solver": Block("solver/", "wb_solver", (
+        Array("flags", "i4", "5", "when an answer's tangent is needed (0 never, 1 for rows beyond "
+              "the range, 2 always); whether the discretisation error is known, the component is "
+              "linear, its linearity error is known, all parts of the error are known"),
+        Array("mesh", "f8", "m n", "discretisation error by the loads: `SolverError.packed`"),
+        Array("square", "f8", "m", "its growth by the square of the largest load"),
+        Array("one_over", "f8", "n", "one over the loads that the growth is stated at"),
+        Array("stiffness", "f8", "n m", "by which it follows from an answer's tangent"),
+        Array("zero", "f8", "n", "from where inputs count, if one is not 0", True),
+    )),
+    "scene": Block("scene/", "wb_table", (
+        Array("range", "f8", "2 n", "the loads of the scene that the table is cut to", member="-"),
+        Array("ends", "f8", "2 n", "the same with room for rounding", member="scene_ends"),
+        Array("varying", "i4", "n", "loads of more than one value", member="scene_varying"),
+        Array("slopes", "i4", "n", "loads by which derivatives are known", member="scene_slopes"),
+    )),
+    "group": Block(r"g\d+/", "wb_group", (
+        Array("flags", "i4", "9", "default method, bits of its reference (WB_REF_...), whether "
+              "rows show interaction, whether the answer at no load is unknown, whether the fit is "
+              "exact, whether there are rows to answer from, full wrenches, full wrenches needed, "
+              "whether rows lie in the load range"),
+        Array("outputs", "i4", "m", "which outputs the group has"),
+        Array("allowed", "f8", "m", "the largest interpolation error of a covered answer"),
+    )),
+    "fit": Block(r"g\d+/fit/", "wb_fit", (
+        Array("matrix", "f8", "m n", "the fitted compliance"),
+        Array("bar", "f8", "m", "95 % error of its answers"),
+        Array("offset", "f8", "m", "displacement at zero load, if one is not 0", True),
+        Array("known", "i4", "n", "loads whose influence a row shows"),
+        Array("rows", "i8", "x", "numbers of the rows that it comes from", member="-"),
+    )),
+    "row": Block(r"g\d+/row/", "wb_rows", (
+        Array("key", "f8", "r", "weighted sum of the loads, ascending, by which rows are found"),
+        *_BOUNDS,
+        Array("rates", "f8", "n", "weights of that sum"),
+        Array("steepest", "f8", "m", "the most that an output moves over half the range"),
+        Array("number", "i4", "r", "place of the row in the table"),
+        Array("seq", "i8", "r", "number of the row in the ledger"),
+        Array("wrench", "f8", "r n", "where it was solved or measured"),
+        Array("moved", "f8", "r m", "its displacement, NaN where not measured"),
+        Array("bar", "f8", "r m", "its uncertainty, NaN where not known"),
+        Array("tangent_of", "i4", "r", "place of its tangent, -1 without"),
+        Array("tangent", "f8", "t m n", "tangents"),
+        Array("source", "i4", "r", "number of its sources in the JSON block", member="-"),
+    )),
+    "axes": Block(r"g\d+/axes/", "wb_composition", (
+        Array("simplex", "f8", "i 16", "wb_simplex: four vertices and four neighbours as 32-bit "
+              "integers, slopes (3, 3) of all barycentric coordinates but the last, last vertex"),
+        Array("state", "u1", "i", "how sound the simplex is: WB_SOUND, WB_WEAK, WB_DEGENERATE"),
+        Array("vertex", "f8", "p 16", "wb_vertex: place, nothing, outputs, uncertainty"),
+        Array("slopes", "f8", "p 6 3", "of the outputs at the points, by the scaled loads"),
+        Array("facets", "i4", "f 4", "three vertices of a hull's facet and the simplex behind"),
+        Array("point_first", "i4", "4", "first point of each axis, and the end"),
+        Array("simplex_first", "i4", "4", "first simplex of each axis, and the end"),
+        Array("facet_first", "i4", "4", "first facet of each axis, and the end"),
+        Array("floats", "f8", "3 22", "wb_axis_floats: frames, see `numbering`"),
+        Array("ints", "i4", "3 5", "wb_axis_ints: dimension, -1 without rows; first cell; cells"),
+        Array("grid", "i4", "g", "simplex close to each cell: where walks start"),
+        Array("together", "i4", "3", "points of an axis with several loads at once"),
+        Array("fewest", "i4", "3", "points that an axis needs"),
+        Array("left_out", "i4", "4", "points left out of each axis, and how many are needed"),
+        Array("largest", "f8", "4", f"largest part {_REACH} of a simplex, by dimension"),
+        Array("span", "f8", "3 3 2", "smallest and largest of an axis' loads", member="-"),
+        Array("rest_point", "f8", "2 6", "answer at no load and its error"),
+        Array("error", "f8", "3 2 6", "A and C of the interpolation error, sqrt(A + C S^2)"),
+        Array("member_first", "i4", "p1", "first of `members` of each point", member="-"),
+        Array("members", "i8", "x", "numbers of the rows behind each point", member="-"),
+    )),
+    "cut": Block(r"g\d+/axes/cut[012][01]/", "wb_cut", (
+        Array("state", "i4", "k", "how sound a stretch is: as a simplex, WB_OFF_HULL without one"),
+        Array("stations", "f8", "u", "scaled moments between stretches, ascending"),
+        Array("outputs", "f8", "k 2 6", "constant and straight part by the moment in a stretch"),
+        Array("stated", "f8", "k 2 6", "the same of the rows' uncertainty"),
+        Array("unit", "f8", "k 3", "constant, straight and square part of the unit error S"),
+        *_BOUNDS,
+    )),
+    "kriging": Block(r"g\d+/(?:kriging|missed)/", "wb_kriging", (
+        Array("x", "f8", "n s", "scaled loads of the rows"),
+        Array("terms", "f8", "c n1", "inverse squared lengths and weight of each term of the "
+              "covariance", member="term"),
+        Array("rates", "f8", "n", "inverse squared lengths of the distance between rows"),
+        Array("weights", "f8", "m w", "of the rows' values, slopes by one load after another and, "
+              "where rows bring them, second derivatives by one pair after another"),
+        Array("smoothness", "i4", "1", "of Matern smoothness + 1/2, where rows bring second "
+              "derivatives; 3 without", True),
+        Array("coefficients", "f8", "n1 m", "the mean"),
+        Array("centre", "f8", "n", "of the scaled loads"),
+        Array("rate", "f8", "n", "of the scaled loads, 0 for one that takes no part"),
+        Array("offset", "f8", "m", "added to answers"),
+        Array("spread", "f8", "m", "by which answers are multiplied"),
+        Array("deviation", "f8", "m", "of the process"),
+        Array("lost", "f8", "m", "what sums lose to rounding"),
+        Array("floor", "f8", "1", "the least error over an answer's size"),
+        Array("tangent", "f8", "m n", "added to the derivative: by loads that take no part"),
+        Array("span", "f8", "2 n", "scaled loads between which errors are known"),
+        Array("span_loads", "f8", "2 n", "the same in N and N·m", member="-"),
+        Array("shares", "i4", "1", "number of factors", member="factors"),
+    )),
+    "share": Block(r"g\d+/(?:kriging|missed)/share\d+/", "wb_share", (
+        Array("outputs", "i4", "m", "outputs of the factor"),
+        Array("number", "i4", "s", "neighbourhood of each row"),
+        Array("places", "i4", "k e", "where its equations stand among the w numbers"),
+        Array("panels", "f8", "k d", "inverse factor T of each neighbourhood in panels of rows, "
+              "columns first"),
+        Array("unsettled", "f8", "k n1 e", "T times the mean's terms"),
+        Array("least", "f8", "s", "smallest sigma squared but for the mean's"),
+        Array("penalty", "f8", "s", "0; infinite for a row without a neighbourhood"),
+        Array("mean_covariance", "f8", "n1 n1", "of the mean's coefficients"),
+        Array("sigma", "f8", "l", "levels of the calibration"),
+        Array("factors", "f8", "l m", "by which sigma is multiplied at each level"),
+        Array("reach", "f8", "1", "largest sigma with known errors"),
+    )),
+}  # fmt: skip
+
+
+def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
+    """Return the arrays of a packed table as they are.
+
+    Raises
+    ------
+    PackedTableError
+        If one is missing or unknown, or has another type or shape than stated here.
+    """
+    inputs, outputs, _ = arrays["space/sizes"].tolist()
+    table = {"n": inputs, "m": outputs, "n1": inputs + 1}
+    blocks: dict[str, set[str]] = {}
+    for name in arrays:
+        start, _, last = name.rpartition("/")
+        blocks.setdefault(f"{start}/", set()).add(last)
+    rows: dict[str, int] = {}
+    for start, names in blocks.items():
+        block = next((own for own in BLOCKS.values() if re.fullmatch(own.names, start)), None)
+        described = {} if block is None else {array.name: array for array in block.arrays}
+        lacking = {array.name for array in described.values() if not array.optional} - names
+        if names - set(described) or lacking:
+            raise PackedTableError(f"{start}: {sorted((names - set(described)) | lacking)}")
+        sizes = dict(table)
+        for name in names:
+            array, own = described[name], arrays[start + name]
+            dimensions = array.shape.split()
+            same = own.dtype == TYPES[array.type] and own.ndim == len(dimensions)
+            for symbol, size in zip(dimensions, own.shape, strict=False):
+                stated = int(symbol) if symbol.isdigit() else sizes.setdefault(symbol, size)
+                same &= symbol == "x" or stated == size
+            if not same:
+                raise PackedTableError(f"array {start}{name}: {own.dtype} of shape {own.shape}")
+        # Factors have the rows of their kriging.
+        kriging = re.sub(r"share\d+/$", "", start)
+        if "s" in sizes and rows.setdefault(kriging, sizes["s"]) != sizes["s"]:
+            raise PackedTableError(f"{start}: of {sizes['s']} rows")
+    return arrays
+
+
+def header() -> str:
+    """Return wb_arrays.h: what the kernel reads of each block, as tables that wb_open.c walks."""
+    symbols = [symbol for symbol in SYMBOLS if symbol != "x"]
+    names = [f"WB_OF_{symbol.upper()}" for symbol in symbols]
+    lines = [
+        "/* The arrays of a packed table. Made by `python -m wrenchbook.surrogate.packed.arrays`;",
+        " * surrogate/packed/arrays.py says what each is. MIT license. */",
+        "#ifndef WB_ARRAYS_H",
+        "#define WB_ARRAYS_H",
+        "",
+        '#include "wb_internal.h"',
+        "",
+        "/* Sizes: of the table, shared by the factors of a kriging, of one block. */",
+        "enum {",
+        *(f"    {name}," for name in names),
+        "    WB_SIZES,",
+        f"    WB_BLOCK = {names[OUTER]},",
+        f"    WB_FACTOR = {names[SHARED]}",
+        "};",
+        "",
+        "/* Each dimension is a size or, below zero, a number. */",
+        "typedef struct {",
+        "    const char *name;",
+        "    int type, optional, dimensions, shape[3];",
+        "    size_t member;",
+        "} wb_array;",
+    ]
+    for key, block in BLOCKS.items():
+        lines += ["", f"static const wb_array WB_{key.upper()}_ARRAYS[] = {{"]
+        for array in block.arrays:
+            if array.member == "-":
+                continue
+            shape = [
+                f"-{size}" if size.isdigit() else f"WB_OF_{size.upper()}"
+                for size in array.shape.split()
+            ]
+            lines.append(
+                f'    {{"{array.name}", WB_{array.type.upper()}, {int(array.optional)}, '
+                f"{len(shape)}, {{{', '.join(shape)}}}, "
+                f"offsetof({block.struct}, {array.member or array.name})}},"
+            )
+        lines.append("};")
+    return "\n".join([*lines, "", "#endif", ""])
+
+
+if __name__ == "__main__":
+    HEADER.write_text(header())
