@@ -104,6 +104,9 @@ soak-recording: $(VENV)/.installed-dev
 validate: $(VENV)/.installed-dev  ## verify the solver by closed forms, published numbers and CalculiX
 	$(BIN)/python -m tests.validation all
 
+reference: $(VENV)/.installed-dev  ## write the reference of component.toml into fea/README.md
+	$(BIN)/python -m wrenchbook.fea.bundle.reference
+
 paper: $(VENV)/.installed-dev  ## reproduce the coupling paper with MuJoCo: build/paper/paper.html
 	$(BIN)/python -m data.paper build/paper
 

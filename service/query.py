@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from math import hypot
 from time import perf_counter_ns
 from typing import Any, Literal, NamedTuple, get_args
@@ -482,7 +482,11 @@ def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTab
     """Return a table of one row, or of its number: the kernel has one law for it and for all."""
     component, newest = workspace.library[name], workspace.tables.surrogate(name)
     if isinstance(row, int):
-        row = Rows.from_records([asdict(workspace.ledger.row(row))], component.space)
+        stored = workspace.ledger.row(row)
+        names = ("seq", "compliance", "curvature", "uncertainty", "source", "fingerprint")
+        columns = {name: [getattr(stored, name)] for name in names}
+        columns = {name: column for name, column in columns.items() if column[0] is not None}
+        row = Rows.of(stored.wrench, stored.displacement, component.space, **columns)
     return row_table(component, row, workspace.solver_error(name), newest)
 
 

@@ -34,15 +34,7 @@ from .kriging import (
     fits_one_factor,
     too_large_in_words,
 )
-from .methods import (
-    MethodChoice,
-    choose,
-    choose_without_axes,
-    full_needed,
-    interaction_of,
-    linear_choice,
-    without_kriging,
-)
+from .methods import MethodChoice, choose, full_needed, interaction_of
 from .solver_error import SolverError, bars_are_whole
 from .table.axes import OffAxis, count_full
 from .table.compliance import ComplianceFit, fit_compliance
@@ -110,7 +102,7 @@ class Group:
         self.outputs = outputs or tuple(range(len(load_range.space.outputs)))
         self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
         self.linear, self.locked = linear, tuple(locked)
-        self.off_axis: OffAxis = off_axis
+        self._off_axis: OffAxis = off_axis
         self.merged = merge(rows, load_range)
         self.used, self.members, self._readings = self.merged.usable()
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
@@ -119,10 +111,16 @@ class Group:
         except TooFewRowsError:
             self.equations = 0
         self.one_factor = fits_one_factor(self.equations)
-        if self.has_axes and len(self.used) and not (linear and self.fit.complete):
-            # Not kept: versions would hold each other without end.
-            self.axes = self._axes(before and vars(before).get("axes"))
-        self.choice = self._choice()
+        self._earlier_axes: Axes | None = vars(before).get("axes") if before is not None else None
+        self.choice: MethodChoice = choose(
+            self.used,
+            load_range,
+            self.fit,
+            lambda: self.axes,
+            lambda: self.kriging,
+            linear=linear,
+            too_large="" if self.one_factor else self._kriging_detail,
+        )
         if self.by_axes:
             _ = self.interaction
         if self.by_axes and (thinning := self.axes.thinning):
@@ -133,10 +131,8 @@ class Group:
         self.full_needed = full_needed(self.used) if self.has_axes else 0
         self.knows_interaction = linear or self.full_wrenches >= self.full_needed
         self.rest_unknown = self.by_axes and not linear and not self.axes.at_rest.known
-        self.row_index, self.steepest = (
-            RowIndex(rows.wrench, load_range.scale),
-            STEEPER * self.ranges,
-        )
+        self.row_index = RowIndex(rows.wrench, load_range.scale)
+        self.steepest = STEEPER * self.ranges
         # A solve repeats itself; how far a reading is off is not known where nobody stated it.
         stated = self.merged.rows.uncertainty
         unstated = np.where(self.merged.rows.source == SOLVED, 0.0, np.nan)[:, None]
@@ -150,11 +146,9 @@ class Group:
 
     @cached_property
     def axes(self) -> Axes:
-        """The three axes of the straight direction influence."""
-        return self._axes(None)
-
-    def _axes(self, before: Axes | None) -> Axes:
-        return build_axes(self.used, self.load_range, self.fit, self.off_axis, before)
+        """The three axes of the straight direction influence, built when they are first needed."""
+        earlier, self._earlier_axes = self._earlier_axes, None
+        return build_axes(self.used, self.load_range, self.fit, self._off_axis, earlier)
 
     @property
     def by_axes(self) -> bool:
@@ -234,19 +228,6 @@ class Group:
             "full_wrench_rows": self.full_wrenches,
             "tells_full_wrenches": self.knows_interaction,
         }
-
-    def _choice(self) -> MethodChoice:
-        if not len(self.used):
-            method = "griddata" if self.has_axes else "linear"
-            return MethodChoice(method, "there are no rows", {})
-        if not self.has_axes:
-            return choose_without_axes(self.used, self.fit, lambda: self.kriging, self.linear)
-        if self.linear:
-            return linear_choice(self.used, self.load_range, self.fit, vars(self).get("axes"))
-        if not self.one_factor:
-            detail = self._kriging_detail
-            return without_kriging(self.used, self.load_range, self.axes, detail)
-        return choose(self.used, self.load_range, self.axes, lambda: self.kriging)
 
     @property
     def _kriging_detail(self) -> str:

@@ -26,9 +26,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from .answer import allowed_by
 from .build import Table, build
-from .kernel.packing import packed_of
+from .packed.writer import packed_of
 from .table.axes import AXES
-from .table.rows import CLEAN, Floats, LoadRange, Rows, Tolerance, is_too_far
+from .table.rows import CLEAN, LONGEST, Floats, LoadRange, Rows, Tolerance
 from .table.spread import sample_of, spread_wrenches, weakest
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
@@ -240,7 +240,7 @@ class _Refinement:
         if joint is not None:
             sample = sample_of(span.ends, span.space.zero, joint)
             turned = self.kriging.answer_many(sample)[0][:, span.space.is_rotation]
-            sample = sample[~is_too_far(np.linalg.norm(turned, axis=1))]
+            sample = sample[~(np.linalg.norm(turned, axis=1) > LONGEST)]
             smallest = weakest(self._slopes(sample), span.scale[joint])[0]
             self.indefinite = sample[smallest < 0.0]
         self.may_end = (tolerance is not None or joint is not None) and not len(self.indefinite)

@@ -47,7 +47,7 @@ class AxesErrors(NamedTuple):
 def axes_errors(rows: Rows, axes: Axes) -> AxesErrors:
     """Return the errors at the rows that each axis they belong to was triangulated without.
 
-    Axes is linear in what the axes answer: an answer without a row differs from that with
+    Composition is linear in what the axes answer: an answer without a row differs from that with
     it by what its axes then miss at it. A full wrench that is no axis' own is in no answer anyway.
     """
     deviation, used, left = np.zeros((3, len(rows), 6)), *np.zeros((2, 3, len(rows)), dtype=bool)
@@ -115,91 +115,98 @@ def full_needed(rows: Rows) -> int:
     return ENOUGH_WITH_TANGENTS if enough else ENOUGH_FULL
 
 
-def knows_interaction(rows: Rows, load_range: LoadRange) -> bool:
-    """Return whether enough rows are full wrenches to show what loads of several axes do."""
-    return count_full(rows, load_range) >= full_needed(rows)
-
-
-def linear_choice(
-    rows: Rows, load_range: LoadRange, fit: ComplianceFit, axes: Axes | None
-) -> MethodChoice:
-    """Return the default of a linear component, by what of its compliance is known."""
-    if fit.complete or axes is None:
-        return MethodChoice("linear", "the component is linear: its compliance is exact", {})
-    method, why = _of_the_axes(rows, load_range, axes, axes_errors(rows, axes))
-    reason = "the component is linear, but its compliance is not known in all loads yet"
-    return MethodChoice(method, f"{reason}; {why}", {})
-
-
 def choose(
+    rows: Rows,
+    load_range: LoadRange,
+    fit: ComplianceFit,
+    axes: Callable[[], Axes],
+    kriging: Callable[[], Kriging | None],
+    *,
+    linear: bool = False,
+    too_large: str = "",
+) -> MethodChoice:
+    """Return the default of rows inside the load range, by the first rule that holds.
+
+    Solves with tangents are answered by a kriging that knows its errors: on 320 tables of nine
+    made-up responses the axes had the smaller error at left-out rows in six, of single loads over a
+    kink, and at other wrenches the kriging still was 5 to 30 % nearer to the truth.
+
+    Parameters
+    ----------
+    axes, kriging
+        Make the interpolators; the kriging is None if the rows allow none.
+    linear : bool
+        Whether the component is linear.
+    too_large : str
+        Why one factor does not hold the rows; empty if it does.
+    """
+    has_axes = load_range.space.is_default
+    if not len(rows):
+        return MethodChoice("griddata" if has_axes else "linear", "there are no rows", {})
+    if linear and fit.complete:
+        return MethodChoice("linear", "the component is linear: its compliance is exact", {})
+    solved = bool(np.isfinite(rows.compliance).all())
+    made = kriging() if solved or not has_axes else None
+    if not has_axes and made is None:
+        reason = "there are too few rows for kriging: the compliance that fits them answers"
+        return MethodChoice("linear", reason, {})
+    if made is not None and (made.knows_errors or not has_axes):
+        size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
+        error = _score(made.left_out(), size)
+        scores = {} if np.isnan(error) else {"kriging": error}
+        if not has_axes:
+            reason = "griddata and additive are of one interface alone"
+            return MethodChoice("kriging", reason, scores)
+        if scores:
+            reason = f"all rows bring tangents, and its error at left-out rows is {error:.2g} of "
+            return MethodChoice("kriging", f"{reason}the range", scores)
+    return _choose_by_errors(rows, load_range, axes(), kriging, linear, too_large)
+
+
+def _choose_by_errors(
     rows: Rows,
     load_range: LoadRange,
     axes: Axes,
     kriging: Callable[[], Kriging | None],
+    linear: bool,
+    too_large: str,
 ) -> MethodChoice:
-    """Return the default of a nonlinear component's rows inside the load range.
-
-    Parameters
-    ----------
-    kriging
-        Makes the kriging, if the rows allow one.
-    """
+    """Return the method whose errors at left-out rows are the least, if the rows show them."""
     errors = axes_errors(rows, axes)
     method, why = _of_the_axes(rows, load_range, axes, errors)
+    if linear:
+        reason = "the component is linear, but its compliance is not known in all loads yet"
+        return MethodChoice(method, f"{reason}; {why}", {})
+    of_axes = _scores(errors, np.ptp(rows.displacement, axis=0))
+    needed = full_needed(rows)
+    unknown = needed == ENOUGH_FULL and count_full(rows, load_range) < needed
     # Pushes beside a point have loads of one axis alone, and no moment alone for the other axes.
     clean = clean_rows(rows, load_range)
     moments_alone = bool((clean.sum(axis=1) == 2).any())
     pushes = clean.all(axis=0).any() and rows.wrench[:, 3:].any() and not moments_alone
-    made = kriging() if pushes or not _interaction_unknown(rows, load_range) else None
-    if _interaction_unknown(rows, load_range) and not (made and made.knows_errors):
-        scores = _scores(errors, np.ptp(rows.displacement, axis=0))
-        return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
+    made = kriging() if not too_large and (pushes or not unknown) else None
+    if unknown and not (made and made.knows_errors):
+        return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", of_axes)
+    if too_large:
+        return MethodChoice(method, f"{too_large}: kriging does not answer; {why}", of_axes)
     if made is None:
         return MethodChoice(method, f"there are too few rows for kriging; {why}", {})
-    left = made.left_out()
     size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
-    others = _scores(errors, size)
-    if np.isnan(own := _score(left, size)):
-        return MethodChoice(method, f"kriging answers no row that is left out; {why}", others)
-    scores = {"kriging": own} | others
-    if not others or len(rows) <= 1 + rows.wrench.shape[1]:
+    of_axes, error = _scores(errors, size), _score(made.left_out(), size)
+    if np.isnan(error):
+        return MethodChoice(method, f"kriging answers no row that is left out; {why}", of_axes)
+    scores = {"kriging": error} | of_axes
+    if not of_axes or len(rows) <= 1 + rows.wrench.shape[1]:
         # The axes' fitted compliance passes through so few rows, the left-out one too.
         return MethodChoice("kriging", "the axes have too few rows to leave one out", scores)
     if made.knows_errors and not all(table is None or table.law.known for table in axes.tables):
-        return MethodChoice(
-            "kriging", "the axes have too few rows to tell the error of answers", scores
-        )
-    best = min(others, key=lambda name: others[name])
-    compared = f"{scores['kriging']:.2g} of the range against {best}'s {others[best]:.2g}"
-    if not scores["kriging"] < max(CLEARLY * others[best], EXACT):
+        reason = "the axes have too few rows to tell the error of answers"
+        return MethodChoice("kriging", reason, scores)
+    best = min(of_axes, key=lambda name: of_axes[name])
+    compared = f"{error:.2g} of the range against {best}'s {of_axes[best]:.2g}"
+    if not error < max(CLEARLY * of_axes[best], EXACT):
         return MethodChoice(method, f"kriging errs at left-out rows by {compared}; {why}", scores)
     return MethodChoice("kriging", f"its error at left-out rows is {compared}", scores)
-
-
-def choose_without_axes(
-    rows: Rows, fit: ComplianceFit, kriging: Callable[[], Kriging | None], linear: bool
-) -> MethodChoice:
-    """Return the default of a table of several interfaces or further inputs."""
-    if linear and fit.complete:
-        return MethodChoice("linear", "the component is linear: its compliance is exact", {})
-    made = None if linear else kriging()
-    if made is None:
-        reason = "there are too few rows for kriging: the compliance that fits them answers"
-        return MethodChoice("linear", reason, {})
-    size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
-    own = _score(made.left_out(), size)
-    scores = {} if np.isnan(own) else {"kriging": own}
-    return MethodChoice("kriging", "griddata and additive are of one interface alone", scores)
-
-
-def without_kriging(rows: Rows, load_range: LoadRange, axes: Axes, detail: str) -> MethodChoice:
-    """Return the default of rows that one factor does not hold, which `detail` says."""
-    errors = axes_errors(rows, axes)
-    method, why = _of_the_axes(rows, load_range, axes, errors)
-    scores = _scores(errors, np.ptp(rows.displacement, axis=0))
-    if _interaction_unknown(rows, load_range):
-        return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", scores)
-    return MethodChoice(method, f"{detail}: kriging does not answer; {why}", scores)
 
 
 def _of_the_axes(
@@ -230,11 +237,6 @@ def _of_the_axes(
     if not shown and scores and scores["additive"] < scores["griddata"]:
         return "additive", "at left-out rows all axes together err less than each by itself"
     return "griddata", "what loads of other axes move a translation by is within its error bars"
-
-
-def _interaction_unknown(rows: Rows, load_range: LoadRange) -> bool:
-    """Return whether neither tangents nor full wrenches tell what loads of several axes do."""
-    return full_needed(rows) == ENOUGH_FULL and not knows_interaction(rows, load_range)
 
 
 def _left_out_by(axis: LoadAxis, rows: Rows, axes: Axes) -> Floats:

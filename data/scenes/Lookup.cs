@@ -17,6 +17,7 @@ internal static unsafe class Native
     {
         public int method;
         public double* tolerance;
+        public int without_rows;
     }
 
     // wb_reason

@@ -21,7 +21,7 @@ from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.readers import reader_named, reader_names
 from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.keys import keys_of, kind_of, missing, shown, unknown, validated
-from wrenchbook.fea.spec.material import AnyMaterial, Material
+from wrenchbook.fea.spec.material import AnyMaterial
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
@@ -38,19 +38,12 @@ from wrenchbook.fea.spec.schema import (
     MeshSource,
     NamedInterface,
     ScalarInput,
-    Supports,
 )
 
 __all__ = [
-    "Analysis",
     "Bundle",
     "BundleError",
     "BundleProblem",
-    "Deck",
-    "Interface",
-    "Material",
-    "MeshSource",
-    "Supports",
     "bundle_of",
     "read_bundle",
 ]
@@ -264,6 +257,10 @@ class _Reader:
             ranges = [self.read("range")]
             if ranges == [None]:
                 return None
+            for name, unit in (("force", "N"), ("moment", "N·m")):
+                for i, ends in enumerate(getattr(ranges[0], name)):
+                    if ends == (0.0, 0.0):
+                        self.wrong(f"range.{name}[{i}]", f"must be above 0 ({unit}), not 0")
         else:
             self.wrong("range", "missing; write a table")
             return None

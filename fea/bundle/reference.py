@@ -5,11 +5,15 @@ Run as a program it writes the tables of fea/README.md anew, each below the head
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass
+from functools import cache
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -24,7 +28,12 @@ README = Path(__file__).parents[1] / "README.md"
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON schema of a parsed ``component.toml``, draft 2020-12."""
-    schema = _tidy(TypeAdapter(ComponentFile).json_schema(by_alias=True))
+    schema = TypeAdapter(ComponentFile).json_schema(by_alias=True)
+    for cls in {ComponentFile, *chain.from_iterable(tables().values())}:
+        part = schema if cls is ComponentFile else schema["$defs"][cls.__name__]
+        for key, text in descriptions(cls).items():
+            part["properties"][key]["description"] = text
+    schema = _tidy(schema)
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "component.toml"}
     return head | {key: value for key, value in schema.items() if key not in head}
 
@@ -46,6 +55,21 @@ def _tidy(part: Any) -> Any:
     if isinstance(unit := part.get("unit"), str) and "description" in part:
         tidy["description"] = f"{part['description']} ({unit})"
     return tidy
+
+
+@cache
+def descriptions(cls: type) -> dict[str, str]:
+    """Return what each key of a model is: the texts below its fields in the source."""
+    texts: dict[str, str] = {}
+    for each in reversed(cls.__mro__[:-1]):
+        (source,) = ast.parse(inspect.getsource(each)).body
+        for entry, text in pairwise(getattr(source, "body", ())):
+            match entry, text:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(words))):
+                    texts[name] = " ".join(words.split())
+    fields: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
+    keys = {name: info.alias or name for name, info in fields.items() if info.init is not False}
+    return {key: texts[name] for name, key in keys.items()}
 
 
 _OURS = ("toml", "absent", "write", "among", "title")
@@ -90,7 +114,7 @@ def rows(classes: list[type]) -> Iterator[str]:
     yield "| --- | --- | --- | --- | --- |"
     for key, infos in _fields(classes).items():
         extra = extra_of(infos[0])
-        texts = dict.fromkeys(info.description for info in infos if info.description)
+        texts = dict.fromkeys(descriptions(cls)[key] for cls in classes if key in keys_of(cls))
         unit = extra.get("unit", "").replace("^2", "²").replace("^3", "³")
         example = extra.get("toml", "")
         cells = [f"`{key}`", unit, _default(infos[0]), f"`{example}`", "; ".join(texts)]

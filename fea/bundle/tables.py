@@ -50,54 +50,45 @@ MaterialTable = Annotated[AnyMaterial, union(_kind_of_material, Material, Orthot
 class ComponentFile:
     """A whole ``component.toml``."""
 
-    name: Name = key(
-        "a folder's and URL's name: a-z, 0-9, _ and -, at most 64", example='"bracket"'
-    )
-    title: Text = key("for people", example='"Gripper bracket, 6061-T6"')
+    name: Name = key("", '"bracket"')
+    """a folder's and URL's name: a-z, 0-9, _ and -, at most 64"""
+    title: Text = key("", '"Gripper bracket, 6061-T6"')
+    """for people"""
     mesh: Mesh | None = key(
-        "the table `[mesh]`; without it (and `[deck]`) the component is a table only",
-        example='{generator = "bar", length = 1.0, width = 0.02, height = 0.02}',
-        default=None,
+        "", '{generator = "bar", length = 1.0, width = 0.02, height = 0.02}', default=None
     )
+    """the table `[mesh]`; without it (and `[deck]`) the component is a table only"""
     materials: Annotated[tuple[MaterialTable, ...], Field(min_length=1)] | None = key(
-        "one `[[material]]` a region; with a mesh a must",
-        example='[{region = "all", youngs_modulus = 70e9, poisson_ratio = 0.33}]',
+        "",
+        '[{region = "all", youngs_modulus = 70e9, poisson_ratio = 0.33}]',
         default=None,
         name="material",
     )
-    supports: Supports | None = key(
-        "the table `[supports]`; with a mesh a must, unless an interface is `held`",
-        example='{fixed = ["rim"]}',
-        default=None,
-    )
+    """one `[[material]]` a region; with a mesh a must"""
+    supports: Supports | None = key("", '{fixed = ["rim"]}', default=None)
+    """the table `[supports]`; with a mesh a must, unless an interface is `held`"""
     interface: Interface | tuple[NamedInterface, ...] | tuple[MeasuredInterface, ...] | None = key(
-        "the table `[interface]`, or `[[interface]]` of each of several; with a mesh a must; "
-        "several of a measured part have `name` and `range` alone",
-        example='{section = "tip", coupling = "rigid"}',
-        default=None,
+        "", '{section = "tip", coupling = "rigid"}', default=None
     )
+    """the table `[interface]`, or `[[interface]]` of each of several; with a mesh a must; several
+    of a measured part have `name` and `range` alone"""
     inputs: Inputs | None = key(
-        "the table `[inputs]`: inputs besides the loads",
-        example="{temperature = {range = [-20, 60], reference = 20}}",
-        default=None,
+        "", "{temperature = {range = [-20, 60], reference = 20}}", default=None
     )
-    analysis: Analysis | None = key(
-        "the table `[analysis]`; with a mesh a must", example="{nonlinear = true}", default=None
-    )
+    """the table `[inputs]`: inputs besides the loads"""
+    analysis: Analysis | None = key("", "{nonlinear = true}", default=None)
+    """the table `[analysis]`; with a mesh a must"""
     range: Range | None = key(
-        "the table `[range]`; of several interfaces each has its own",
-        example="{force = [100, 100, 500], moment = [5, 5, 5]}",
-        default=None,
-        absent="-",
+        "", "{force = [100, 100, 500], moment = [5, 5, 5]}", default=None, absent="-"
     )
+    """the table `[range]`; of several interfaces each has its own"""
     tolerance: DeclaredTolerance | None = key(
-        "the table `[tolerance]`",
-        example="{translation = 1e-5, rotation = 1e-4}",
-        default=None,
+        "", "{translation = 1e-5, rotation = 1e-4}", default=None
     )
+    """the table `[tolerance]`"""
     deck: Deck | None = key(
-        "the table `[deck]`: solves in place of the embedded solver",
-        example='{file = "a.inp", command = ["ccx", "{job}"], '
-        'output = {reader = "numbers", file = "u.txt"}}',
+        "",
+        '{file = "a.inp", command = ["ccx", "{job}"], output = {reader = "numbers", file = "u"}}',
         default=None,
     )
+    """the table `[deck]`: solves in place of the embedded solver"""

@@ -37,8 +37,7 @@ def check(options: argparse.Namespace) -> Reply:
     if options.schema:
         schema = json_schema()
         return 0, schema, json.dumps(schema, indent=2, ensure_ascii=False)
-    if options.folder is None:
-        return options.usage_error("name the FOLDER of a component bundle, or --schema")
+    folder = options.folder or options.usage_error("name a FOLDER, or --schema")
     riding = None
     try:
         if options.mass is not None:
@@ -46,8 +45,8 @@ def check(options: argparse.Namespace) -> Reply:
         elif options.inertia is not None or options.centre is not None:
             raise ValueError("--inertia and --centre need --mass")
     except ValueError as error:
-        return options.usage_error(str(error))
-    summary = report(options.folder, riding, options.nonlinear)
+        options.usage_error(str(error))
+    summary = report(folder, riding, options.nonlinear)
     return int(not summary["ok"]), summary, as_text(summary)
 
 

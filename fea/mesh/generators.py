@@ -264,18 +264,18 @@ class Bar(Generator):
     (x = 0), ``end`` (x = `length`), ``side``.
     """
 
-    length: Positive = key("bar: along x", "m", "0.4")
-    width: Positive = key("bar: along y", "m", "0.4")
-    height: Positive = key("bar: along z", "m", "0.02")
-    cells_along: Whole = key("bar: along x", "cells", "20", default=40, ge=1)
-    cells_across: Whole = key("bar: along each of y and z", "cells", "3", default=2, ge=1)
-    generator: Literal["bar"] = key(
-        "`bar`, `plate` or `spring`, with its parameters",
-        example='"bar"',
-        default="bar",
-        kw_only=True,
-        absent="none",
-    )
+    length: Positive = key("m", "0.4")
+    """bar: along x"""
+    width: Positive = key("m", "0.4")
+    """bar: along y"""
+    height: Positive = key("m", "0.02")
+    """bar: along z"""
+    cells_along: Whole = key("cells", "20", default=40, ge=1)
+    """bar: along x"""
+    cells_across: Whole = key("cells", "3", default=2, ge=1)
+    """bar: along each of y and z"""
+    generator: Literal["bar"] = key("", '"bar"', default="bar", kw_only=True, absent="none")
+    """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what will not do: too many cells."""
@@ -306,32 +306,26 @@ class Plate(Generator):
     bottom face), ``rim`` (the four sides), ``top``, ``bottom``.
     """
 
-    length: Positive = key("plate: along x", "m", "0.4")
-    width: Positive = key("plate: along y", "m", "0.4")
-    thickness: Positive = key("plate: along z", "m", "0.01")
-    patch: Positive = key("plate: diameter of the round patch, facet group `patch`", "m", "0.12")
-    corner: Positive = key(
-        "plate: side of the corner squares, facet group `corners`", "m", "0.03", default=0.04
-    )
-    cells: Whole = key(
-        "plate: across the patch's core, and along each side between two corners",
-        "cells",
-        "8",
-        default=6,
-        ge=2,
-    )
-    rings: Whole = key("plate: from the patch out to the corners", "cells", "4", default=3, ge=1)
-    corner_cells: Whole = key(
-        "plate: along each side of a corner square", "cells", "2", default=1, ge=1
-    )
-    layers: Whole = key("plate: through the thickness", "cells", "3", default=2, ge=1)
-    generator: Literal["plate"] = key(
-        "`bar`, `plate` or `spring`, with its parameters",
-        example='"plate"',
-        default="plate",
-        kw_only=True,
-        absent="none",
-    )
+    length: Positive = key("m", "0.4")
+    """plate: along x"""
+    width: Positive = key("m", "0.4")
+    """plate: along y"""
+    thickness: Positive = key("m", "0.01")
+    """plate: along z"""
+    patch: Positive = key("m", "0.12")
+    """plate: diameter of the round patch, facet group `patch`"""
+    corner: Positive = key("m", "0.03", default=0.04)
+    """plate: side of the corner squares, facet group `corners`"""
+    cells: Whole = key("cells", "8", default=6, ge=2)
+    """plate: across the patch's core, and along each side between two corners"""
+    rings: Whole = key("cells", "4", default=3, ge=1)
+    """plate: from the patch out to the corners"""
+    corner_cells: Whole = key("cells", "2", default=1, ge=1)
+    """plate: along each side of a corner square"""
+    layers: Whole = key("cells", "3", default=2, ge=1)
+    """plate: through the thickness"""
+    generator: Literal["plate"] = key("", '"plate"', default="plate", kw_only=True, absent="none")
+    """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""
@@ -413,24 +407,23 @@ class Spring(Generator):
     (the two cuts), ``side``.
     """
 
-    wire_diameter: Positive = key("spring", "m", "0.002")
-    mean_diameter: Positive = key("spring: of the helix of the wire's centre line", "m", "0.02")
-    free_length: Positive = key("spring: height of that helix", "m", "0.05")
-    active_turns: Positive = key("spring: from cut to cut", "turns", "5.5")
-    cells_per_turn: Whole = key(
-        "spring: layers of cells in one turn", "cells", "12", default=26, ge=6
-    )
+    wire_diameter: Positive = key("m", "0.002")
+    """spring"""
+    mean_diameter: Positive = key("m", "0.02")
+    """spring: of the helix of the wire's centre line"""
+    free_length: Positive = key("m", "0.05")
+    """spring: height of that helix"""
+    active_turns: Positive = key("turns", "5.5")
+    """spring: from cut to cut"""
+    cells_per_turn: Whole = key("cells", "12", default=26, ge=6)
+    """spring: layers of cells in one turn"""
     # The section has core^2 + 4 core cells
-    core: Whole = key(
-        "spring: across the core of the wire's section", "cells", "2", default=1, ge=1
-    )
+    core: Whole = key("cells", "2", default=1, ge=1)
+    """spring: across the core of the wire's section"""
     generator: Literal["spring"] = key(
-        "`bar`, `plate` or `spring`, with its parameters",
-        example='"spring"',
-        default="spring",
-        kw_only=True,
-        absent="none",
+        "", '"spring"', default="spring", kw_only=True, absent="none"
     )
+    """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""

@@ -44,22 +44,21 @@ _T = TypeVar("_T")
 
 
 def key(
-    description: str,
     unit: str = "",
     example: str = "",
-    *,
     default: Any = ...,
+    *,
     absent: str = "",
     name: str | None = None,
     write: str = "",
     among: tuple[str, ...] = (),
     **bounds: Any,
 ) -> Any:
-    """Field of a table: a key of the file.
+    """Field of a table: a key of the file. The text below the field says what it is.
 
     Parameters
     ----------
-    description, unit, example
+    unit, example
         As the reference shows them; `example` is TOML.
     default
         A value, or a function that makes it; the key must be there without one.
@@ -76,7 +75,7 @@ def key(
     shown: Any = {word: value for word, value in extra.items() if value}
     if default is not ...:
         bounds["default_factory" if callable(default) else "default"] = default
-    return Field(description=description, alias=name, json_schema_extra=shown, **bounds)
+    return Field(alias=name, json_schema_extra=shown, **bounds)
 
 
 _CONFIG = ConfigDict(
@@ -392,15 +391,16 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     if error == "literal_error":
         among = extra.get("among") or _QUOTED.findall(context["expected"])
         return f'"{value}" is none of {", ".join(among)}{suggest(value, among)}'
-    if error in ("greater_than", "less_than"):
-        bound = f"above {context['gt']:g}" if "gt" in context else f"below {context['lt']:g}"
-        return f"must be {bound} ({unit}), not {value:g}"
+    if (noun := _noun(info)).startswith("a whole number"):
+        return f"must be {noun}, not {shown(value)}"
+    if "gt" in context or "ge" in context:
+        return f"must be above {context.get('gt', context.get('ge')):g} ({unit}), not {value:g}"
+    if "lt" in context:
+        return f"must be below {context['lt']:g} ({unit}), not {value:g}"
     if error == "too_short":
         return f"must name at least {context['min_length']}"
     if error == "count":
         return f"must be a list of {context['count']} numbers in {unit}, not {shown(value)}"
-    if error.startswith("int_") or error in ("greater_than_equal", "less_than_equal"):
-        return f"must be {_noun(info)}, not {shown(value)}"
     return f"must be a finite number in {unit}, not {shown(value)}"
 
 
@@ -414,6 +414,7 @@ def _noun(info: FieldInfo | None) -> str:
     if info is None:
         return "a value"
     extra, kind = extra_of(info), _adapter(kind_of(info)).json_schema()
+    kind = kind.get("anyOf", [kind])[0]  # without null
     unit = extra.get("unit") or "no unit"
     if write := extra.get("write"):
         return write

@@ -59,43 +59,28 @@ def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
 class Solid:
     """What every material has."""
 
-    region: Text = key(
-        "a cell group of the mesh; `all` is what no other material fills", example='"all"'
-    )
-    density: Positive | None = key(
-        "for mass and natural frequency; a must with `gravity` and `[inputs.acceleration]`",
-        "kg/m^3",
-        "2700.0",
-        default=None,
-        kw_only=True,
-    )
-    yield_strength: Positive | None = key(
-        "compared with the von Mises stress; `check` prints the largest under the full range",
-        "Pa",
-        "240e6",
-        default=None,
-        kw_only=True,
-    )
+    region: Text = key("", '"all"')
+    """a cell group of the mesh; `all` is what no other material fills"""
+    density: Positive | None = key("kg/m^3", "2700.0", default=None, kw_only=True)
+    """for mass and natural frequency; a must with `gravity` and `[inputs.acceleration]`"""
+    yield_strength: Positive | None = key("Pa", "240e6", default=None, kw_only=True)
+    """compared with the von Mises stress; `check` prints the largest under the full range"""
 
 
 @table
 class Material(Solid):
     """An isotropic elastic material; `thermal_expansion` is along x, y and z, all equal."""
 
-    youngs_modulus: Positive = key("Young's modulus", "Pa", "70e9")
-    poisson_ratio: Number = key(
-        "Poisson's ratio, above -1 and below 0.5", example="0.33", gt=-1, lt=0.5
-    )
+    youngs_modulus: Positive = key("Pa", "70e9")
+    """Young's modulus"""
+    poisson_ratio: Number = key("", "0.33", gt=-1, lt=0.5)
+    """Poisson's ratio, above -1 and below 0.5"""
     law: Literal["isotropic", "neo-hookean"] = key(
-        "or `neo-hookean` (rubber; the constants are those of small strains)",
-        example='"neo-hookean"',
-        default="isotropic",
-        among=LAWS,
-        kw_only=True,
+        "", '"neo-hookean"', default="isotropic", among=LAWS, kw_only=True
     )
-    thermal_expansion: Expansion | None = key(
-        "a must with `[inputs.temperature]`", "1/K", "23e-6", default=None, kw_only=True
-    )
+    """or `neo-hookean` (rubber; the constants are those of small strains)"""
+    thermal_expansion: Expansion | None = key("1/K", "23e-6", default=None, kw_only=True)
+    """a must with `[inputs.temperature]`"""
 
     @property
     def orthotropic(self) -> Orthotropic | None:
@@ -107,51 +92,35 @@ class Material(Solid):
 class Cylinder:
     """An axis about which directions are radial, circumferential and axial, in the mesh's axes."""
 
-    point: Three = key("on the axis", "m", "[0, 0, 0]")
-    axis: Annotated[Three, AfterValidator(_direction)] = key(
-        "its direction, made a unit vector", example="[0, 0, 1]"
-    )
+    point: Three = key("m", "[0, 0, 0]")
+    """on the axis"""
+    axis: Annotated[Three, AfterValidator(_direction)] = key("", "[0, 0, 1]")
+    """its direction, made a unit vector"""
 
 
 @array_table
 class Orthotropic(Solid):
     """An elastic material of nine constants in three directions square to each other."""
 
-    youngs_moduli: ThreePositive = key(
-        "orthotropic: `[E1, E2, E3]`", "Pa", "[135e9, 10e9, 10e9]", name="youngs_modulus"
-    )
+    youngs_moduli: ThreePositive = key("Pa", "[135e9, 10e9, 10e9]", name="youngs_modulus")
+    """orthotropic: `[E1, E2, E3]`"""
     # Strain across over strain along, less, when pulled along the first of the two directions;
     # nu21 = nu12 E2 / E1.
-    poisson_ratios: Three = key(
-        "orthotropic: `[nu12, nu13, nu23]`; nu12 is along 2 when pulled along 1",
-        example="[0.3, 0.3, 0.4]",
-        name="poisson_ratio",
-    )
-    shear_moduli: ThreePositive = key(
-        "orthotropic only: `[G12, G13, G23]`", "Pa", "[5e9, 5e9, 3.5e9]", name="shear_modulus"
-    )
-    axes: Axes = key(
-        "orthotropic only: the directions 1, 2, 3 in the mesh's axes",
-        example="[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]",
-        default=mesh_axes,
-        absent="mesh's",
-    )
-    cylinder: Cylinder | None = key(
-        "orthotropic only, in place of `axes`: 1, 2, 3 are radial, circumferential and axial about "
-        "this axis, at each integration point",
-        example="{point = [0, 0, 0], axis = [0, 0, 1]}",
-        default=None,
-    )
-    law: Literal["orthotropic"] = key(
-        "or `orthotropic`", example='"orthotropic"', default="orthotropic", kw_only=True
-    )
+    poisson_ratios: Three = key("", "[0.3, 0.3, 0.4]", name="poisson_ratio")
+    """orthotropic: `[nu12, nu13, nu23]`; nu12 is along 2 when pulled along 1"""
+    shear_moduli: ThreePositive = key("Pa", "[5e9, 5e9, 3.5e9]", name="shear_modulus")
+    """orthotropic only: `[G12, G13, G23]`"""
+    axes: Axes = key("", "[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]", default=mesh_axes, absent="mesh's")
+    """orthotropic only: the directions 1, 2, 3 in the mesh's axes"""
+    cylinder: Cylinder | None = key("", "{point = [0, 0, 0], axis = [0, 0, 1]}", default=None)
+    """orthotropic only, in place of `axes`: 1, 2, 3 are radial, circumferential and axial about
+    this axis, at each integration point"""
+    law: Literal["orthotropic"] = key("", '"orthotropic"', default="orthotropic", kw_only=True)
+    """or `orthotropic`"""
     thermal_expansion: Annotated[Three, AfterValidator(_small)] | None = key(
-        "orthotropic: three, along 1, 2, 3",
-        "1/K",
-        "[1e-6, 30e-6, 30e-6]",
-        default=None,
-        kw_only=True,
+        "1/K", "[1e-6, 30e-6, 30e-6]", default=None, kw_only=True
     )
+    """orthotropic: three, along 1, 2, 3"""
 
     def __post_init__(self) -> None:
         if not self.stable:

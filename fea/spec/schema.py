@@ -123,23 +123,16 @@ class FaceSelector(Selector):
     """Faces of a geometry."""
 
     ways = ("faces", "near", "plane", "radius")
-    faces: Numbers = key("by number", example="[3, 7]", default=(), absent="none")
-    near: Near = key(
-        "for each point (or the one point) the face nearest to it",
-        "m",
-        "[[0.05, 0.0, 0.01]]",
-        default=(),
-        absent="none",
-    )
-    plane: Literal["x", "y", "z"] | None = key(
-        "every plane face square to this axis, `at` that place", example='"x"', default=None
-    )
-    at: Number | None = key(
-        "with `plane`: where it is along its axis", "m", "0.0", default=None, absent="-"
-    )
-    radius: Positive | None = key(
-        "every cylindrical face of that radius", "m", "0.008", default=None
-    )
+    faces: Numbers = key("", "[3, 7]", default=(), absent="none")
+    """by number"""
+    near: Near = key("m", "[[0.05, 0.0, 0.01]]", default=(), absent="none")
+    """for each point (or the one point) the face nearest to it"""
+    plane: Literal["x", "y", "z"] | None = key("", '"x"', default=None)
+    """every plane face square to this axis, `at` that place"""
+    at: Number | None = key("m", "0.0", default=None, absent="-")
+    """with `plane`: where it is along its axis"""
+    radius: Positive | None = key("m", "0.008", default=None)
+    """every cylindrical face of that radius"""
 
     def __post_init__(self) -> None:
         if self.plane is None and self.at is not None:
@@ -155,16 +148,10 @@ class BodySelector(Selector):
     """Bodies of a geometry."""
 
     ways = ("bodies", "near")
-    bodies: Numbers = key(
-        "by number, as `wrenchbook check` lists them", example="[1, 2]", default=(), absent="none"
-    )
-    near: Near = key(
-        "for each point (or the one point) the body it lies in",
-        "m",
-        "[0.05, 0.0, 0.01]",
-        default=(),
-        absent="none",
-    )
+    bodies: Numbers = key("", "[1, 2]", default=(), absent="none")
+    """by number, as `wrenchbook check` lists them"""
+    near: Near = key("m", "[0.05, 0.0, 0.01]", default=(), absent="none")
+    """for each point (or the one point) the body it lies in"""
 
 
 @table
@@ -174,20 +161,14 @@ class MeshFile:
     geometry = generator = parameters = None
 
     file: BundleFile = key(
-        "gmsh, Abaqus/CalculiX .inp, VTK and what else meshio reads; or .step, .stp",
-        example='"bracket.msh"',
-        absent="none",
-        write='the name of a mesh "file", or a "generator"',
+        "", '"bracket.msh"', absent="none", write='the name of a mesh "file", or a "generator"'
     )
-    unit: LengthUnit = key(
-        f"the mesh file's length unit: {', '.join(UNITS)}; a STEP file has its own", example='"mm"'
-    )
-    order: Order | None = key(
-        "gives the cells of a first-order mesh file midside nodes, in the middle of straight edges "
-        "(STEP is meshed so anyway)",
-        example="2",
-        default=None,
-    )
+    """gmsh, Abaqus/CalculiX .inp, VTK and what else meshio reads; or .step, .stp"""
+    unit: LengthUnit = key("", '"mm"')
+    """the mesh file's length unit: m, dm, cm, mm, um, in, ft; a STEP file has its own"""
+    order: Order | None = key("", "2", default=None)
+    """gives the cells of a first-order mesh file midside nodes, in the middle of straight edges
+    (STEP is meshed so anyway)"""
 
 
 def _no_all(regions: dict[str, BodySelector]) -> dict[str, BodySelector]:
@@ -200,26 +181,18 @@ def _no_all(regions: dict[str, BodySelector]) -> dict[str, BodySelector]:
 class GeometryMeshing:
     """How to mesh a geometry file."""
 
-    size: Positive = key("STEP: edge length of the cells", "m", "0.004")
-    curvature: Curvature = key(
-        "STEP: least number of cells round a full turn of a curved face, 3 or more",
-        "cells",
-        "16",
-        default=0,
-        absent="none",
-    )
+    size: Positive = key("m", "0.004")
+    """STEP: edge length of the cells"""
+    curvature: Curvature = key("cells", "16", default=0, absent="none")
+    """STEP: least number of cells round a full turn of a curved face, 3 or more"""
     groups: Mapping[str, FaceSelector] = key(
-        "STEP: named facet groups, each `[mesh.groups.NAME]`",
-        example="{tip = {radius = 0.008}}",
-        default=dict,
-        absent="none",
+        "", "{tip = {radius = 0.008}}", default=dict, absent="none"
     )
+    """STEP: named facet groups, each `[mesh.groups.NAME]`"""
     regions: Annotated[Mapping[str, BodySelector], AfterValidator(_no_all)] = key(
-        "STEP: named cell groups, each `[mesh.regions.NAME]`",
-        example="{steel = {bodies = [1]}}",
-        default=dict,
-        absent="none",
+        "", "{steel = {bodies = [1]}}", default=dict, absent="none"
     )
+    """STEP: named cell groups, each `[mesh.regions.NAME]`"""
     # Least number of cells round a full circle, however small; no key of a bundle sets it
     circle: SkipJsonSchema[int] = field(default=7, init=False)  # gmsh's own
 
@@ -230,8 +203,10 @@ class GeometryFile(GeometryMeshing):
 
     unit, generator, parameters = "m", None, None
     refused: ClassVar = {"unit": "a STEP file holds its own length unit; leave this key out"}
-    file: BundleFile = key("a STEP file", example='"bracket.step"', kw_only=True)
-    order: Order | None = key("STEP: always 2", example="2", default=None, kw_only=True)
+    file: BundleFile = key("", '"bracket.step"', kw_only=True)
+    """a STEP file"""
+    order: Order | None = key("", "2", default=None, kw_only=True)
+    """STEP: always 2"""
 
     @property
     def geometry(self) -> GeometryMeshing:
@@ -245,9 +220,8 @@ class Generator:
 
     file = order = geometry = None
     unit = "m"
-    generator: str = key(
-        "`bar`, `plate` or `spring`, with its parameters", example='"plate"', kw_only=True
-    )
+    generator: str = key("", '"plate"', kw_only=True)
+    """`bar`, `plate` or `spring`, with its parameters"""
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -306,19 +280,16 @@ def rising(ends: tuple[float, float]) -> tuple[float, float]:
 class Temperature:
     """The part's temperature, uniform or of a field, as an input."""
 
-    range: Annotated[Pair, AfterValidator(rising)] = key(
-        "the temperatures expected", "degC or K", "[-20, 60]"
-    )
-    reference: Number = key("where nothing is strained by it", "degC or K", "20")
-    unit: Literal["degC", "K"] = key('`"degC"` or `"K"`', example='"K"', default="degC")
-    field: BundleFile | None = key(
-        "temperatures at points: one line of names, then x, y, z (m, the mesh's axes) and the "
-        "temperature in `unit`. The input is the temperature where the file's rise over "
-        "`reference` is largest; all others rise in proportion",
-        example='"hot.csv"',
-        default=None,
-        absent="uniform",
-    )
+    range: Annotated[Pair, AfterValidator(rising)] = key("degC or K", "[-20, 60]")
+    """the temperatures expected"""
+    reference: Number = key("degC or K", "20")
+    """where nothing is strained by it"""
+    unit: Literal["degC", "K"] = key("", '"K"', default="degC")
+    """`"degC"` or `"K"`"""
+    field: BundleFile | None = key("", '"hot.csv"', default=None, absent="uniform")
+    """temperatures at points: one line of names, then x, y, z (m, the mesh's axes) and the
+    temperature in `unit`. The input is the temperature where the file's rise over `reference` is
+    largest; all others rise in proportion"""
 
     def __post_init__(self) -> None:
         zero = _ABSOLUTE_ZERO[self.unit]
@@ -335,21 +306,18 @@ class Temperature:
 class Acceleration:
     """Three components of the acceleration as inputs."""
 
-    range: ThreePositive = key("each from minus to plus its number", "m/s^2", "[20, 20, 20]")
+    range: ThreePositive = key("m/s^2", "[20, 20, 20]")
+    """each from minus to plus its number"""
 
 
 @table
 class Inputs:
     """Inputs besides the loads."""
 
-    temperature: Temperature | None = key(
-        "the table `[inputs.temperature]`",
-        example="{range = [-20, 60], reference = 20}",
-        default=None,
-    )
-    acceleration: Acceleration | None = key(
-        "the table `[inputs.acceleration]`", example="{range = [20, 20, 20]}", default=None
-    )
+    temperature: Temperature | None = key("", "{range = [-20, 60], reference = 20}", default=None)
+    """the table `[inputs.temperature]`"""
+    acceleration: Acceleration | None = key("", "{range = [20, 20, 20]}", default=None)
+    """the table `[inputs.acceleration]`"""
 
     @property
     def scalars(self) -> tuple[ScalarInput, ...]:
@@ -369,18 +337,16 @@ class Inputs:
 class Sliding:
     """A facet or node group that does not move along some directions."""
 
-    group: Text = key("a facet or node group", example='"symmetry"')
+    group: Text = key("", '"symmetry"')
+    """a facet or node group"""
     along: Annotated[
         tuple[Literal["x", "y", "z"], ...], Field(min_length=1), AfterValidator(different)
-    ] = key(
-        "its displacements along these are zero: of x, y, z", example='["x"]', name="directions"
-    )
+    ] = key("", '["x"]', name="directions")
+    """its displacements along these are zero: of x, y, z"""
     axes: Axes = key(
-        "x, y, z of the directions, in the mesh's axes",
-        example="[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]",
-        default=mesh_axes,
-        absent="mesh's",
+        "", "[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]", default=mesh_axes, absent="mesh's"
     )
+    """x, y, z of the directions, in the mesh's axes"""
 
     @property
     def directions(self) -> Array:
@@ -410,58 +376,62 @@ Stiffness = Annotated[Array, array_of(Annotated[Any, either(Six, _Rows, 2)], _st
 
 
 @array_table
-class Bushing:
-    """A group on an elastic spring to the ground."""
+class Attached:
+    """How a group of nodes moves with one frame."""
 
-    group: Text = key("a facet or node group", example='"hole"')
-    # Shape (6, 6), symmetric and positive semidefinite, over translation and rotation vector
-    stiffness: Stiffness = key(
-        "of x, y, z and the rotations about them; or K, six rows of six, symmetric and without "
-        "negative eigenvalues",
-        "N/m, N/rad and N·m/rad",
-        "[1e6, 1e6, 1e6, 50, 50, 50]",
-    )
-    coupling: Coupling = key("or `distributed`, as of the interface", example='"rigid"')
+    coupling: Coupling = key("", '"distributed"', kw_only=True)
+    """least-squares mean of the group; or `rigid`"""
     point: Point | None = key(
-        "where the spring is, in the mesh's axes",
-        "m",
-        "[0.0, 0.0, 0.01]",
-        default=None,
-        absent="the group's area centre",
+        "m", "[0.0, 0.0, 0.01]", default=None, absent="the group's area centre", kw_only=True
     )
+    """where an interface's wrench acts and its displacement is measured, or a spring is, in the
+    mesh's axes"""
+    # Shape (3, 3): row i is the direction of the frame's axis i, orthonormal and right-handed
     axes: Axes = key(
-        "x, y, z of the spring, in the mesh's axes",
-        example="[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]",
+        "",
+        "[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]",
         default=mesh_axes,
         absent="mesh's",
+        kw_only=True,
     )
+    """x, y and z of the frame in the mesh's axes"""
+
+
+@array_table
+class Bushing(Attached):
+    """A group on an elastic spring to the ground."""
+
+    group: Text = key("", '"hole"')
+    """a facet or node group"""
+    # Shape (6, 6), symmetric and positive semidefinite, over translation and rotation vector
+    stiffness: Stiffness = key("N/m, N/rad and N·m/rad", "[1e6, 1e6, 1e6, 50, 50, 50]")
+    """of x, y, z and the rotations about them; or K, six rows of six, symmetric and without
+    negative eigenvalues"""
 
     @property
     def hold(self) -> Interface:
         """The group as a section, with the point and the axes of the spring."""
-        return Interface(self.group, self.coupling, self.point, self.axes)
+        return Interface(self.group, coupling=self.coupling, point=self.point, axes=self.axes)
 
 
 @table
 class Supports:
     """The groups whose nodes do not move, those that slide, and those on springs."""
 
-    fixed: Annotated[Texts, Field(min_length=1)] = key(
-        "facet or node groups that do not move", example='["rim"]', default=(), absent="none"
-    )
+    fixed: Annotated[Texts, Field(min_length=1)] = key("", '["rim"]', default=(), absent="none")
+    """facet or node groups that do not move"""
     sliding: tuple[Sliding, ...] = key(
-        "groups held in single directions, each `[[supports.sliding]]`",
-        example='[{group = "symmetry", directions = ["x"]}]',
-        default=(),
-        absent="none",
+        "", '[{group = "symmetry", directions = ["x"]}]', default=(), absent="none"
     )
+    """groups held in single directions, each `[[supports.sliding]]`"""
     bushings: tuple[Bushing, ...] = key(
-        "groups on springs, each `[[supports.bushing]]`",
-        example='[{group = "hole", coupling = "rigid", stiffness = [1e6, 1e6, 1e6, 50, 50, 50]}]',
+        "",
+        '[{group = "hole", coupling = "rigid", stiffness = [1e6, 1e6, 1e6, 50, 50, 50]}]',
         default=(),
         absent="none",
         name="bushing",
     )
+    """groups on springs, each `[[supports.bushing]]`"""
 
 
 def _known_freedoms(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -470,7 +440,7 @@ def _known_freedoms(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 @array_table
-class Interface:
+class Interface(Attached):
     """A section where a rigid side is attached."""
 
     refused = dict.fromkeys(
@@ -479,31 +449,14 @@ class Interface:
     name = ""  # of several interfaces each has its own
     held = False  # whether it does not move: the others' displacements are relative to it
 
-    section: Text = key("a facet or node group", example='"tip"')
-    coupling: Coupling = key(
-        "least-squares mean of the section; or `rigid`", example='"distributed"'
-    )
-    point: Point | None = key(
-        "where the wrench acts and the displacement is measured, in the mesh's axes",
-        "m",
-        "[0.0, 0.0, 0.01]",
-        default=None,
-        absent="the section's area centre",
-    )
-    # Shape (3, 3): row i is the direction of the frame's axis i, orthonormal and right-handed
-    axes: Axes = key(
-        "the interface frame's x, y and z in the mesh's axes",
-        example="[[1, 0, 0], [0, 1, 0], [0, 0, 1]]",
-        default=mesh_axes,
-        absent="mesh's",
-    )
+    section: Text = key("", '"tip"')
+    """a facet or node group"""
     locked: Annotated[
         tuple[Literal["ux", "uy", "uz", "rx", "ry", "rz"], ...],
         AfterValidator(different),
         AfterValidator(_known_freedoms),
-    ] = key(
-        f"freedoms that a guide locks: {' '.join(FREEDOMS)}", example='["ux", "rz"]', default=()
-    )
+    ] = key("", '["ux", "rz"]', default=())
+    """freedoms that a guide locks: ux uy uz rx ry rz"""
 
     def __post_init__(self) -> None:
         if self.locked == FREEDOMS and not self.held:
@@ -529,33 +482,20 @@ def _three_loads(value: object) -> object:
     return value
 
 
+_NotNegative = Annotated[Number, Field(ge=0)]
 _Ends = Annotated[Pair, AfterValidator(rising)]
-Load = Annotated[tuple[float, float], either(Positive, _Ends), AfterValidator(_load)]
+Load = Annotated[tuple[float, float], either(_NotNegative, _Ends), AfterValidator(_load)]
 Loads = Annotated[tuple[Load, Load, Load], BeforeValidator(_three_loads)]
-LoadOrNone = Annotated[
-    tuple[float, float],
-    either(Annotated[Number, Field(ge=0)], _Ends),
-    AfterValidator(_load),
-]
-LoadsOrNone = Annotated[tuple[LoadOrNone, LoadOrNone, LoadOrNone], BeforeValidator(_three_loads)]
-
-
-@table
-class InterfaceRange:
-    """The loads expected at one interface of several; some may be 0."""
-
-    force: LoadsOrNone = key("as in `[range]`", "N", "[20, 20, [-200, 0]]")
-    moment: LoadsOrNone = key("likewise", "N·m", "[5, 5, 5]")
 
 
 @table
 class Range:
-    """The loads expected."""
+    """The loads expected, as (low, high); at one interface of several some may be 0."""
 
-    force: Loads = key(
-        "Fx, Fy, Fz: each plus and minus a number, or [low, high]", "N", "[100, 100, [-500, 0]]"
-    )
-    moment: Loads = key("Mx, My, Mz likewise", "N·m", "[5, 5, 5]")
+    force: Loads = key("N", "[100, 100, [-500, 0]]")
+    """Fx, Fy, Fz: each plus and minus a number, or [low, high]"""
+    moment: Loads = key("N·m", "[5, 5, 5]")
+    """Mx, My, Mz likewise"""
 
 
 @array_table
@@ -568,10 +508,10 @@ class MeasuredInterface(Interface):
     point: SkipJsonSchema[Array | None] = field(default=None, init=False)
     axes: SkipJsonSchema[Array] = field(default_factory=mesh_axes, init=False)
     locked: SkipJsonSchema[Any] = field(default=(), init=False)
-    name: Name = key("its name", example='"left"')
-    range: InterfaceRange = key(
-        "the loads expected", example="{force = [20, 20, 200], moment = [5, 5, 5]}"
-    )
+    name: Name = key("", '"left"')
+    """its name"""
+    range: Range = key("", "{force = [20, 20, 200], moment = [5, 5, 5]}")
+    """the loads expected"""
 
 
 @array_table
@@ -579,24 +519,14 @@ class NamedInterface(Interface):
     """One of several interfaces."""
 
     refused: ClassVar = {}
-    name: Name = key(
-        "of several interfaces each must have its own: a-z, 0-9, _ and -",
-        example='"left"',
-        absent="none",
-        kw_only=True,
+    name: Name = key("", '"left"', absent="none", kw_only=True)
+    """of several interfaces each must have its own: a-z, 0-9, _ and -"""
+    held: Flag = key("", "true", default=False, kw_only=True)
+    """of several, one may be: it does not move, and the others move relative to it"""
+    range: Range | None = key(
+        "", "{force = [20, 20, 200], moment = [5, 5, 5]}", default=None, kw_only=True
     )
-    held: Flag = key(
-        "of several, one may be: it does not move, and the others move relative to it",
-        example="true",
-        default=False,
-        kw_only=True,
-    )
-    range: InterfaceRange | None = key(
-        "of several, each that is not held: as `[range]`",
-        example="{force = [20, 20, 200], moment = [5, 5, 5]}",
-        default=None,
-        kw_only=True,
-    )
+    """of several, each that is not held: as `[range]`"""
 
     def __post_init__(self) -> None:
         if not self.held:
@@ -618,28 +548,19 @@ def _no_weight(gravity: tuple[float, float, float] | None) -> tuple[float, float
 class Analysis:
     """How to solve."""
 
-    nonlinear: Flag = key(
-        "large displacements, and of rubber large strains; false: the 6x6 compliance is all",
-        example="true",
-    )
+    nonlinear: Flag = key("", "true")
+    """large displacements, and of rubber large strains; false: the 6x6 compliance is all"""
     integration: Literal["reduced", "full"] = key(
-        "hex20: 2x2x2 points, or 3x3x3; a deck's C3D20 is full, its C3D20R reduced",
-        example='"full"',
-        default="reduced",
-        absent='the deck\'s, else `"reduced"`',
+        "", '"full"', default="reduced", absent='the deck\'s, else `"reduced"`'
     )
+    """hex20: 2x2x2 points, or 3x3x3; a deck's C3D20 is full, its C3D20R reduced"""
     gravity: Annotated[Three | None, AfterValidator(_no_weight)] = key(
-        "own weight as a constant load, in the mesh's axes; each material needs `density`",
-        "m/s^2",
-        "[0, 0, -9.81]",
-        default=None,
+        "m/s^2", "[0, 0, -9.81]", default=None
     )
-    on_yield: Literal["warn", "fail"] = key(
-        "where a `yield_strength` is exceeded: a note with the share of the volume beyond it, or a "
-        "failed solve and no row",
-        example='"fail"',
-        default="warn",
-    )
+    """own weight as a constant load, in the mesh's axes; each material needs `density`"""
+    on_yield: Literal["warn", "fail"] = key("", '"fail"', default="warn")
+    """where a `yield_strength` is exceeded: a note with the share of the volume beyond it, or a
+    failed solve and no row"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -665,8 +586,10 @@ class DeclaredRange:
 class DeclaredTolerance:
     """The error a component's users accept."""
 
-    translation: Positive = key("the error that the component's users accept", "m", "1e-5")
-    rotation: Positive = key("likewise", "rad", "1e-4")
+    translation: Positive = key("m", "1e-5")
+    """the error that the component's users accept"""
+    rotation: Positive = key("rad", "1e-4")
+    """likewise"""
 
 
 def _not_below(name: object) -> object:
@@ -683,34 +606,26 @@ FileBeside = Annotated[BundleFile, BeforeValidator(_not_below)]
 class Deck:
     """An expert's input deck for an outside solver."""
 
-    file: BundleFile = key(
-        "contains $FX $FY $FZ $MX $MY $MZ; its axes are the interface frame's",
-        example='"plate.inp"',
-    )
-    command: Annotated[tuple[Text, ...], Field(min_length=1)] = key(
-        "program and arguments; {job} is the deck's name without its ending",
-        example='["ccx", "{job}"]',
-    )
+    file: BundleFile = key("", '"plate.inp"')
+    """contains $FX $FY $FZ $MX $MY $MZ; its axes are the interface frame's"""
+    command: Annotated[tuple[Text, ...], Field(min_length=1)] = key("", '["ccx", "{job}"]')
+    """program and arguments; {job} is the deck's name without its ending"""
     output: Mapping[str, Text] = key(
-        "what reads the answer: `[deck.output]`",
-        example='{reader = "calculix-dat", point = "REF", rotation = "ROT"}',
-        write="a table",
+        "", '{reader = "calculix-dat", point = "REF", rotation = "ROT"}', write="a table"
     )
+    """what reads the answer: `[deck.output]`"""
     files: Annotated[tuple[FileBeside, ...], AfterValidator(different)] = key(
-        "other files of the bundle that the run needs", example='["mesh.inp"]', default=()
+        "", '["mesh.inp"]', default=()
     )
-    unit: LengthUnit = key(
-        "the deck's length unit; moments go in as N times it", example='"mm"', default="m"
-    )
-    timeout: Annotated[Positive, Field(lt=1e7)] = key(
-        "after which a run is ended", "s", "600", default=3600.0
-    )
+    """other files of the bundle that the run needs"""
+    unit: LengthUnit = key("", '"mm"', default="m")
+    """the deck's length unit; moments go in as N times it"""
+    timeout: Annotated[Positive, Field(lt=1e7)] = key("s", "600", default=3600.0)
+    """after which a run is ended"""
     moment: Literal["spatial", "conjugate"] | None = key(
-        "about fixed axes; or `conjugate`, which works on the rotation vector",
-        example='"spatial"',
-        default=None,
-        absent="the reader's",
+        "", '"spatial"', default=None, absent="the reader's"
     )
+    """about fixed axes; or `conjugate`, which works on the rotation vector"""
 
     def __post_init__(self) -> None:
         if self.file in self.files:

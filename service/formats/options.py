@@ -23,7 +23,6 @@ from wrenchbook.surrogate.table.rows import (
     TRANSLATION_LIMIT,
     LoadRange,
     Rows,
-    is_too_far,
     rotation_angles,
     unknown_column,
 )
@@ -339,7 +338,7 @@ def _excesses(
     for first in range(0, len(columns.displacement), PER_INTERFACE):
         moved = displacement[:, first : first + PER_INTERFACE]
         angle = rotation_angles(moved)
-        for at in np.flatnonzero(is_too_far(angle)).tolist():
+        for at in np.flatnonzero(angle > LONGEST).tolist():
             name = columns.displacement[first + 3 + int(np.nanargmax(np.abs(moved[at, 3:])))]
             message = (
                 f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at "

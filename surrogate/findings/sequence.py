@@ -8,7 +8,7 @@ import numpy as np
 
 from ..table.rows import Floats, Rows
 from ..table.space import OUTPUTS
-from .response import NORMAL, RigFinding, RobustFit
+from .response import NORMAL, Cause, RigFinding, RobustFit
 
 FEWEST = 30  # rows: with fewer an order shows by chance
 PART = 0.01  # of the output's range: what is smaller is within a usual tolerance
@@ -18,6 +18,15 @@ DEVIATIONS = 8.0  # of the estimate: errors of neighbours in time are not indepe
 PROBABLE_SHARE, PROBABLE_DEVIATIONS = 0.01, 4.0
 OWN = 0.1  # of the variance of the cause's sign or time that the loads do not explain
 STEP = 0.25  # of the largest usual step: smaller steps have no direction
+
+MESSAGES = {
+    "drift": "the displacements drift by {part:.1%} of the range of {name} from the first row to "
+    "the last, whatever the load: warm the rig up, or return to zero between runs and import with "
+    "a zero offset",
+    "loop": "loading and unloading differ by {part:.1%} of the range of {name}: hysteresis of the "
+    "rig (friction, joints), or loads and displacements shifted in time (lag of joined logs). The "
+    "error bars of answers hold both branches",
+}
 
 
 class SequenceErrors(NamedTuple):
@@ -37,11 +46,21 @@ class SequenceErrors(NamedTuple):
 
 def sequence_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
     """Return findings of drift and hysteresis; rows are in the order of measurement."""
-    found = sequence_errors(rows, response)
-    return [
-        *_drift(_named(found.drift, response), response),
-        *_hysteresis(_named(found.loop, response), response),
-    ]
+    found, findings = sequence_errors(rows, response), list[RigFinding]()
+    causes: tuple[tuple[Cause, str, Floats], ...] = (
+        ("drift", "drift", found.drift),
+        ("hysteresis", "loop", found.loop),
+    )
+    for cause, entry, sizes in causes:
+        over = np.flatnonzero(np.abs(sizes) > PART * response.range)  # worth a remark
+        if not len(over):
+            continue
+        parts = np.abs(sizes[over]) / response.range[over]
+        name, part = OUTPUTS[over[parts.argmax()]], parts.max()
+        named = {OUTPUTS[output]: float(sizes[output]) for output in over}
+        message = MESSAGES[entry].format(part=part, name=name)
+        findings.append(RigFinding(cause, message, (), {entry: named}))
+    return findings
 
 
 def sequence_errors(rows: Rows, response: RobustFit, *, probable: bool = False) -> SequenceErrors:
@@ -68,12 +87,6 @@ def sequence_errors(rows: Rows, response: RobustFit, *, probable: bool = False) 
         )
         found.drift[output], found.loop[output] = effects[0], abs(2.0 * effects[1])
     return found
-
-
-def _named(sizes: Floats, response: RobustFit) -> dict[str, float]:
-    """Return sizes (6,), m and rad, of the outputs for which they are worth a remark."""
-    over = np.abs(sizes) > PART * response.range
-    return {OUTPUTS[output]: float(sizes[output]) for output in np.flatnonzero(over)}
 
 
 def directions(expected: Floats) -> Floats:
@@ -115,33 +128,3 @@ def effects_of(
 def _limit(residual: Floats) -> float:
     """Return six robust deviations: what single wrong rows count at most."""
     return 6.0 * NORMAL * float(np.median(np.abs(residual))) + np.finfo(float).tiny
-
-
-def _drift(found: dict[str, float], response: RobustFit) -> list[RigFinding]:
-    if not found:
-        return []
-    name, part = _largest(found, response)
-    message = (
-        f"the displacements drift by {part:.1%} of the range of {name} from the first row to the "
-        "last, whatever the load: warm the rig up, or return to zero between runs and import with "
-        "a zero offset"
-    )
-    return [RigFinding("drift", message, (), {"drift": found})]
-
-
-def _hysteresis(found: dict[str, float], response: RobustFit) -> list[RigFinding]:
-    if not found:
-        return []
-    name, part = _largest(found, response)
-    message = (
-        f"loading and unloading differ by {part:.1%} of the range of {name}: hysteresis of the rig "
-        "(friction, joints), or loads and displacements shifted in time (lag of joined logs). The "
-        "error bars of answers hold both branches"
-    )
-    return [RigFinding("hysteresis", message, (), {"loop": found})]
-
-
-def _largest(found: dict[str, float], response: RobustFit) -> tuple[str, float]:
-    parts = {name: abs(size) / response.range[OUTPUTS.index(name)] for name, size in found.items()}
-    name = max(parts, key=lambda one: parts[one])
-    return name, parts[name]

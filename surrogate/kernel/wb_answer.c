@@ -4,53 +4,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Bytes: with a scratch 16 or 48 bytes off a line an answer from 60 rows with second derivatives
- * takes 11 to 13 % longer. */
-enum { CACHE_LINE = 64 };
-
-/* numpy's maximum: what is not a number wins. */
-static double larger(double a, double b) { return isnan(a) || a > b ? a : b; }
-
-wb_work wb_work_of(const wb_table *t, void *scratch) {
-    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride, e = (size_t)t->most_padded;
-    double *all = (double *)(((uintptr_t)scratch + CACHE_LINE - 1) & ~(uintptr_t)(CACHE_LINE - 1));
-    wb_work work;
-    work.apart = all, all += n * stride;
-    work.flat = all, all += (size_t)t->most_flat;
-    work.first = all, all += stride;
-    work.second = all, all += stride;
-    work.wide = all, all += 3 * stride * (size_t)t->most_terms;
-    work.chosen = all, all += e;
-    work.reduced = all;
-    return work;
-}
-
-size_t wb_scratch(const wb_table *t) {
-    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride;
-    size_t rows = stride * (n + 2 + 3 * (size_t)t->most_terms) + (size_t)t->most_flat;
-    return (rows + 2 * (size_t)t->most_padded) * sizeof(double) + CACHE_LINE;
-}
-
-wb_reason *wb_add_reason(wb_found *a, int code) {
-    wb_reason *reason = &a->reason[a->reasons < WB_MOST_REASONS ? a->reasons++ : WB_MOST_REASONS - 1];
-    memset(reason, 0, sizeof *reason);
-    reason->code = code, reason->axis = reason->index = -1;
-    return reason;
-}
-
-/* The method that answers: without a kriging the default does in its place. */
-int wb_method_of(const wb_group *g, const wb_options *o) {
-    int method = o && o->method != WB_DEFAULT ? o->method : g->method;
-    return method == WB_KRIGING && !g->has_kriging ? g->method : method;
-}
-
-/* The largest interpolation error of a covered answer: the request's tolerance, else the
- * component's or the default one. Outputs of other groups do not count. */
-double wb_allowed(const wb_group *g, const wb_options *o, int q) {
-    if (!g->outputs[q]) return INFINITY;
-    return o && o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : g->allowed[q];
-}
-
 /* The best estimate there is and its 95 % error. */
 static void refer(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                   const wb_composed *c, double *best, double *error) {
@@ -79,7 +32,7 @@ static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const d
         double value = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->own[q];
         a->outputs[q] = value;
         a->error[q] = fabs(value - best[q]) + error[q];
-        if (off) a->error[q] = larger(sqrt(c->squares[q]), a->error[q]);
+        if (off) a->error[q] = wb_larger(sqrt(c->squares[q]), a->error[q]);
     }
 }
 
@@ -129,7 +82,7 @@ static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const
     if (!g->exact_fit) {
         refer(t, g, work, w, c, best, bars);
         for (int q = 0; q < m; q++)
-            a->error[q] = larger(fabs(a->outputs[q] - best[q]) + bars[q], a->error[q]);
+            a->error[q] = wb_larger(fabs(a->outputs[q] - best[q]) + bars[q], a->error[q]);
     }
     for (int q = 0; unknown >= 0 && q < m; q++) a->error[q] = NAN;
     a->coverage = unknown >= 0 || wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;

@@ -9,6 +9,8 @@
 
 #include "wrenchbook.h"
 
+#include <math.h>
+
 /* Of the range, in each load: a smaller load is none, and one so little beyond an end is on it;
  * wrenches closer than this are one. Of an answer's size: what its computation loses. And how much
  * more than in proportion a response may move. As in Python (tests/surrogate/kernel). */
@@ -18,7 +20,6 @@
 #define WB_STEEPER 2.0
 
 enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
-enum { WB_AXES = 3, WB_AXIS_OUTPUTS = 6, WB_AXIS_INPUTS = 3 };
 /* What an axis' part of an answer rests on, from the best to the worst. */
 enum { WB_SOUND = 0, WB_WEAK = 1, WB_DEGENERATE = 2, WB_OFF_HULL = 9, WB_NO_ROWS = 10 };
 /* The best estimate, from which the errors of other methods follow. */
@@ -168,26 +169,42 @@ typedef struct {
     int states[3], state;
 } wb_composed;
 
+/* numpy's maximum: what is not a number wins. */
+static inline double wb_larger(double a, double b) { return isnan(a) || a > b ? a : b; }
+
 /* The bucket of a number among ascending ones: start[bucket] to start[bucket + 1] bound its place.
- * `buckets_of` in surrogate/packed/numbering.py makes the starts. */
+ * `buckets_of` in surrogate/packed/axes_arrays.py makes the starts. */
 static inline int64_t wb_bucket(double value, const double *bucket, int64_t buckets) {
     double place = (value - bucket[0]) * bucket[1];
     if (!(place > 0.0)) return 0;
     return place >= (double)(buckets - 1) ? buckets - 1 : (int64_t)place;
 }
 
+/* Each file calls those above it alone (tests/surrogate/kernel/test_layers.py); wb_many.c,
+ * wb_inverse.c and wb_joint.c come last. */
+
+/* wb_file.c */
+void wb_unmap(wb_table *t);
+
+/* wb_open.c */
 wb_work wb_work_of(const wb_table *t, void *scratch);
+
+/* wb_walk.c */
 int wb_locate(const wb_composition *c, int axis, const double x[3], double shares[4]);
 int wb_hint(const wb_composition *c, int axis, const double x[3]);
 void wb_flat(const wb_composition *c, int axis, const double x[3], double flat[3]);
 void wb_shares(const wb_composition *c, int simplex, const double flat[3], double shares[4]);
 int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], double at[3],
                        double shares[4]);
+
+/* wb_axes.c */
 void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,
                   wb_part *part);
 void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_place *place);
 void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
                   int with_slopes, wb_part *part);
+
+/* wb_compose.c */
 int wb_cut_state(const wb_cut *cut, double moment);
 void wb_compose_start(const wb_composition *c, wb_composed *out);
 int wb_needs_axis(const double small[6], const double wrench[6], int axis);
@@ -198,6 +215,18 @@ void wb_compose(const wb_composition *c, const double small[6], const double wre
                 wb_composed *out);
 void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,
                            double derivative[36]);
+
+/* wb_rows.c */
+wb_reason *wb_add_reason(wb_found *a, int code);
+int wb_method_of(const wb_group *g, const wb_options *o);
+double wb_allowed(const wb_group *g, const wb_options *o, int q);
+int wb_is_beyond(const wb_table *t, const double *w);
+int wb_leaves_scene(const wb_table *t, const double *w);
+int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w);
+int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
+                     wb_found *a);
+
+/* wb_kriging.c */
 int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work);
 void wb_kriging_outputs(const wb_table *t, const wb_kriging *k, wb_work *work,
                         const double *wrench, double *outputs);
@@ -207,19 +236,17 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
                         wb_found *a);
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative);
-int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w);
-int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
-                     wb_found *a);
-int wb_is_beyond(const wb_table *t, const double *w);
-int wb_leaves_scene(const wb_table *t, const double *w);
-double wb_allowed(const wb_group *g, const wb_options *o, int q);
-wb_reason *wb_add_reason(wb_found *a, int code);
+
+/* wb_reason.c */
 void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_found *a);
-int wb_method_of(const wb_group *g, const wb_options *o);
+
+/* wb_answer.c */
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
                      const double *w, const wb_composed *composed, int with_reasons, wb_found *a);
 void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                      int method, double *derivative);
+
+/* wb_reply.c */
 void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
                  const wb_composed *composed, int with_reasons, wb_reply *reply);
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply);
@@ -228,6 +255,5 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
 void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
                       double *derivative);
 int wb_check(const wb_table *t, const wb_options *o, const double *inputs);
-void wb_unmap(wb_table *t);
 
 #endif

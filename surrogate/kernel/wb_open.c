@@ -24,6 +24,10 @@ enum {
     MOST_EQUATIONS = 100000
 };
 
+/* Bytes: with a scratch 16 or 48 bytes off a line an answer from 60 rows with second derivatives
+ * takes 11 to 13 % longer. */
+enum { CACHE_LINE = 64 };
+
 static const size_t SIZE[5] = {0, 8, 4, 8, 1};
 
 static void fail(reader *r, const char *name) {
@@ -336,6 +340,26 @@ void wb_close(wb_table *t) {
     free(t->share);
     free(t->group);
     free(t);
+}
+
+wb_work wb_work_of(const wb_table *t, void *scratch) {
+    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride, e = (size_t)t->most_padded;
+    double *all = (double *)(((uintptr_t)scratch + CACHE_LINE - 1) & ~(uintptr_t)(CACHE_LINE - 1));
+    wb_work work;
+    work.apart = all, all += n * stride;
+    work.flat = all, all += (size_t)t->most_flat;
+    work.first = all, all += stride;
+    work.second = all, all += stride;
+    work.wide = all, all += 3 * stride * (size_t)t->most_terms;
+    work.chosen = all, all += e;
+    work.reduced = all;
+    return work;
+}
+
+size_t wb_scratch(const wb_table *t) {
+    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride;
+    size_t rows = stride * (n + 2 + 3 * (size_t)t->most_terms) + (size_t)t->most_flat;
+    return (rows + 2 * (size_t)t->most_padded) * sizeof(double) + CACHE_LINE;
 }
 
 int wb_inputs(const wb_table *t) { return t->inputs; }

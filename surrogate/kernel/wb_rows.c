@@ -1,11 +1,28 @@
-/* The row at or near a wrench. MIT license. */
+/* What a request asks of a group of outputs, and the row at or near a wrench. MIT license. */
 #include "wb_internal.h"
 
 #include <math.h>
 #include <string.h>
 
-/* numpy's maximum: what is not a number wins. */
-static double larger(double a, double b) { return isnan(a) || a > b ? a : b; }
+wb_reason *wb_add_reason(wb_found *a, int code) {
+    wb_reason *reason = &a->reason[a->reasons < WB_MOST_REASONS ? a->reasons++ : WB_MOST_REASONS - 1];
+    memset(reason, 0, sizeof *reason);
+    reason->code = code, reason->axis = reason->index = -1;
+    return reason;
+}
+
+/* The method that answers: without a kriging the default does in its place. */
+int wb_method_of(const wb_group *g, const wb_options *o) {
+    int method = o && o->method != WB_DEFAULT ? o->method : g->method;
+    return method == WB_KRIGING && !g->has_kriging ? g->method : method;
+}
+
+/* The largest interpolation error of a covered answer: the request's tolerance, else the
+ * component's or the default one. Outputs of other groups do not count. */
+double wb_allowed(const wb_group *g, const wb_options *o, int q) {
+    if (!g->outputs[q]) return INFINITY;
+    return o && o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : g->allowed[q];
+}
 
 /* Whether a wrench is beyond the load range, with the ends that the file brings. */
 int wb_is_beyond(const wb_table *t, const double *w) {
@@ -41,7 +58,7 @@ int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w) {
     for (; low < r->count && r->key[low] <= key + window; low++) {
         double apart = 0;
         for (int k = 0; k < n; k++)
-            apart = larger(fabs(r->wrench[n * low + k] - w[k]) / t->scale[k], apart);
+            apart = wb_larger(fabs(r->wrench[n * low + k] - w[k]) / t->scale[k], apart);
         if (!(apart <= closest)) continue;
         if (apart == closest && found >= 0 && r->number[low] > r->number[found]) continue;
         closest = apart, found = low;
@@ -63,11 +80,11 @@ static double slopes_without_tangent(const wb_table *t, const wb_group *g, int64
     double far = 0, steep = 0;
     const double *moved = g->rows.moved + t->outputs * row;
     for (int k = 0; k < t->inputs; k++)
-        far = larger(fabs(g->rows.wrench[t->inputs * row + k] / t->scale[k]), far);
+        far = wb_larger(fabs(g->rows.wrench[t->inputs * row + k] / t->scale[k]), far);
     for (int q = 0; q < t->outputs; q++) {
         slope[q] = g->rows.steepest[q];
         if (far > 0) slope[q] = fmax(WB_STEEPER / far * most_of_kind(t, moved, q), slope[q]);
-        steep = larger(slope[q], steep);
+        steep = wb_larger(slope[q], steep);
     }
     return steep;
 }
@@ -86,7 +103,7 @@ int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, 
     for (int k = 0; k < n; k++) {
         step[k] = w[k] - own[k];
         a->exact &= step[k] == 0;
-        reach = larger(fabs(step[k] / t->scale[k]), reach);
+        reach = wb_larger(fabs(step[k] / t->scale[k]), reach);
     }
     if (wb_is_beyond(t, w) != wb_is_beyond(t, own)) return 0;
     double steep = slopes_without_tangent(t, g, row, slope);

@@ -22,7 +22,7 @@ from scipy.spatial.distance import pdist
 
 from ..calibration import common_quantile, widening
 from ..table.axes import CLEAN, has_levels
-from ..table.rows import Floats, LoadRange
+from ..table.rows import NEAR, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
 from .equations import Equations, Scaling
@@ -218,7 +218,7 @@ def calibrated(
     settings: KrigingSettings,
 ) -> Calibration:
     """Return by how much a share's deviations are multiplied for its error bars."""
-    own, outputs = spread.factor.equations, len(spread.factor.outputs)
+    own, outputs = spread.factor.equations, len(spread.factor.share.outputs)
     if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
     full = full_rows(own, scaling)
@@ -237,7 +237,7 @@ def calibrated(
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
     # A load that no row varies stays as the rows have it: off that the mean is unsettled.
-    still = high - low <= STILL * settings.same
+    still = high - low <= STILL * NEAR
     low, high = np.where(still, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
     if full.sum() < min(settings.full_rows, len(full) / 2):
@@ -266,7 +266,7 @@ def _level(
         return None
     out = left_out(factor, labels)
     anchors = spread.nearest_others(rows, labels)
-    squared, number = np.full(len(rows), np.nan), numbers(equations.known)[factor.rows, 0]
+    squared, number = np.full(len(rows), np.nan), numbers(equations.known)[factor.share.rows, 0]
     lists = spread.members(own.x[anchors], labels, labels[rows])
     for place, (row, near) in enumerate(zip(rows, lists, strict=True)):
         local = spread.local_factor(near, table)
@@ -279,7 +279,7 @@ def _level(
     if not len(known):
         return None
     sigma, known_rows = np.sqrt(squared[known]), rows[known]
-    own_noise = factor.noise[known_rows]
+    own_noise = factor.share.noise[known_rows]
     errors = out.errors[known_rows] / np.sqrt(factor.variance)
     # A reading misses its answer by its own noise besides the error of the mean, and both
     # variances add up to that of its error: variances and noise have shape (k,), process

@@ -139,12 +139,8 @@ class KrigingFactor(Factor):
     ----------
     equations : Equations
         Of the rows that take part.
-    outputs : ndarray of int, shape (k,)
-        The outputs it answers.
-    rows : ndarray of int, shape (r,)
-        Which rows of the table take part.
-    noise : ndarray, shape (r,)
-        Variance of their values over the process variance.
+    share : Share
+        The outputs it answers, the rows and their noise.
     mean_covariance : ndarray, shape (7, 7)
         Posterior covariance of the mean's coefficients, over the process variance.
     coefficients : ndarray, shape (7, k)
@@ -156,9 +152,7 @@ class KrigingFactor(Factor):
     """
 
     equations: Equations
-    outputs: Places
-    rows: Places
-    noise: Floats
+    share: Share
     mean_covariance: Floats
     coefficients: Floats
     weights: Floats
@@ -240,29 +234,26 @@ def _factored(
 def factorise(
     equations: Equations,
     hyperparameters: Hyperparameters,
-    outputs: Places,
-    rows: Places,
-    noise: Floats,
+    share: Share,
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
 ) -> KrigingFactor:
-    """Return the factor of some rows (r,) of a table for some outputs (k,), both indices.
+    """Return the factor of a share of a table's equations.
 
-    `noise` (r,) is over the process variance; `table` (a, a), dimensionless, the covariance of all
-    a equations of the table, where it is at hand.
+    `table` (a, a), dimensionless, is the covariance of all a equations, where it is at hand.
     """
-    own = equations.take(rows)
+    own = equations.take(share.rows)
     if table is None:
         matrix = covariance(own.x, own.known, own.x, own.known, hyperparameters)
     else:
-        places = numbers(equations.known)[rows][own.known]
+        places = numbers(equations.known)[share.rows][own.known]
         matrix = table[np.ix_(places, places)]
-    made = _factored(own, noise, matrix, hyperparameters, settings.nugget, settings)
+    made = _factored(own, share.noise, matrix, hyperparameters, settings.nugget, settings)
     precision = made.TF.T @ made.TF + np.eye(made.TF.shape[1]) / settings.mean_variance
     mean_covariance, none = np.asarray(np.linalg.inv(precision), dtype=float), np.empty(0)
-    shape = hyperparameters, made.nugget, made.T, made.TF, own, outputs, rows, noise
-    blank = KrigingFactor(*shape, mean_covariance, none, none, none)
-    return blank.of_data(own.data[own.known][:, outputs])
+    inverse = hyperparameters, made.nugget, made.T, made.TF
+    blank = KrigingFactor(*inverse, own, share, mean_covariance, none, none, none)
+    return blank.of_data(own.data[own.known][:, share.outputs])
 
 
 # Added to the diagonal of a group's precision, of its mean: rows a hair apart leave it singular to
@@ -392,7 +383,7 @@ class Neighbourhoods:
         all_first = np.roll(factor.hyperparameters.groups, 1, axis=0)
         self.roots = np.sqrt(factor.hyperparameters.inverse_squares) * all_first
         self.trees = [KDTree(own.x * root) for root in self.roots]
-        self._numbers = numbers(equations.known)[factor.rows]
+        self._numbers = numbers(equations.known)[factor.share.rows]
         self.around = tuple(self.local_factor(near, table) for near in self.members(own.x))
 
     def nearest(self, x: Floats) -> Places:
@@ -454,11 +445,11 @@ class Neighbourhoods:
         own = whole.equations.take(near)
         known = own.known
         known[self.settings.deviation_bent :, 1 + own.loads :] = False
-        places = (whole.rows[near][:, None] * own.places + np.arange(own.places))[known]
+        places = (whole.share.rows[near][:, None] * own.places + np.arange(own.places))[known]
         number = self._numbers[near][known]
         made = _factored(
             own,
-            whole.noise[near],
+            whole.share.noise[near],
             table[np.ix_(number, number)],
             whole.hyperparameters,
             whole.nugget,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..table.merging import Readings, merge
-from ..table.rows import Floats, LoadRange, Rows
+from ..table.rows import NEAR, Floats, LoadRange, Rows
 from .calibration import Calibration, calibrated
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
@@ -150,7 +150,7 @@ class Kriging:
             shares: list[Neighbourhoods] = []
             calibrations: list[Calibration] = []
             for share in shares_of(equations, noise_scale, settings):
-                factor, own = factorise(equations, held, *share, settings, table), share.outputs
+                factor, own = factorise(equations, held, share, settings, table), share.outputs
                 # The weights among the readings of all rows.
                 all_rows = np.zeros((*known.shape, len(own)))
                 all_rows[known & np.isin(np.arange(len(x)), share.rows)[:, None]] = factor.weights
@@ -212,7 +212,7 @@ class Kriging:
         values = (across[:, None] @ self.weights.reshape(-1, outputs))[:, 0] + self.coefficients[0]
         values += (x[:, None] @ self.coefficients[1:])[:, 0]
         for share, found in zip(self.shares, self.calibrations, strict=True):
-            sigma, own = share.deviations(x, across), share.factor.outputs
+            sigma, own = share.deviations(x, across), share.factor.share.outputs
             errors[:, own] = sigma[:, None] * found.at(sigma) * self.deviation[own]
             known[:, own] = (sigma <= found.reach)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
@@ -241,12 +241,10 @@ class Kriging:
                 bars[part] = self._scaled_answers(x[part])[1] * self.scaling.spread
             if not len(pending):
                 return bars
-            factor = max((share.factor for share in self.shares), key=lambda own: len(own.rows))
-            held, doubt, places = (
-                self.hyperparameters,
-                factor.mean_covariance,
-                self.equations.places,
-            )
+            factors = [share.factor for share in self.shares]
+            factor = max(factors, key=lambda factor: len(factor.equations))
+            held, doubt = self.hyperparameters, factor.mean_covariance
+            places = self.equations.places
             known = np.zeros((len(others), places), dtype=bool)
             known[:, 0], known[:, 1:] = True, self.equations.known[:, 1:].any(axis=0)
             new, new_left = factor.explained_at(others, known)
@@ -316,6 +314,6 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     a^(1/n) of their interval with the probability 1 - a. A load that takes no part has no ends.
     """
     low, high = equations.x.min(axis=0), equations.x.max(axis=0)
-    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + settings.same
+    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
     ends = np.stack((low - beyond, high + beyond))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])

@@ -8,7 +8,6 @@ tr((inv(K) - a a' / s^2) dK) / 2 with a = inv(K) (y - F b).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,28 +34,6 @@ REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likel
 DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
 
 
-class Profile(NamedTuple):
-    """The likelihood of a share's outputs, their process variances and means settled.
-
-    All numbers are dimensionless.
-
-    Attributes
-    ----------
-    factor : KrigingFactor
-    variance : ndarray, shape (k,), spreads squared
-        Process variance of each output.
-    values : ndarray, shape (k,)
-        Half the negative log likelihood of each output.
-    by_noise : float
-        Its derivative by the logarithm of a reading's noise, but for what inv(K) tells.
-    """
-
-    factor: KrigingFactor
-    variance: Floats
-    values: Floats
-    by_noise: float
-
-
 def profile(
     equations: Equations,
     hyperparameters: Hyperparameters,
@@ -64,8 +41,8 @@ def profile(
     ratio: float = 0.0,
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
-) -> Profile:
-    """Return the likelihood of a share.
+) -> tuple[KrigingFactor, Floats, Floats, float]:
+    """Return the likelihood of a share's outputs, their process variances and means settled.
 
     Parameters
     ----------
@@ -74,11 +51,20 @@ def profile(
         at one wrench has its say too (Binois, Gramacy and Ludkovski 2018); without a ratio, not.
     table : ndarray, shape (e, e), dimensionless, optional
         The covariance of all equations, where it is at hand.
+
+    Returns
+    -------
+    factor : KrigingFactor
+    variance : ndarray, shape (k,), spreads squared
+        Process variance of each output.
+    values : ndarray, shape (k,), dimensionless
+        Half the negative log likelihood of each output.
+    by_noise : float
+        Its derivative by the logarithm of a reading's noise, but for what inv(K) tells.
     """
     noise = share.noise + ratio * reading_parts(equations, share)
-    factor = factorise(
-        equations, hyperparameters, share.outputs, share.rows, noise, settings, table
-    )
+    made = share._replace(noise=noise)
+    factor = factorise(equations, hyperparameters, made, settings, table)
     count, more, scatter = len(factor.T), 0.0, np.zeros(len(share.outputs))
     if ratio > 0:
         chosen = np.ix_(share.rows, share.outputs)
@@ -87,7 +73,7 @@ def profile(
     variance = (count * factor.variance + scatter) / (count + more)
     values = 0.5 * (count + more) * np.log(variance) - np.log(np.diag(factor.T)).sum()
     values += 0.5 * more * np.log(ratio) if more else 0.0
-    return Profile(factor, variance, values, 0.5 * (more - (scatter / variance).mean()))
+    return factor, variance, values, 0.5 * (more - float((scatter / variance).mean()))
 
 
 def reading_parts(equations: Equations, share: Share) -> Floats:
@@ -122,14 +108,14 @@ def negative_log_likelihood(
             found = profile(equations, hyperparameters, share, ratio, settings)
         except SingularCovarianceError:
             return REFUSED, np.zeros(len(logarithms))
-        factor, part = found.factor, len(share.outputs) / outputs
-        value += part * float(found.values.mean())
-        unit = factor.weights / np.sqrt(found.variance * len(share.outputs))
+        (factor, variance, likely, by_noise), part = found, len(share.outputs) / outputs
+        value += part * float(likely.mean())
+        unit = factor.weights / np.sqrt(variance * len(share.outputs))
         sensitivity = factor.T.T @ factor.T - unit @ unit.T
         gradient[:places] += 0.5 * part * _contracted(sensitivity, factor)
         values = numbers(factor.equations.known)[:, 0]
         by_ratio = ratio * reading_parts(equations, share) @ np.diag(sensitivity)[values]
-        gradient[places] += part * (0.5 * by_ratio + found.by_noise)
+        gradient[places] += part * (0.5 * by_ratio + by_noise)
     return value, gradient[: len(logarithms)]
 
 
@@ -255,63 +241,43 @@ def reading_noise(
     count = max(min(int(ends), len(equations)), 1)
     chosen = equations.take(np.linspace(0, len(equations) - 1, count).round().astype(np.intp))
     ratios = np.arange(*settings.ratio_bounds, settings.ratio_step)
-    groups = equations.groups
-    kernels = [hyperparameters] + [  # and kernels of one length in all loads
+    groups, x, known = equations.groups, chosen.x, chosen.known
+    one_length = [  # kernels of one length in all loads
         Hyperparameters.of_logarithms(np.array([theta] * groups.shape[1] + [weight]), groups)
         for theta in settings.noise_thetas
         for weight in settings.noise_weights
     ]
-    curves = [_curves(chosen, kernel, before, ratios, settings) for kernel in kernels]
-    if not chosen.known[:, 1:].any():
-        curves += [
-            _curves(chosen, hyperparameters, before, ratios, settings, part)
-            for part in settings.noise_rough
-        ]
+    kernels = [(kernel, 0.0) for kernel in (hyperparameters, *one_length)]
+    if not known[:, 1:].any():
+        kernels += [(hyperparameters, rough) for rough in settings.noise_rough]
+    # Half the negative log likelihood and the logarithm of the process variance of each kernel, by
+    # the logarithms of a reading's variance over it.
+    values, variances = np.full((2, len(kernels), len(ratios), len(before)), REFUSED)
+    for number, (kernel, rough) in enumerate(kernels):
+        table = covariance(x, known, x, known, kernel)
+        if rough:
+            table = table + rough * sum(np.exp(-np.abs(one[:, None] - one)) for one in x.T)
+        for share in shares_of(chosen, before, settings):
+            for place, ratio in enumerate(np.exp(ratios).tolist() if len(share.rows) else ()):
+                try:
+                    found = profile(chosen, kernel, share, ratio, settings, table)
+                except SingularCovarianceError:
+                    continue
+                variances[number, place, share.outputs] = np.log(found[1])
+                values[number, place, share.outputs] = found[2]
     variance, reading = before.copy(), np.zeros_like(before)
     fine = np.arange(ratios[0], ratios[-1], settings.ratio_accuracy)
     for output in np.flatnonzero(~scaling.silent):
-        # Half the negative log likelihood, and the logarithm of a reading's variance, (k, r) each.
-        values = np.array([found[:, output] for found, _ in curves])
-        readings = np.array([ratios + found[:, output] for _, found in curves])
-        known = (values < REFUSED).all(axis=1)
-        smooth = np.array([CubicSpline(ratios, one)(fine) for one in values[known]])
+        readings, usable = ratios + variances[:, :, output], values[:, :, output] < REFUSED
+        usable = usable.all(axis=1)
+        smooth = np.array([CubicSpline(ratios, one)(fine) for one in values[usable, :, output]])
         likely = smooth <= smooth.min() + settings.ratio_caution
-        at = np.array([np.interp(fine, ratios, one) for one in readings[known]])
+        at = np.array([np.interp(fine, ratios, one) for one in readings[usable]])
         least = float(at[likely].min())
         own = np.maximum.accumulate(readings[0])  # it grows with the ratio but for rounding
         ratio = np.interp(least, own, ratios)
         reading[output], variance[output] = np.exp(least), np.exp(least - ratio)
     return variance, reading
-
-
-def _curves(
-    equations: Equations,
-    hyperparameters: Hyperparameters,
-    before: Floats,
-    ratios: Floats,
-    settings: KrigingSettings,
-    rough: float = 0.0,
-) -> tuple[Floats, Floats]:
-    """Return half the negative log likelihood and the log process variance, (r, 6) each.
-
-    By the logarithms (r,) of a reading's variance over the process variance.
-    """
-    x, known = equations.x, equations.known
-    table = covariance(x, known, x, known, hyperparameters)
-    if rough:
-        table = table + rough * sum(np.exp(-np.abs(one[:, None] - one)) for one in x.T)
-    values, variances = np.full((2, len(ratios), len(before)), REFUSED)
-    for share in shares_of(equations, before, settings):
-        if not len(share.rows):
-            continue
-        for place, ratio in enumerate(np.exp(ratios).tolist()):
-            try:
-                found = profile(equations, hyperparameters, share, ratio, settings, table)
-            except SingularCovarianceError:
-                continue
-            values[place, share.outputs] = found.values
-            variances[place, share.outputs] = np.log(found.variance)
-    return values, variances
 
 
 def estimated(
@@ -352,8 +318,7 @@ def estimated(
             variance, reading = reading_noise(equations, scaling, before, variance, settings)
             continue
         for share in shares:
-            found = factorise(chosen, before, *share, settings)
-            variance[share.outputs] = found.variance
+            variance[share.outputs] = factorise(chosen, before, share, settings).variance
     assert before is not None
     return before, variance, reading
 

@@ -18,8 +18,6 @@ class KrigingSettings:
     # A covariance that is singular even so (rows a hair apart, no slopes) is tried with ten times
     # the nugget, and again, up to a deviation of 1 % of the spread: beyond that it is a mistake.
     nugget_limit: float = 1e-4
-    # Rows nearer than this, of the range in each load, are one row: their difference is rounding.
-    same: float = 1e-6
     # Fewer rows than this leave nothing to calibrate a bar on once one is left out.
     least_rows: int = 4
     # The mean's coefficients have this variance: so wide that rows decide, but finite, so that

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .format import PackedTableError
+from ..kernel.format import PackedTableError
 
 HEADER = Path(__file__).resolve().parents[1] / "kernel" / "wb_arrays.h"
 TYPES = {"f8": np.float64, "i4": np.int32, "i8": np.int64, "u1": np.uint8}
@@ -148,7 +148,7 @@ BLOCKS = {
         Array("point_first", "i4", "4", "first point of each axis, and the end"),
         Array("simplex_first", "i4", "4", "first simplex of each axis, and the end"),
         Array("facet_first", "i4", "4", "first facet of each axis, and the end"),
-        Array("floats", "f8", "3 22", "wb_axis_floats: frames, see `numbering`"),
+        Array("floats", "f8", "3 22", "wb_axis_floats: frames, see `axes_arrays`"),
         Array("ints", "i4", "3 5", "wb_axis_ints: dimension, -1 without rows; first cell; cells"),
         Array("grid", "i4", "g", "simplex close to each cell: where walks start"),
         Array("together", "i4", "3", "points of an axis with several loads at once"),

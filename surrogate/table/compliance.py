@@ -103,40 +103,30 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
         shape = rows.compliance.shape[1:]
         none = np.zeros(shape[1], dtype=bool)
         return ComplianceFit(np.zeros(shape), none, np.zeros(shape[0]), "none")
-    _, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
-    spanned = directions[sizes > RANK * sizes[0]]
+    basis, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
+    basis, spanned = basis[:, sizes > RANK * sizes[0]], directions[sizes > RANK * sizes[0]]
     # A load is determined if its unit vector lies in the span of the rows' wrenches.
     known = (spanned**2).sum(axis=0) > 1 - 1e-6
     columns, *_ = np.linalg.lstsq(scaled, rows.displacement, rcond=RANK)
     residual = rows.displacement - scaled @ columns
     matrix = np.where(known, columns.T / load_range.scale, 0.0)
     offset = 0.0 - matrix @ zero  # and not -0.0
-    if linear:
-        error = _fit_error(rows, residual, len(spanned))
+    stored = np.nan_to_num(rows.uncertainty).max(axis=0)
+    spare = len(rows) - len(spanned)
+    # With as many rows as unknowns there is no residual to learn from. An FEA solve is repeatable
+    # and then needs no bar; for anything else a tenth of the largest displacement is assumed.
+    if linear and spare > 0:
+        error = 2 * np.sqrt((residual**2).sum(axis=0) / spare) + stored
+    elif linear and ((rows.source == "fea").all() or stored.any()):
+        error = stored
+    elif linear:
+        error = 0.1 * np.abs(rows.displacement).max(axis=0)
     else:
         # The error bar of the secant of a nonlinear table, (6,), m and rad. It holds 95 % of the
         # rows, each predicted from the others (PRESS residuals: Allen 1974). A row that the
         # others do not span shows nothing: there the bar is what the row moved.
-        basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
-        basis = basis[:, sizes > RANK * sizes[0]]
-        spare = 1.0 - (basis**2).sum(axis=1)[:, None]
-        alone = spare < LONE
-        missed = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, spare))
-        stored = np.nan_to_num(rows.uncertainty).max(axis=0)
+        room = 1.0 - (basis**2).sum(axis=1)[:, None]
+        alone = room < LONE
+        missed = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, room))
         error = conformal_factor(np.abs(missed)) + stored
     return ComplianceFit(matrix, known, error, "fitted", offset)
-
-
-def _fit_error(rows: Rows, residual: Floats, rank: int) -> Floats:
-    """Return the error bar that the residual and the rows' own uncertainty leave.
-
-    With as many rows as unknowns there is no residual to learn from. An FEA solve is repeatable
-    and then needs no bar; for anything else a tenth of the largest displacement is assumed.
-    """
-    stored = np.nan_to_num(rows.uncertainty).max(axis=0)
-    spare = len(rows) - rank
-    if spare > 0:
-        return 2 * np.sqrt((residual**2).sum(axis=0) / spare) + stored
-    if (rows.source == "fea").all() or stored.any():
-        return stored
-    return 0.1 * np.abs(rows.displacement).max(axis=0)

@@ -157,14 +157,11 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
         bound = file.create_dataset(f"load_range/{name}", data=getattr(meta.load_range, name))
         bound.attrs["units"] = _UNITS["wrench"]
     if meta.edits is not None:
-        _write_edits(file.create_group("edits"), meta.edits)
-
-
-def _write_edits(group: h5py.Group, edits: Sequence[tuple[str, bool, float]]) -> None:
-    kind = h5py.string_dtype("utf-8", KEY_DIGITS)
-    _write_column(group, "key", np.array([key.encode() for key, _, _ in edits], dtype=kind))
-    _write_column(group, "withdrawn", np.array([gone for _, gone, _ in edits], dtype=bool))
-    _write_column(group, "seconds", np.array([when for _, _, when in edits], dtype=float))
+        kind, group = h5py.string_dtype("utf-8", KEY_DIGITS), file.create_group("edits")
+        keys = np.array([key.encode() for key, _, _ in meta.edits], dtype=kind)
+        _write_column(group, "key", keys)
+        _write_column(group, "withdrawn", np.array([gone for _, gone, _ in meta.edits], dtype=bool))
+        _write_column(group, "seconds", np.array([when for _, _, when in meta.edits], dtype=float))
 
 
 def _write_rows(file: h5py.File, rows: Rows) -> None:

@@ -7,7 +7,7 @@ its m outputs: of the default space six numbers, force then moment, translation 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -261,7 +261,7 @@ class Rows:
     @classmethod
     def empty(cls, space: Space = DEFAULT) -> Rows:
         """Return a table of no rows."""
-        return cls.from_records((), space)
+        return cls.of((), (), space)
 
     @classmethod
     def of(
@@ -297,44 +297,11 @@ class Rows:
         moved = np.array(displacement, dtype=float).reshape(-1, outputs)
         return cls(wrench=wrenches, displacement=moved, space=space, **rest)
 
-    @classmethod
-    def from_records(cls, records: Iterable[Mapping[str, Any]], space: Space = DEFAULT) -> Rows:
-        """Return the rows of mappings keyed by the names of the columns.
-
-        `seq`, `wrench` and `displacement` are needed; a column left out or None is unknown.
-
-        Raises
-        ------
-        RowError
-            If a needed key is missing or a number is not finite.
-        """
-        found, inputs, outputs = list(records), len(space.inputs), len(space.outputs)
-        for record in found:
-            missing = [key for key in ("seq", "wrench", "displacement") if record.get(key) is None]
-            if missing:
-                raise RowError(f"row {record.get('seq')}: {', '.join(missing)} missing")
-        return cls.of(
-            [record["wrench"] for record in found],
-            [record["displacement"] for record in found],
-            space,
-            seq=np.array([record["seq"] for record in found], dtype=np.int64),
-            compliance=_column(found, "compliance", (outputs, inputs)),
-            curvature=curvature_column([record.get("curvature") for record in found], space),
-            uncertainty=_column(found, "uncertainty", (outputs,)),
-            source=[str(record.get("source") or "") for record in found],
-            fingerprint=[str(record.get("fingerprint") or "") for record in found],
-        )
-
 
 def rotation_angles(displacements: Floats) -> Floats:
     """Return the rotation angles of displacements (n, 6), m and rad: (n,), rad; NaN counts as 0."""
     with np.errstate(over="ignore"):
         return np.sqrt(np.nansum(displacements[:, 3:] ** 2, axis=1))
-
-
-def is_too_far(angles: Floats) -> NDArray[np.bool_]:
-    """Return which rotations, shape (n,), rad, are beyond the limit."""
-    return np.asarray(angles > LONGEST)
 
 
 _COLUMNS = (
@@ -388,34 +355,6 @@ def joined_columns(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
     width = max(column.shape[1:] for column in columns)
     same = (one if one.shape[1:] == width else unknown_column(len(one), *width) for one in columns)
     return np.concatenate(list(same))
-
-
-def _column(records: list[Mapping[str, Any]], name: str, shape: tuple[int, ...]) -> Floats:
-    """Return one optional column, NaN where a record leaves it out."""
-    if all(record.get(name) is None for record in records):
-        return unknown_column(len(records), *shape)
-    column = np.full((len(records), *shape), np.nan)
-    for place, record in enumerate(records):
-        if record.get(name) is not None:
-            column[place] = np.asarray(record[name], dtype=float).reshape(shape)
-    return column
-
-
-def curvature_column(values: Sequence[Sequence[float] | None], space: Space) -> Floats:
-    """Return `Rows.curvature`, SI, of those of n rows, None where a row has none.
-
-    Raises
-    ------
-    RowError
-        If one has another number of entries than the space's.
-    """
-    wrong = next((v for v in values if v is not None and np.shape(v) != (space.curvatures,)), None)
-    if wrong is not None:
-        raise RowError(f"curvature has shape {np.shape(wrong)}, not ({space.curvatures},)")
-    if all(value is None for value in values):
-        return np.empty((len(values), 0))
-    blank = (np.nan,) * space.curvatures
-    return np.array([blank if value is None else value for value in values], dtype=float)
 
 
 def why_beyond(load_range: LoadRange, wrench: Floats) -> str:

@@ -140,10 +140,6 @@ class Space:
         influence); several have one an interface and one a pair. Scalars are in every term: what a
         load does depends on the temperature.
         """
-        return self._groups
-
-    @cached_property
-    def _groups(self) -> Floats:
         scalars = {place for place, one in enumerate(self.inputs) if one.kind == "scalar"}
         own = [
             {place for place, one in enumerate(self.inputs) if one.interface == name} - scalars

@@ -18,7 +18,8 @@ import pytest
 
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.build import library_path
-from wrenchbook.surrogate.packed.writer import write
+from wrenchbook.surrogate.kernel.format import write_file
+from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 ROOT = Path(__file__).parents[2]
@@ -202,7 +203,7 @@ def test_a_packed_table_answers_with_numpy_alone_and_is_not_compiled(
 ):
     rows = Rows.of(np.eye(6), 1e-3 * np.eye(6))
     table = build(rows, LoadRange(-np.ones(6), np.ones(6)), linear=True)
-    write(table, tmp_path / "rig.wbt")
+    write_file(tmp_path / "rig.wbt", pack(table))
     code = (
         "import os, sys\n"
         "os.environ['PATH'] = ''\n"  # no compiler

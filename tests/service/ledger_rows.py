@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from wrenchbook.service.ledger import Ledger, LedgerRow, NotedRows
 from wrenchbook.surrogate.table.rows import Rows
@@ -27,15 +30,22 @@ class NewRow:
 def noted(new: Iterable[NewRow], fingerprint: str = "", space: Space = DEFAULT) -> NotedRows:
     """Rows as columns; those without a fingerprint get the one given."""
     rows = list(new)
-    records = [
-        {
-            **vars(row),
-            "seq": number,
-            "fingerprint": fingerprint if row.fingerprint is None else row.fingerprint,
-        }
-        for number, row in enumerate(rows, 1)
-    ]
-    return NotedRows(Rows.from_records(records, space), [row.origin for row in rows])
+    loads, outputs = len(space.inputs), len(space.outputs)
+    shapes = {"compliance": (outputs, loads), "uncertainty": (outputs,)}
+    columns: dict[str, Any] = {
+        "source": [row.source for row in rows],
+        "fingerprint": [
+            fingerprint if row.fingerprint is None else row.fingerprint for row in rows
+        ],
+    }
+    for name, shape in {**shapes, "curvature": (space.curvatures,)}.items():
+        unknown, values = np.full(shape, np.nan), [getattr(row, name) for row in rows]
+        if any(value is not None for value in values):
+            columns[name] = [unknown if value is None else value for value in values]
+    moved = Rows.of(
+        [row.wrench for row in rows], [row.displacement for row in rows], space, **columns
+    )
+    return NotedRows(moved, [row.origin for row in rows])
 
 
 def insert(

@@ -17,7 +17,7 @@ from tests.surrogate.responses import (
     table,
 )
 from wrenchbook.surrogate.build import Table
-from wrenchbook.surrogate.table import thinning
+from wrenchbook.surrogate.table import axes as thinning
 from wrenchbook.surrogate.table.axes import evenly_chosen
 from wrenchbook.surrogate.table.merging import RowIndex
 from wrenchbook.surrogate.table.rows import Rows, Tolerance

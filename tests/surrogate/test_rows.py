@@ -9,33 +9,25 @@ from wrenchbook.surrogate.table.rows import LoadRange, RowError, Rows, Tolerance
 
 HEADER = Path(limits.__file__).resolve().parents[1] / "kernel" / "wb_internal.h"
 
-RECORD = {"seq": 7, "wrench": [1, 0, 0, 0, 0, 0], "displacement": [1e-6, 0, 0, 0, 0, 0]}
 
-
-def test_records_become_rows_with_unknown_columns_marked() -> None:
-    rows = Rows.from_records([RECORD, {**RECORD, "seq": 8, "source": "fea"}])
-    assert rows.seq.tolist() == [7, 8]
+def test_columns_that_nobody_knows_are_unknown() -> None:
+    rows = Rows.of(np.eye(6)[:2], np.eye(6)[:2], source=["", "fea"])
+    assert rows.seq.tolist() == [1, 2]
     assert rows.source.tolist() == ["", "fea"]
     assert np.isnan(rows.compliance).all()
     assert np.isnan(rows.uncertainty).all()
 
 
-def test_no_records_are_an_empty_table() -> None:
+def test_an_empty_table_has_no_rows() -> None:
     assert len(Rows.empty()) == 0
-    assert len(Rows.empty() + Rows.from_records([RECORD])) == 1
-
-
-@pytest.mark.parametrize("key", ["seq", "wrench", "displacement"])
-def test_a_record_without_a_needed_key_is_refused_by_name(key: str) -> None:
-    with pytest.raises(RowError, match=key):
-        Rows.from_records([{k: v for k, v in RECORD.items() if k != key}])
+    assert len(Rows.empty() + Rows.of(np.eye(6)[:1], np.eye(6)[:1])) == 1
 
 
 def test_a_number_that_is_none_is_refused_by_row_and_field() -> None:
     with pytest.raises(RowError, match="row 7: uy is not a finite number"):
-        Rows.from_records([{**RECORD, "displacement": [0, np.inf, 0, 0, 0, 0]}])
+        Rows.of(np.eye(6)[:1], [0, np.inf, 0, 0, 0, 0], seq=[7])
     with pytest.raises(RowError, match="row 7: mz"):
-        Rows.from_records([{**RECORD, "wrench": [0, 0, 0, 0, 0, np.inf]}])
+        Rows.of([0, 0, 0, 0, 0, np.inf], np.eye(6)[:1], seq=[7])
 
 
 def test_columns_of_differing_length_are_refused() -> None:
@@ -90,15 +82,9 @@ def test_rows_without_third_derivatives_take_no_memory_for_them() -> None:
     assert known.take(np.zeros(2, dtype=bool)).curvature.shape == (0, 0)
 
 
-def test_a_record_brings_its_third_derivatives() -> None:
-    rows = Rows.from_records([RECORD, {**RECORD, "seq": 8, "curvature": THIRDS[0].tolist()}])
-    assert np.isnan(rows.curvature[0]).all()
-    assert rows.curvature[1].tolist() == THIRDS[0].tolist()
-
-
 def test_third_derivatives_of_another_number_are_refused() -> None:
-    with pytest.raises(RowError, match=r"curvature has shape \(55,\), not \(56,\)"):
-        Rows.from_records([{**RECORD, "curvature": [0.0] * 55}])
+    with pytest.raises(RowError, match=r"curvature has shape \(1, 55\), not \(1, 56\)"):
+        Rows.of(np.eye(6)[:1], np.eye(6)[:1], curvature=np.zeros((1, 55)))
 
 
 @pytest.mark.parametrize("wrong", [np.inf, np.nan])

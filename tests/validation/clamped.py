@@ -52,7 +52,7 @@ def clamped(
     part = section_of_facets(mesh.points, mesh.facet_groups[section])
     place = part.centre if point is None else point
     frame = np.eye(3) if axes is None else axes
-    interface = Interface(section, coupling, place, frame)
+    interface = Interface(section, coupling=coupling, point=place, axes=frame)
     bundle = _bundle(Material("all", *material), fixed, interface, nonlinear)
     return ComponentModel(
         bundle=bundle,

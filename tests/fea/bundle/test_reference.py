@@ -25,7 +25,7 @@ FIELDS = [
 
 
 def test_the_page_is_as_the_models_are():
-    assert page(PAGE) == PAGE, "run: python -m wrenchbook.fea.bundle.reference"
+    assert page(PAGE) == PAGE, "not current: run make reference"
 
 
 def test_the_page_has_the_keys_of_every_reader():

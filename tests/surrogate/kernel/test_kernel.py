@@ -15,8 +15,9 @@ from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.kernel import library
 from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.format import write_file
 from wrenchbook.surrogate.kernel.replies import InverseError
-from wrenchbook.surrogate.packed.writer import pack, write
+from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.table.rows import Rows
 
 PAGE = Path(__file__).parents[3] / "data" / "docs" / "how-to" / "c.md"
@@ -199,7 +200,7 @@ def test_the_readmes_program_has_the_bits_of_python(program_text, tmp_path, lang
     assert len(program_text.splitlines()) <= 20
     source = tmp_path / ("program.c" if language == "c" else "program.cpp")
     source.write_text(program_text)
-    write(table_of(kind), tmp_path / "plate.wbt")
+    write_file(tmp_path / "plate.wbt", pack(table_of(kind)))
     program = tmp_path / "program"
     include = ["-O2", f"-I{kernel_build.FOLDER}", "-o", str(program)]
     if language == "c":

@@ -6,6 +6,7 @@ The kernel has one routine for all of them, `wb_reply_of`; random tables of ever
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -154,13 +155,13 @@ def test_one_wrench_has_the_same_bits_alone_and_in_any_batch(
 ) -> None:
     random = np.random.default_rng(number)
 
-    def any_hyperparameters(
-        _: object, bounds: list[tuple[float, float]], *__: object
-    ) -> np.ndarray:
+    def anywhere(*_: object, bounds: list[tuple[float, float]], **__: object) -> SimpleNamespace:
         low, high = np.array(bounds).T
-        return low + (0.2 + 0.6 * random.random(len(low))) * (high - low)
+        return SimpleNamespace(
+            fun=0.0, x=low + (0.2 + 0.6 * random.random(len(low))) * (high - low)
+        )
 
-    monkeypatch.setattr(likelihood, "_best", any_hyperparameters)  # no search: bits need none
+    monkeypatch.setattr(likelihood, "minimize", anywhere)  # no search: bits need none
     made = list(KINDS.values())[number % len(KINDS)](random)
     table = made if isinstance(made, PackedTable) else packed(made)
     asked = asked_of(table, random)

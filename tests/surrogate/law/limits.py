@@ -14,7 +14,6 @@ from wrenchbook.surrogate.table.rows import (
     ROTATION_LIMIT,
     TRANSLATION_LIMIT,
     Floats,
-    is_too_far,
     rotation_angles,
 )
 
@@ -27,7 +26,7 @@ BEYOND_LIMITS = (
 def beyond_limits(displacements: Floats) -> np.ndarray:
     """Return which displacements, (n, 6), m and rad, no table may hold; NaN exceeds nothing."""
     moved = np.abs(displacements[:, :3]) > TRANSLATION_LIMIT
-    return np.asarray(moved.any(axis=1) | is_too_far(rotation_angles(displacements)))
+    return np.asarray(moved.any(axis=1) | (rotation_angles(displacements) > LONGEST))
 
 
 def within_limits(answer: Answer) -> Answer:

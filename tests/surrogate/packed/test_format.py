@@ -9,9 +9,9 @@ import pytest
 from tests.surrogate.kernel.kinds import asked_of, packed_of, table_of
 from wrenchbook.surrogate.answer import UnknownMethodError
 from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.format import PackedTableError, map_file, pieces, read, write_file
 from wrenchbook.surrogate.packed import format as packed_format
-from wrenchbook.surrogate.packed.format import PackedTableError, map_file, pieces, read, write_file
-from wrenchbook.surrogate.packed.writer import pack, write
+from wrenchbook.surrogate.packed.writer import pack
 
 HEADER = 64
 
@@ -58,14 +58,14 @@ def test_the_same_table_gives_the_same_bytes(kind):
 
 
 def test_arrays_begin_at_cache_lines_of_the_file(tmp_path):
-    write(table_of("clean"), tmp_path / "plate.wbt")
+    write_file(tmp_path / "plate.wbt", pack(table_of("clean")))
     start = np.frombuffer(content_of("clean"), dtype=np.uint8)
     for name, array in read(start.data).arrays.items():
         assert (array.ctypes.data - start.ctypes.data) % 64 == 0, name
 
 
 def test_a_written_file_answers_and_its_arrays_are_mapped(tmp_path):
-    write(table_of("solved", (1,)), tmp_path / "plate.wbt", component="plate")
+    write_file(tmp_path / "plate.wbt", pack(table_of("solved", (1,)), component="plate"))
     assert [path.name for path in tmp_path.iterdir()] == ["plate.wbt"]
     packed = PackedTable.open(tmp_path / "plate.wbt")
     assert packed.words["provenance"]["component"] == "plate"
