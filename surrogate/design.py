@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .answer import allowed_by
 from .build import Table, build
-from .kernel.packing import packed_of
+from .packed.writer import packed_of
 from .table.axes import AXES
 from .table.rows import CLEAN, LONGEST, Floats, LoadRange, Rows, Tolerance
 from .table.spread import sample_of, spread_wrenches, weakest

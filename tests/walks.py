@@ -27,7 +27,7 @@ from tests.until import until
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.solve import solve
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 ROOT = Path(__file__).parents[1]

@@ -81,14 +81,6 @@ class Host:
             wrenches[row], stiffness[row] = inverse
         return wrenches.reshape(*shape, n), stiffness.reshape(*shape, n, m)
 
-    def require_shape(self, shape: tuple[int, ...], count: int, name: str) -> None:
-        """Refuse an array whose last dimension is not `count`."""
-        if not shape or shape[-1] != count:
-            raise InvalidArgument(
-                f"{name} of {self.name} have the shape ({count},) or (k, {count}), not "
-                f"{tuple(shape)}: the order is that of table.space"
-            )
-
     def _rows(self, wrenches: Array) -> tuple[Floats, NDArray[np.intp], tuple[int, ...]]:
         """Return wrenches (k, n), zero where a wrench is not finite, which of them, and (...)."""
         array = np.asarray(wrenches, dtype=float)
@@ -119,7 +111,7 @@ class Evaluator:
 
     def __call__(self, wrenches: Array) -> Answers:
         """Return displacements, error bars and coverage."""
-        return Answers(*self._answers(self._wrenches(wrenches)))
+        return Answers(*self._answers(self._checked(wrenches, self._host.packed.inputs)))
 
     def displacement(self, wrenches: Array) -> Array:
         """Return the displacements alone, shape (..., m), m and rad, to differentiate."""
@@ -127,7 +119,7 @@ class Evaluator:
 
     def derivative(self, wrenches: Array) -> Array:
         """Return du/dw, shape (..., m, n), SI, in one call; it has no derivative itself."""
-        return self._slopes(self._wrenches(wrenches))
+        return self._slopes(self._checked(wrenches, self._host.packed.inputs))
 
     def inverse(self, displacements: Array, start: Array = None) -> Array:
         """Return the wrenches (..., n), SI, of displacements (..., m), m and rad, as joints do.
@@ -143,16 +135,21 @@ class Evaluator:
             Shape (..., n), SI: where Newton's method starts, and the further inputs; zero if not
             given. It has no derivative.
         """
-        host, moved = self._host, self._array(displacements)
-        host.require_shape(moved.shape, host.packed.outputs, "displacements")
-        begin = self._wrenches(np.zeros(host.packed.inputs) if start is None else start)
+        n, m = self._host.packed.inputs, self._host.packed.outputs
+        moved = self._checked(displacements, m, "displacements")
+        begin = self._checked(np.zeros(n) if start is None else start, n)
         lead = np.broadcast_shapes(moved.shape[:-1], begin.shape[:-1])
-        moved = self._xp.broadcast_to(moved, (*lead, host.packed.outputs))
-        return self._inverse(moved, self._xp.broadcast_to(begin, (*lead, host.packed.inputs)))
+        moved = self._xp.broadcast_to(moved, (*lead, m))
+        return self._inverse(moved, self._xp.broadcast_to(begin, (*lead, n)))
 
-    def _wrenches(self, wrenches: Array) -> Array:
-        array = self._array(wrenches)
-        self._host.require_shape(array.shape, self._host.packed.inputs, "wrenches")
+    def _checked(self, values: Array, count: int, name: str = "wrenches") -> Array:
+        """Return the framework's array of some values, whose last dimension must be `count`."""
+        array = self._array(values)
+        if not array.shape or array.shape[-1] != count:
+            raise InvalidArgument(
+                f"{name} of {self._host.name} have the shape ({count},) or (k, {count}), not "
+                f"{tuple(array.shape)}: the order is that of table.space"
+            )
         return array
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wrenchbook.surrogate.kernel.binding import PackedTable, kernel
-from wrenchbook.surrogate.packed.format import write_file
+from wrenchbook.surrogate.kernel.format import write_file
 
 from ..contract import COVERAGE, LOADS, Coverage
 from .errors import InvalidArgument, TableError, required

@@ -20,7 +20,7 @@ from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
 
 Array = np.ndarray

@@ -9,7 +9,7 @@ import numpy as np
 
 from wrenchbook.service.contract import LOADS, OUTPUTS
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 

@@ -30,8 +30,8 @@ from wrenchbook.service.tables.store import (
 from wrenchbook.surrogate.answer import BY_AXES, allowed_by
 from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.format import PackedTableError
 from wrenchbook.surrogate.kriging import Hyperparameters
-from wrenchbook.surrogate.packed.format import PackedTableError
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance

@@ -25,7 +25,7 @@ from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, RowEdit
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.packed.format import SUFFIX, PackedTableError
+from wrenchbook.surrogate.kernel.format import SUFFIX, PackedTableError
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_meta, read_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta

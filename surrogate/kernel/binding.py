@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..answer import NAMES
-from ..packed.format import CHECKSUM, Packed, PackedTableError, map_file, read
-from ..packed.reasons import Reason, text_of
 from ..table.rows import NEAR
 from ..table.space import Space
 from ..table.spread import sample_of, weakest
 from .build import ready_library
+from .format import CHECKSUM, Packed, PackedTableError, map_file, read
+from .reasons import Reason, text_of
 from .replies import (
     AXIS,
     NO_METHOD,

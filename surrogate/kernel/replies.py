@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..answer import ANSWERED, BY_AXES, METHODS, NAMES, UnknownMethodError
-from ..packed.format import Packed
-from ..packed.reasons import FIXED, Reason, text_of, unmeasured_text
+from .format import Packed
+from .reasons import FIXED, Reason, text_of, unmeasured_text
 
 Buffer = ctypes.Array[ctypes.c_char]
 

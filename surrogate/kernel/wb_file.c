@@ -1,4 +1,4 @@
-/* Map a packed table and check it: surrogate/packed/format.py writes the file. MIT license.
+/* Map a packed table and check it: surrogate/kernel/format.py writes the file. MIT license.
  *
  * The checksum is computed from blocks that are read, not from the mapped pages: what is mapped
  * becomes resident only where answers read it.

@@ -1,4 +1,4 @@
-/* Why an axis does not cover a wrench, as codes; surrogate/packed/reasons.py has the words. MIT. */
+/* Why an axis does not cover a wrench, as codes; surrogate/kernel/reasons.py has the words. MIT. */
 #include "wb_internal.h"
 
 #include <math.h>

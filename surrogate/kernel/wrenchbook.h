@@ -54,7 +54,7 @@ enum { /* the default method answers for WB_KRIGING where the rows allow no krig
     WB_ESTIMATE = 5
 };
 
-/* Why an answer is not covered. surrogate/packed/reasons.py has the words. */
+/* Why an answer is not covered. surrogate/kernel/reasons.py has the words. */
 enum {
     WB_REASON_EMPTY = 1,            /* the table has no rows */
     WB_REASON_ONLY_BEYOND = 2,      /* all rows are outside the load range */

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .format import PackedTableError
+from ..kernel.format import PackedTableError
 
 HEADER = Path(__file__).resolve().parents[1] / "kernel" / "wb_arrays.h"
 TYPES = {"f8": np.float64, "i4": np.int32, "i8": np.int64, "u1": np.uint8}

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from ..answer import METHODS, allowed_by
 from ..build import Group, Table
+from ..kernel.binding import PackedTable
+from ..kernel.format import pieces
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.factor import Neighbourhoods
@@ -23,7 +25,6 @@ from ..methods import ENOUGH_FULL
 from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats
 from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
-from .format import pieces
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
 _ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
@@ -81,6 +82,13 @@ def pack(
         },
     }
     return pieces(check(arrays), _plain(words))
+
+
+def packed_of(table: Table) -> PackedTable:
+    """Return the packed form of a built table, which is made at the first call and kept."""
+    if table.packed is None:
+        table.packed = PackedTable.from_bytes(b"".join(pack(table)))
+    return table.packed
 
 
 def _plain(value: Any) -> Any:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ..answer import METHODS, allowed_by
 from ..kernel.binding import PackedTable
+from ..kernel.format import pieces
 from ..packed.arrays import check
 from ..packed.axes_arrays import DIMENSION, FIRST_CELL, buckets_of
-from ..packed.format import pieces
 from ..table.axes import AXES
 from ..table.rows import Floats
 from .plan import Mask, Need

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..answer import allowed_by
 from ..build import Table
 from ..design import Design, Known, first_count, first_design, next_wrenches
-from ..kernel.packing import packed_of
-from ..packed.reasons import UNKNOWN_ERROR
+from ..kernel.reasons import UNKNOWN_ERROR
+from ..packed.writer import packed_of
 from ..table.axes import AXES
 from ..table.rows import CLEAN, Floats, LoadRange, Tolerance
 from ..table.space import LOADS

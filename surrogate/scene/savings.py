@@ -9,7 +9,7 @@ import numpy as np
 
 from ..build import Table
 from ..kernel.binding import PackedTable
-from ..kernel.packing import packed_of
+from ..packed.writer import packed_of
 from ..table.rows import Floats
 from .cut import cut
 from .plan import ScenePlan

@@ -17,8 +17,8 @@ from wrenchbook.service.contract import COVERAGE
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.format import map_file
 from wrenchbook.surrogate.kernel.replies import REPLY_SIZE, Reply, ReplyReader
-from wrenchbook.surrogate.packed.format import map_file
 
 Limit = tuple[float, float] | None
 UNKNOWN = (None,) * 6

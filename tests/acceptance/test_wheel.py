@@ -18,7 +18,7 @@ import pytest
 
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.build import library_path
-from wrenchbook.surrogate.packed.format import write_file
+from wrenchbook.surrogate.kernel.format import write_file
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 

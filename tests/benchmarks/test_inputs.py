@@ -23,7 +23,7 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.service.library.component import component_of
 from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.design import next_wrenches
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import Floats, Rows, Tolerance
 from wrenchbook.surrogate.table.spread import spread_wrenches
 

@@ -19,7 +19,7 @@ from tests.surrogate.kriging.responses import RESPONSES
 from tests.surrogate.responses import RANGE
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.findings.find import find
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 SEED = int(os.environ.get("CALIBRATION_SEED", secrets.randbelow(10**6)))

@@ -11,7 +11,7 @@ from scipy.spatial import Delaunay
 from tests.benchmarks.test_kernel import spent
 from tests.surrogate.responses import RANGE, clean_wrenches, full_wrenches, smooth, table
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.rows import Tolerance
 

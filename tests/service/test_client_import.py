@@ -42,7 +42,7 @@ def test_importing_the_table_files_leaves_pint_for_its_first_use():
 
 def test_opening_a_packed_table_loads_numpy_and_the_standard_library_alone():
     code = (
-        "import sys, wrenchbook.surrogate.kernel.binding, wrenchbook.surrogate.packed.format\n"
+        "import sys, wrenchbook.surrogate.kernel.binding, wrenchbook.surrogate.kernel.format\n"
         "roots = {name.partition('.')[0] for name in sys.modules}\n"
         "print([name for name in ('scipy', 'h5py', 'threadpoolctl') if name in roots])\n"
     )

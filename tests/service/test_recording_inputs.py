@@ -9,7 +9,7 @@ import pytest
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.recording.store import EnvelopeState, RecordingStore, Tally, bound_of
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 from wrenchbook.surrogate.table.space import Input, space_of
 

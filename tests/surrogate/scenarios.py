@@ -18,7 +18,7 @@ from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE
 from wrenchbook.surrogate import build as product
 from wrenchbook.surrogate.build import Table
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 ASKED = 300  # wrenches that answers are judged at

@@ -28,7 +28,7 @@ from tests.surrogate.responses import (
     table,
 )
 from wrenchbook.surrogate.calibration import conformal_factor, quantile, widening
-from wrenchbook.surrogate.packed.reasons import ERRORS_UNKNOWN
+from wrenchbook.surrogate.kernel.reasons import ERRORS_UNKNOWN
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 SEEDS = (31, 32, 33)

@@ -12,7 +12,7 @@ from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, six
 from wrenchbook.surrogate.build import Table
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.merging import RowIndex
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 

@@ -24,7 +24,7 @@ from tests.surrogate.responses import (
 )
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.axes.triangulation import Triangulation
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 CLEAN = clean_wrenches(25, 1)

@@ -11,7 +11,7 @@ from tests.surrogate.law import build
 from tests.surrogate.law.answer import Answer, Batch
 from tests.surrogate.law.limits import BEYOND_LIMITS, within_limits, within_limits_many
 from wrenchbook.surrogate.answer import COVERED
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 TURN = math.radians(20.0)

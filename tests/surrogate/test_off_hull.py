@@ -6,7 +6,7 @@ import pytest
 from tests.surrogate.law import Law, build
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth
 from wrenchbook.surrogate.axes.axes import OFF_HULL
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import Rows
 
 

@@ -10,7 +10,7 @@ from tests.surrogate.kriging.responses import RESPONSES
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.findings.find import error_of_a_reading, rig_error
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 ASKED = full_wrenches(400, 77)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 SCALE = np.array([900.0] * 3 + [90.0] * 3)

@@ -13,7 +13,7 @@ import pytest
 
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.design import next_wrenches
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.hdf5 import read_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Floats, LoadRange, RowError, Rows, Tolerance

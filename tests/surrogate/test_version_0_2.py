@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.hdf5 import read_table
 
 FOLDER = Path(__file__).parent / "tables/version_0_2"

@@ -52,7 +52,7 @@ from wrenchbook.service.tables.exporting import (
 from wrenchbook.service.tables.importing import import_files, solved_compliance
 from wrenchbook.service.tables.store import setup_of
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
-from wrenchbook.surrogate.packed.format import SUFFIX
+from wrenchbook.surrogate.kernel.format import SUFFIX
 
 router = APIRouter(
     prefix="/v1/components/{name}/table", tags=["table"], responses=refused(404, 422)

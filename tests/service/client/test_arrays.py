@@ -15,7 +15,7 @@ from tests.surrogate.kernel.kinds import KINDS, asked_of, packed_of, size_of, ta
 from wrenchbook.service.client import InvalidArgument, MissingPackage, Table, arrays
 from wrenchbook.service.client.mount import Mount
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of as pack
+from wrenchbook.surrogate.packed.writer import packed_of as pack
 from wrenchbook.surrogate.table.rows import Tolerance
 
 MISSING = "the extra {!r} is not installed"

@@ -12,7 +12,7 @@ from tests.column import MESH, deflection, packed_column, slope
 from tests.service.fmu.made import COVERAGE, LOADS, OUTPUTS, Opened, need_compiler
 from wrenchbook.service.fmu.export import make_fmu
 from wrenchbook.surrogate.kernel import build as kernel_build
-from wrenchbook.surrogate.packed.format import write_file
+from wrenchbook.surrogate.kernel.format import write_file
 
 FORCE = 5.0  # N, across the column
 # N along it, below zero tension; and m from the interface point to the load, along z.

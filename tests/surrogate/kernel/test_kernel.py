@@ -15,8 +15,8 @@ from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.kernel import library
 from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.format import write_file
 from wrenchbook.surrogate.kernel.replies import InverseError
-from wrenchbook.surrogate.packed.format import write_file
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.table.rows import Rows
 

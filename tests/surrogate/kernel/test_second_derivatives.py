@@ -9,7 +9,7 @@ import pytest
 from tests.surrogate.kernel.kinds import SAME, SIGMA, asked_of, packed_of, table_of
 from tests.surrogate.test_space import SPACES, range_of, solved_with_second, spread_wrenches
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of as pack
+from wrenchbook.surrogate.packed.writer import packed_of as pack
 
 
 @pytest.fixture(scope="module", params=SPACES.values(), ids=list(SPACES))

@@ -15,13 +15,13 @@ from tests.surrogate.kriging.responses import (
 )
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches, table
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.kriging import (
     Kriging,
     KrigingSettings,
     TooFewRowsError,
     TooManyRowsError,
 )
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 COUPLED = RESPONSES["strongly_coupled"]

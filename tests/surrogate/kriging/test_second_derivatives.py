@@ -6,8 +6,8 @@ import pytest
 from tests.surrogate.energies import PARTS, Part, part
 from tests.surrogate.responses import HIGH
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.kernel.packing import packed_of
 from wrenchbook.surrogate.kriging import Kriging, KrigingSettings
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.second_derivatives import second_derivatives
 

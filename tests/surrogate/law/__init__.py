@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from wrenchbook.surrogate import build as product
 from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN
 from wrenchbook.surrogate.build import Group
-from wrenchbook.surrogate.kernel.packing import packed_of
-from wrenchbook.surrogate.packed.reasons import (
+from wrenchbook.surrogate.kernel.reasons import (
     EMPTY,
     ERRORS_UNKNOWN,
     ONLY_BEYOND,
     TOO_FAR,
     UNKNOWN_ERROR,
 )  # fmt: skip
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import (
     Floats,
     Tolerance,

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from wrenchbook.surrogate.build import Group
+from wrenchbook.surrogate.kernel.reasons import UNKNOWN_AT_REST, UNKNOWN_TOGETHER
 from wrenchbook.surrogate.methods import ENOUGH_FULL
-from wrenchbook.surrogate.packed.reasons import UNKNOWN_AT_REST, UNKNOWN_TOGETHER
 from wrenchbook.surrogate.table.axes import AXES, clean_wrenches
 from wrenchbook.surrogate.table.rows import CLEAN, Floats
 

@@ -7,8 +7,8 @@ import pytest
 
 from tests.surrogate.kernel.kinds import packed_of
 from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.kernel.format import PackedTableError, pieces
 from wrenchbook.surrogate.packed.arrays import BLOCKS, HEADER, check, header
-from wrenchbook.surrogate.packed.format import PackedTableError, pieces
 
 FIRST = "axes/vertex", "kriging/x", "missed/x", "/state"
 TABLES = "solved", "clean and full", "second derivatives", "linear"

@@ -16,7 +16,7 @@ from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, table
 from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.packed.reasons import UNKNOWN_ERROR
+from wrenchbook.surrogate.kernel.reasons import UNKNOWN_ERROR
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.scene.plan import (
     Need,
