@@ -93,6 +93,5 @@ def shipped(name: str, **parameters: float) -> ComponentModel:
     """Return a component of the shipped library, its generator's `parameters` changed."""
     bundle = read_bundle(SHIPPED / name)
     if parameters and bundle.mesh is not None:
-        own = dict(bundle.mesh.parameters or {})
-        bundle = replace(bundle, mesh=replace(bundle.mesh, parameters=own | parameters))
+        bundle = replace(bundle, mesh=replace(bundle.mesh, **parameters))
     return build(bundle)
