@@ -30,9 +30,7 @@ from .kriging import (
     Kriging,
     SingularCovarianceError,
     TooFewRowsError,
-    equation_count,
-    fits_one_factor,
-    too_large_in_words,
+    why_too_large,
 )
 from .methods import MethodChoice, choose, full_needed, interaction_of
 from .solver_error import SolverError, bars_are_whole
@@ -61,10 +59,8 @@ class Group:
     members : tuple of tuple of int
         The numbers (`seq`) of the rows behind each of `used`.
     fit : ComplianceFit
-    equations : int
-        How many a kriging of the rows has.
-    one_factor : bool
-        Whether one factor holds them: error bars then come from the kriging.
+    too_large : str
+        Why one factor does not hold the rows: they have no kriging then. Empty if it does.
     choice : MethodChoice
         The default method, and why.
     has_axes : bool
@@ -106,11 +102,7 @@ class Group:
         self.merged = merge(rows, load_range)
         self.used, self.members, self._readings = self.merged.usable()
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
-        try:
-            self.equations = 0 if linear else equation_count(self.used, load_range)
-        except TooFewRowsError:
-            self.equations = 0
-        self.one_factor = fits_one_factor(self.equations)
+        self.too_large = "" if linear else why_too_large(self.used, load_range)
         self._earlier_axes: Axes | None = vars(before).get("axes") if before is not None else None
         self.choice: MethodChoice = choose(
             self.used,
@@ -119,7 +111,7 @@ class Group:
             lambda: self.axes,
             lambda: self.kriging,
             linear=linear,
-            too_large="" if self.one_factor else self._kriging_detail,
+            too_large=self.too_large,
         )
         if self.by_axes:
             _ = self.interaction
@@ -178,7 +170,7 @@ class Group:
 
         That is of linear components, and where rows are too few or too many, or contradict.
         """
-        if self.linear or not self.one_factor:
+        if self.linear or self.too_large:
             return None
         try:
             return Kriging.build(self.used, self.load_range, readings=self._readings)
@@ -210,6 +202,7 @@ class Group:
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the rows cover the load range, as JSON-able values; seconds for 100,000."""
         fit, no_axes = self.fit, self.default == "linear" or not self.has_axes
+        made = self.kriging if self.by_kriging else None
         return {
             "rows": len(self.rows),
             "beyond_range": int((~self.load_range.holds(self.rows.wrench)).sum()),
@@ -223,17 +216,11 @@ class Group:
             "axes": [] if no_axes else self.axes.summary(),
             "method": self.default,
             "method_reason": self.choice.reason,
-            "method_detail": self._kriging_detail,
+            "method_detail": self.too_large or (made.detail if made else ""),
             "errors_left_out": self.choice.errors,
             "full_wrench_rows": self.full_wrenches,
             "tells_full_wrenches": self.knows_interaction,
         }
-
-    @property
-    def _kriging_detail(self) -> str:
-        if not self.one_factor:
-            return too_large_in_words(len(self.used), self.equations)
-        return self.kriging.detail if self.by_kriging and self.kriging else ""
 
 
 @dataclass

@@ -3,7 +3,7 @@
 from .correlation import Hyperparameters
 from .equations import TooFewRowsError, TooManyRowsError
 from .factor import SingularCovarianceError
-from .kriging import Kriging, equation_count, fits_one_factor, too_large_in_words
+from .kriging import Kriging, why_too_large
 from .settings import KrigingSettings
 
 __all__ = [
@@ -13,7 +13,5 @@ __all__ = [
     "SingularCovarianceError",
     "TooFewRowsError",
     "TooManyRowsError",
-    "equation_count",
-    "fits_one_factor",
-    "too_large_in_words",
+    "why_too_large",
 ]

@@ -128,7 +128,7 @@ class Kriging:
                 f"kriging needs {settings.least_rows} rows at different wrenches; there are "
                 f"{len(equations)}: solve or import more"
             )
-        if not fits_one_factor(equations.count, settings):
+        if equations.count > settings.dense_equations:
             raise TooManyRowsError(
                 f"{len(equations)} rows bring {equations.count} equations, more than the "
                 f"{settings.dense_equations} that one factor holds"
@@ -276,34 +276,22 @@ def one_thread() -> AbstractContextManager[object]:
     return _BLAS.limit(limits=1) if _BLAS else nullcontext()
 
 
-def equation_count(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> int:
-    """Return how many equations rows of distinct wrenches bring: values, and slopes by loads.
-
-    Raises
-    ------
-    TooFewRowsError
-        If too few rows lie in the load range.
-    """
-    sloped = np.isfinite(rows.compliance).all(axis=(1, 2))
-    loads = rows.wrench.shape[1]
-    if len(rows) * (1 + loads) <= settings.dense_equations or not sloped.any():
-        return len(rows) + loads * int(sloped.sum())
-    inside = within(rows, load_range, settings)
-    loads = int(scaling_of(inside, load_range, settings).active.sum())
-    return len(inside) + loads * int(np.isfinite(inside.compliance).all(axis=(1, 2)).sum())
-
-
-def fits_one_factor(equations: int, settings: KrigingSettings = DEFAULTS) -> bool:
-    """Return whether one dense factor holds so many equations."""
-    return equations <= settings.dense_equations
-
-
-def too_large_in_words(rows: int, equations: int, settings: KrigingSettings = DEFAULTS) -> str:
-    """Return why a table of so many rows and equations has no kriging."""
-    return (
-        f"no kriging: {rows} rows bring {equations} equations, one factor holds "
-        f"{settings.dense_equations}"
-    )
+def why_too_large(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> str:
+    """Return why no factor holds the values and slopes of rows of distinct wrenches, or ""."""
+    sloped, most = np.isfinite(rows.compliance).all(axis=(1, 2)), settings.dense_equations
+    count, loads = len(rows), rows.wrench.shape[1]
+    equations = count + loads * int(sloped.sum())
+    if equations > most and sloped.any():  # loads without effect bring no slopes
+        inside = within(rows, load_range, settings)
+        try:
+            loads = int(scaling_of(inside, load_range, settings).active.sum())
+        except TooFewRowsError:
+            return ""
+        sloped = np.isfinite(inside.compliance).all(axis=(1, 2))
+        equations = len(inside) + loads * int(sloped.sum())
+    if equations <= most:
+        return ""
+    return f"no kriging: {count} rows bring {equations} equations, one factor holds {most}"
 
 
 def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> Floats:

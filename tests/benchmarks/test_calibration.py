@@ -43,7 +43,6 @@ ABLATION: dict[str, tuple[float, ...]] = {
     "group_growth": (2.0,),
     "resembling": (0.4, 1.0),
     "beyond_rows": (0.1,),
-    "level": (0.9,),
     "full_rows": (1000,),
     "deviation_rows": (20, 80),
     "likelihood_equations": (210, 840),
