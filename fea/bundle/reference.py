@@ -67,9 +67,8 @@ def descriptions(cls: type) -> dict[str, str]:
             match entry, text:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(words))):
                     texts[name] = " ".join(words.split())
-    fields: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
-    keys = {name: info.alias or name for name, info in fields.items() if info.init is not False}
-    return {key: texts[name] for name, key in keys.items()}
+    names = {info.alias: name for name, info in vars(cls)["__pydantic_fields__"].items()}
+    return {key: texts[names.get(key, key)] for key in keys_of(cls)}
 
 
 _OURS = ("toml", "absent", "write", "among", "title")

@@ -41,8 +41,7 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
     if isinstance(mesh, GeometryFile):
         circle = max(3, round(mesh.circle * factor))
         curvature = mesh.curvature and max(3, round(mesh.curvature * factor))
-        finer = replace(mesh, size=mesh.size / factor, curvature=curvature)
-        object.__setattr__(finer, "circle", circle)  # no key, so no argument
+        finer = replace(mesh, size=mesh.size / factor, circle=circle, curvature=curvature)
         return replace(bundle, mesh=finer)
     if not isinstance(mesh, Generator):
         return None

@@ -101,6 +101,7 @@ def _mesh(source: MeshSource | None) -> object:
         if source.geometry is not None:
             meshing = source.geometry
             keys = {"size": meshing.size, "curvature": meshing.curvature}
+            keys |= {} if meshing.circle == 7 else {"circle": meshing.circle}
             keys |= {"groups": {name: _chosen(each) for name, each in meshing.groups.items()}}
             keys |= {"regions": {name: _chosen(each) for name, each in meshing.regions.items()}}
             return content | {"geometry": keys}

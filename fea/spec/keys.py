@@ -309,7 +309,11 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 def keys_of(cls: type) -> dict[str, FieldInfo]:
     """Map the keys of a class under `table`, as in the file, to its fields."""
     known: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
-    return {info.alias or name: info for name, info in known.items() if info.init is not False}
+    return {
+        info.alias or name: info
+        for name, info in known.items()
+        if info.init is not False and not info.exclude
+    }
 
 
 def tables_in(kind: Any) -> Iterator[type]:

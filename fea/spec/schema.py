@@ -193,8 +193,9 @@ class GeometryMeshing:
         "", "{steel = {bodies = [1]}}", default=dict, absent="none"
     )
     """STEP: named cell groups, each `[mesh.regions.NAME]`"""
-    # Least number of cells round a full circle, however small; no key of a bundle sets it
-    circle: SkipJsonSchema[int] = field(default=7, init=False)  # gmsh's own
+    # Least number of cells round a full circle, however small; 7 is gmsh's own. It is for coarser
+    # and finer meshes of a bundle; its name in the file is one that nobody writes.
+    circle: SkipJsonSchema[int] = key(default=7, name="\0circle", exclude=True)
 
 
 @table

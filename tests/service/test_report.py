@@ -27,8 +27,7 @@ from wrenchbook.surrogate.table.rows import LoadRange, Rows
 @pytest.fixture(scope="module")
 def bar():
     shipped = read_bundle(SHIPPED / "bar")
-    short = {**shipped.mesh.parameters, "cells_along": 12}
-    return replace(shipped, mesh=replace(shipped.mesh, parameters=short))
+    return replace(shipped, mesh=replace(shipped.mesh, cells_along=12))
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import mesh_of
 from wrenchbook.fea.mesh.refine import halved, refined
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import DeclaredRange
+from wrenchbook.fea.spec.schema import DeclaredRange, MeshFile
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Rows
 
@@ -199,7 +199,7 @@ def test_a_large_mesh_is_compared_with_a_coarser_one(plate):
 
 def test_a_large_mesh_file_has_the_recovered_estimate_with_a_margin(bracket, monkeypatch):
     monkeypatch.setattr(estimate, "FINER_UNKNOWNS", 10_000)
-    source = replace(bracket.component.bundle.mesh, geometry=None)
+    source = MeshFile(bracket.component.bundle.mesh.file, "m")
     bundle = replace(bracket.component.bundle, mesh=source)
     alone = Solver(replace(bracket.component, bundle=bundle))
     assert coarser(alone) is None
