@@ -33,7 +33,7 @@ int fmu_allowed(fmu_instance *m, const char *call, int modes) {
 
 void fmu_ask(fmu_instance *m, const double *wrench, wb_reply *reply) {
     double tolerance[WB_MOST];
-    wb_options options = {m->method, tolerance};
+    wb_options options = {m->method, tolerance, 0};
     for (int q = 0; q < m->outputs; q++) {
         double most = m->state.tolerance[q % AN_INTERFACE / TRANSLATIONS];
         tolerance[q] = most > 0 ? most : NAN; /* zero: the component's own */
@@ -51,7 +51,7 @@ const wb_reply *fmu_answered(fmu_instance *m) {
 
 const double *fmu_derived(fmu_instance *m) {
     if (!m->derived) {
-        wb_options options = {m->method, NULL};
+        wb_options options = {m->method, NULL, 0};
         wb_work work = wb_work_of(m->table, m->scratch);
         wb_reply_derivative(m->table, &options, &work, fmu_answered(m), m->derivative);
         m->derived = 1;
