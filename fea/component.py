@@ -7,7 +7,6 @@ from itertools import combinations
 
 import numpy as np
 
-from wrenchbook.fea.coupling.rotation import rotation_less_identity
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
 from wrenchbook.fea.mesh.cad.meshing import mesh_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
@@ -30,6 +29,7 @@ from wrenchbook.fea.spec.schema import (
     ScalarInput,
     Supports,
 )
+from wrenchbook.fea.tensors import rotation_less_identity
 
 Array = np.ndarray
 
@@ -39,16 +39,13 @@ _ZERO = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class AttachedInterface:
-    """An interface with its section found in the mesh, as `ComponentModel` has its first one.
+    """An interface, or a bushing, with its section found in the mesh."""
 
-    `key` is where the bundle has it: ``interface``, ``interface[1]`` or ``supports.bushing[0]``.
-    """
-
-    key: str
-    name: str
-    section: InterfaceSection
-    point: Array
-    axes: Array
+    key: str  # where the bundle has it: ``interface``, ``interface[1]``, ``supports.bushing[0]``
+    name: str  # empty if it is alone
+    section: InterfaceSection  # its nodes with their area weights
+    point: Array  # its reference point, shape (3,), m
+    axes: Array  # shape (3, 3), row i is the direction of its frame's axis i
     coupling: str
     locked: tuple[str, ...]
 
@@ -62,25 +59,15 @@ class AttachedInterface:
 class ComponentModel:
     """A deformable part, ready to be solved; all in metres and pascals."""
 
-    # What it was built from; its analysis, coupling and locked freedoms are below as well
-    bundle: Bundle
+    bundle: Bundle  # what it was built from
     mesh: Mesh  # every point belongs to a cell
     # materials, material_of_cells: the materials, and for each block of the mesh an array of shape
     # (m,) with the number of each cell's material.
     materials: tuple[AnyMaterial, ...]
     material_of_cells: tuple[Array, ...]
     fixed_nodes: Array  # sorted nodes that do not move, shape (k,), int64
-    # The nodes of the interface, or the first of several, with their area weights
-    section: InterfaceSection
-    point: Array  # its reference point, shape (3,), m
-    # Shape (3, 3), row i is the direction of its frame's axis i. The equations are in this frame
-    axes: Array
-    coupling: str
-    locked: tuple[str, ...]
+    interfaces: tuple[AttachedInterface, ...]  # in the order of their loads and displacements
     analysis: Analysis
-    # name, others: its name, empty if it is alone; the other interfaces
-    name: str = ""
-    others: tuple[AttachedInterface, ...] = ()
     # Nodes that slide, none of them fixed or tied to an interface, sorted, shape (k,), and
     # projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
     sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
@@ -119,11 +106,9 @@ class ComponentModel:
         return np.unique(np.concatenate([self.fixed_nodes, self.sliding[0], *groups]))
 
     @property
-    def interfaces(self) -> tuple[AttachedInterface, ...]:
-        """All interfaces, in the order of their loads and displacements."""
-        key = "interface[0]" if self.others else "interface"
-        own = (self.section, self.point, self.axes, self.coupling, self.locked)
-        return AttachedInterface(key, self.name, *own), *self.others
+    def axes(self) -> Array:
+        """Axes of the first interface, a row each, shape (3, 3): the frame of the equations."""
+        return self.interfaces[0].axes
 
     @property
     def active(self) -> Array:
@@ -183,14 +168,14 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     keys = [f"interface[{i}]" for i in range(len(bundle.interfaces))]
     keys = ["interface"] if len(keys) == 1 else keys
     pairs = zip(keys, bundle.interfaces, strict=True)
-    first, *others = [_attach(mesh, f"{key}.section", source, problems) for key, source in pairs]
+    interfaces = [_attach(mesh, f"{key}.section", source, problems) for key, source in pairs]
     holds = enumerate(bushing.hold for bushing in supports.bushings)
     springs = [
         _attach(mesh, f"supports.bushing[{i}].group", source, problems) for i, source in holds
     ]
-    for hold in (first, *others, *springs):
+    for hold in (*interfaces, *springs):
         sliding = _left_sliding(mesh, sliding, hold, problems)
-    _check_apart(mesh, fixed, [first, *others, *springs], problems)
+    _check_apart(mesh, fixed, [*interfaces, *springs], problems)
     if problems:
         raise BundleError(problems)
     heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
@@ -205,14 +190,8 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         materials=bundle.materials if heated else tuple(without),
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
-        section=first.section,
-        point=first.point,
-        axes=first.axes,
-        coupling=first.coupling,
-        locked=first.locked,
+        interfaces=tuple(interfaces),
         analysis=bundle.analysis,
-        name=first.name,
-        others=tuple(others),
         sliding=sliding,
         bushings=tuple(
             zip(springs, (attached.stiffness for attached in supports.bushings), strict=True)

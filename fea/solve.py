@@ -15,7 +15,7 @@ from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
-from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
+from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
 from wrenchbook.fea.coupling.coupling import SectionCoupling, largest_rotation
 from wrenchbook.fea.deck.solving import solve_deck
@@ -27,10 +27,15 @@ from wrenchbook.fea.inspection import warnings_of
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
-from wrenchbook.fea.recovery.stress import most_used, small_stress, stress_of, yielding
-from wrenchbook.fea.recovery.weight import material_of_parts, pull_of
+from wrenchbook.fea.recovery.stress import (
+    material_of_parts,
+    most_used,
+    pull_of,
+    small_stress,
+    stress_of,
+    yielding,
+)
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
-from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath, hang
 from wrenchbook.fea.solver.newton import Equilibrium
@@ -39,6 +44,7 @@ from wrenchbook.fea.solver.vibration import (
     CraigBampton,
     Riding,
     Vibration,
+    buckling_factors,
     consistent_mass,
     craig_bampton,
     first_vibration,
@@ -112,11 +118,6 @@ class Solver:
         self._active = self.component.active
         self._system = system_of(self.component, self._active)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the interfaces; an empty one where there is one."""
-        return tuple(interface.name for interface in self.component.interfaces)
-
     def inputs(self, wrench: Loads) -> Array:
         """Return the inputs of `solve` as an array of its own, shape (k,).
 
@@ -125,8 +126,8 @@ class Solver:
         ValueError
             As `solve` does.
         """
-        further = [scalar.name for scalar in self.component.further]
-        return checked_wrench(wrench, self.names, further)
+        names = tuple(interface.name for interface in self.component.interfaces)
+        return checked_wrench(wrench, names, [scalar.name for scalar in self.component.further])
 
     @property
     def unknowns(self) -> int:
@@ -172,7 +173,7 @@ class Solver:
         notes = tuple(
             f"{warning.where}: {warning.message}" for warning in warnings_of(self.component)
         )
-        notes += pressure_notes(self._system.body.parts)
+        notes += pressure_notes(self.body.parts)
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
             notes += (
@@ -233,12 +234,12 @@ class Solver:
 
     def stresses(self, solution: Solution) -> Array:
         """Return a solution's stresses at the integration points, shape (p, 6), Pa."""
-        return stress_of(self.component, self._system.body, solution)
+        return stress_of(self.component, self.body, solution)
 
     def buckling(self, wrench: Loads) -> tuple[float, float]:
         """Return how many times a wrench, and its opposite, the part carries before it buckles.
 
-        The wrench is as of `solve`. As linear buckling has it (`fea.solver.buckling`);
+        The wrench is as of `solve`. As linear buckling has it (`fea.solver.vibration`);
         infinite where it does not.
 
         Raises
@@ -252,7 +253,7 @@ class Solver:
 
     def fields(self, solution: Solution) -> SolveFields:
         """Return the surface and the stresses of a solution of this component."""
-        return fields_of(self.component, self._system.body, solution)
+        return fields_of(self.component, self.body, solution)
 
     def solve(
         self,
@@ -297,7 +298,7 @@ class Solver:
         # Where the loads alone exclude that anything yields, no stresses of the answer are needed.
         by_loads = not (analysis.nonlinear or self._system.weight is not None or self.body.expands)
         if not (by_loads and np.abs(acting) @ self._most_used <= 1.0):
-            exceeded = yielding(self.component, self._system.body, solution)
+            exceeded = yielding(self.component, self.body, solution)
             if exceeded and analysis.on_yield == "fail":
                 raise yields(exceeded)
             solution = (
@@ -378,7 +379,9 @@ class Solver:
             history=history,
             nodes=balance.state.nodes @ self.component.axes,
             notes=self.notes,
-            tangents=self._in_mesh_axes(equilibrium.tangent.nodal_response),
+            tangents=np.einsum(
+                "ji,njk->nik", self.component.axes, equilibrium.tangent.nodal_response
+            ),
             curvature=self._curvature(balance, equilibrium.tangent),
             state=balance.state,
         )
@@ -390,10 +393,7 @@ class Solver:
 
     @cached_property
     def _linear_tangents(self) -> Array:
-        return self._in_mesh_axes(self.linear.fields)
-
-    def _in_mesh_axes(self, fields: Array) -> Array:
-        return np.einsum("ji,njk->nik", self.component.axes, fields)
+        return np.einsum("ji,njk->nik", self.component.axes, self.linear.fields)
 
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:
@@ -408,9 +408,16 @@ def system_of(component: ComponentModel, active: Array) -> System:
     `active` has shape (k,): indices of the freedoms that are not locked, dimensionless.
     """
     mesh = component.mesh
-    mesh = replace(mesh, points=(mesh.points - component.point) @ component.axes.T)
-    every = [*component.interfaces, *(bushing for bushing, _ in component.bushings)]
-    sections = [_section(component, attached) for attached in every]
+    mesh = replace(mesh, points=(mesh.points - component.interfaces[0].point) @ component.axes.T)
+    # Each interface's coupling, its nodes, and its axes in the body's if they differ.
+    sections: list[tuple[SectionCoupling, Array, Array | None]] = []
+    for attached in (*component.interfaces, *(bushing for bushing, _ in component.bushings)):
+        nodes = attached.section.node_ids
+        places = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
+        rigid = attached.coupling == "rigid"
+        holds = Rigid(places) if rigid else Distributed(places, attached.section.weights)
+        same = np.array_equal(attached.axes, component.axes)
+        sections.append((holds, nodes, None if same else attached.axes @ component.axes.T))
     springs = [stiffness for _, stiffness in component.bushings]
     coupling = Coupling(len(mesh.points), sections, active, _anchors(component), springs)
     free = np.ones(len(mesh.points), dtype=bool)
@@ -418,7 +425,7 @@ def system_of(component: ComponentModel, active: Array) -> System:
     free[coupling.tied] = False
     materials, numbers = component.materials, component.material_of_cells
     integration = component.analysis.integration
-    frame = component.axes, component.point
+    frame = component.axes, component.interfaces[0].point
     filled = filled_cells(mesh, materials, numbers, integration, *frame)
     if component.warmth is not None:
         warmth = component.warmth
@@ -441,18 +448,6 @@ def _warmed(
     assert cells.expansion is not None
     part = warmth[block.nodes] @ values.T
     return replace(cells, expansion=part[:, :, None, None] * cells.expansion)
-
-
-def _section(
-    component: ComponentModel, attached: AttachedInterface
-) -> tuple[SectionCoupling, Array, Array | None]:
-    """Return an interface's coupling, its nodes, and its axes in the body's if they differ."""
-    nodes = attached.section.node_ids
-    places = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
-    rigid = attached.coupling == "rigid"
-    coupling = Rigid(places) if rigid else Distributed(places, attached.section.weights)
-    same = np.array_equal(attached.axes, component.axes)
-    return coupling, nodes, None if same else attached.axes @ component.axes.T
 
 
 def _anchors(component: ComponentModel) -> Array:

@@ -46,7 +46,7 @@ class BeyondLinear:
     # where no nonlinear solve gave an answer.
     deviation: Array
     # The part of a corner's wrench at which the component buckles or snaps through, at or below 10;
-    # None beyond that. It is that of linear buckling (`fea.solver.buckling`), or where a nonlinear
+    # None beyond that. It is that of linear buckling (`fea.solver.vibration`), or where a nonlinear
     # solve ended if that is less.
     buckling: float | None
     why: str = ""  # what kept a nonlinear solve from an answer; often empty

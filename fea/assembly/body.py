@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wrenchbook.fea.element.cell_state import CellState
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
 from wrenchbook.fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
@@ -228,31 +229,20 @@ class ElasticBody:
                 total += part.strain_energy_products(moved, first)
         return total
 
-    def second(self, displacement: Array, fields: Array) -> Array:
-        """Return the strain energy's second derivatives along fields, (k, k), J; see `third`."""
-        return self._integral(CellStiffness.second, displacement, fields)
+    def derivatives(
+        self, of: Callable[[CellState, Array], Array], displacement: Array, fields: Array
+    ) -> Array:
+        """Return the strain energy's derivatives along fields, (k, k) or (k, k, k), J.
 
-    def third(self, displacement: Array, fields: Array) -> Array:
-        """Return the strain energy's third derivatives along fields.
-
+        of: `CellState.second` or `CellState.third`.
         displacement: shape (n, 3), m.
         fields: shape (n, 3, k), m.
-        Result: shape (k, k, k), J.
         """
-        return self._integral(CellStiffness.third, displacement, fields)
-
-    def _integral(
-        self,
-        derivatives: Callable[[CellStiffness, Array, Array, int], Array],
-        displacement: Array,
-        fields: Array,
-    ) -> Array:
         total = 0.0
         for part, nodes in zip(self.parts, self.cells, strict=True):
-            for first in range(0, len(nodes), _FIELDS_AT_A_TIME):
-                local = nodes[first : first + _FIELDS_AT_A_TIME]
-                moved = np.moveaxis(gather(fields, local), -1, 0)
-                total = total + derivatives(part, gather(displacement, local), moved, first)
+            for chunk in part.chunks():
+                moved = np.moveaxis(gather(fields, nodes[chunk]), -1, 0)
+                total = total + of(part.state(chunk, gather(displacement, nodes[chunk])), moved)
         return np.asarray(total)
 
     def _sum(self, forces: Array, nodes: Array) -> Array:

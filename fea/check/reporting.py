@@ -44,6 +44,7 @@ from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, GEOMETRY_ENDINGS
 _MOST_SECONDS = 5.0
 """Of a linear solve, to estimate the solver's error too: that takes up to three more."""
 _MOST_BYTES = 1e9  # of the same: a coarser mesh and nonlinear solves come on top
+_OF_MATERIAL = ["region", "law", "youngs_modulus", "poisson_ratio", "density", "yield_strength"]
 
 
 def report(
@@ -195,21 +196,14 @@ def _look_at_component(
     counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
     summary |= {
         "materials": [
-            {
-                "region": material.region,
-                "law": material.law,
-                "youngs_modulus": material.youngs_modulus,
-                "poisson_ratio": material.poisson_ratio,
-                "density": material.density,
-                "yield_strength": material.yield_strength,
-                "cells": sum(int((block == i).sum()) for block in numbers),
-            }
+            {key: getattr(material, key) for key in _OF_MATERIAL}
+            | {"cells": sum(int((block == i).sum()) for block in numbers)}
             for i, material in enumerate(component.materials)
         ],
         "supports": {"nodes": len(component.fixed_nodes)}
         | {name: count for name, count in counts.items() if count},
         **inputs,
-        **({"sections": attached} if component.others else {"section": attached[0]}),
+        **({"sections": attached} if attached[1:] else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
     }
     summary["warnings"] += set_up_warnings(component)

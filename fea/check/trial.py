@@ -8,13 +8,12 @@ import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.coupling import each_interface, largest_rotation
-from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.recovery.stress import places_of, small_stress
-from wrenchbook.fea.recovery.weight import nodal_masses
+from wrenchbook.fea.recovery.stress import nodal_masses, places_of, small_stress
 from wrenchbook.fea.solve import MOST_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.tensors import von_mises
 
 Array = np.ndarray
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.coupling.rotation import rotation_derivatives
 from wrenchbook.fea.element.cell_state import every_place
 from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.fea.tensors import rotation_derivatives
 
 Array = np.ndarray
 

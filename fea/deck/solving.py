@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.deck.running import moment_unsettled, not_linear, not_reciprocal, run_deck
 from wrenchbook.fea.solution import Progress, Solution, checked_wrench
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck
+from wrenchbook.fea.tensors import spin_per_vector
 
 Array = np.ndarray
 

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from wrenchbook.fea.mesh.mapping import Gradients
+from wrenchbook.fea.tensors import COLUMNS, ROWS
 
 Array = np.ndarray
 Which = slice | np.ndarray
@@ -167,9 +168,6 @@ def _by_field(below: Array) -> Array:
     each = below.reshape(-1, below.shape[-2] // 3, 9)
     return np.ascontiguousarray(each.swapaxes(0, 1)).reshape(each.shape[1], -1)
 
-
-ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-"""Of the six numbers of a symmetric 3x3 matrix: xx, yy, zz, xy, xz, yz."""
 
 UNIT_STRAINS = np.zeros((6, 3, 3))
 """Strains of which one of the six, the shears as 2 E_ij, is one."""

@@ -8,7 +8,7 @@ is in the state that a kind of cells makes of a displacement: `CellState`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from wrenchbook.fea.mesh.mapping import Gradients
 
 Array = np.ndarray
 
-_CHUNK = 64  # cells at a time: the temporaries of a chunk stay in cache
+_CHUNK = 64  # cells at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class CellStiffness(ABC):
         """
         forces = np.empty_like(displacement)
         energy, least = 0.0, np.inf
-        for part in self._parts():
+        for part in self.chunks():
             state = self.state(part, displacement[part])
             if step is not None:
                 state.extrapolate(step[:, part])
@@ -130,7 +130,7 @@ class CellStiffness(ABC):
         Result: shape (k, cells, 3, nodes), N.
         """
         forces = np.empty_like(fields)
-        for part in self._parts(fields.shape[1]):
+        for part in self.chunks(fields.shape[1]):
             chunk = slice(first + part.start, first + part.stop)
             _, stress = self._small_strain(fields[:, part], chunk)
             slopes = self.gradients.slopes[chunk]
@@ -147,37 +147,11 @@ class CellStiffness(ABC):
         """
         count = len(fields)
         total = np.zeros((count, count))
-        for part in self._parts(fields.shape[1]):
+        for part in self.chunks(fields.shape[1]):
             chunk = slice(first + part.start, first + part.stop)
             strain, stress = self._small_strain(fields[:, part], chunk)
             total += strain.reshape(count, -1) @ stress.reshape(count, -1).T
         return total
-
-    def second(self, displacement: Array, fields: Array, first: int = 0) -> Array:
-        """Return the energy's second derivatives along fields, (k, k), J; see `third`."""
-        return self._sum(CellState.second, displacement, fields, first)
-
-    def third(self, displacement: Array, fields: Array, first: int = 0) -> Array:
-        """Return the energy's third derivatives along fields; see `CellState.third`.
-
-        displacement: shape (cells, 3, nodes), m: of the cells from `first` on.
-        fields: shape (k, cells, 3, nodes), m.
-        Result: shape (k, k, k), J.
-        """
-        return self._sum(CellState.third, displacement, fields, first)
-
-    def _sum(
-        self,
-        derivatives: Callable[[CellState, Array], Array],
-        displacement: Array,
-        fields: Array,
-        first: int,
-    ) -> Array:
-        total = 0.0
-        for part in self._parts(fields.shape[1]):
-            chunk = slice(first + part.start, first + part.stop)
-            total = total + derivatives(self.state(chunk, displacement[part]), fields[:, part])
-        return np.asarray(total)
 
     def small_stresses(self, fields: Array) -> Array:
         """Return the stresses of several small displacement fields at the quadrature points.
@@ -189,7 +163,7 @@ class CellStiffness(ABC):
             [
                 self._small_strain(fields[:, part], part)[1]
                 / self.gradients.weights[part][..., None, None]
-                for part in self._parts()
+                for part in self.chunks()
             ],
             axis=1,
         )
@@ -205,7 +179,7 @@ class CellStiffness(ABC):
         Pa over that unit.
         """
         pairs = [
-            self.state(part, displacement[part]).cauchy(fields[:, part]) for part in self._parts()
+            self.state(part, displacement[part]).cauchy(fields[:, part]) for part in self.chunks()
         ]
         return (
             np.concatenate([stress for stress, _ in pairs]),
@@ -220,7 +194,8 @@ class CellStiffness(ABC):
         strain = strain if thermal is None else strain - thermal
         return strain, self.small_stress(strain, part)
 
-    def _parts(self, cells: int | None = None) -> Iterator[slice]:
+    def chunks(self, cells: int | None = None) -> Iterator[slice]:
+        """Yield slices of all cells, or of the first few, whose temporaries stay in cache."""
         count = len(self) if cells is None else cells
         for start in range(0, count, _CHUNK):
             yield slice(start, min(start + _CHUNK, count))

@@ -29,8 +29,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrenchbook.fea.element.cell_state import (
-    COLUMNS,
-    ROWS,
     UNIT_STRAINS,
     CellState,
     DenseState,
@@ -39,6 +37,7 @@ from wrenchbook.fea.element.cell_state import (
     green_strain,
 )
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness, projected_gram, weighted
+from wrenchbook.fea.tensors import COLUMNS, ROWS
 
 Array = np.ndarray
 

@@ -21,14 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wrenchbook.fea.element.cell_state import (
-    COLUMNS,
-    ROWS,
     UNIT_STRAINS,
     CellState,
     DenseState,
     Which,
 )
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
+from wrenchbook.fea.tensors import COLUMNS, ROWS
 
 Array = np.ndarray
 

@@ -300,7 +300,7 @@ class Plate(Generator):
     """Parameters of generator "plate"; lengths in metres.
 
     The plate's middle is at x = y = 0; it reaches from z = 0 up to `thickness`. Facets cover the
-    patch (whose outline has its exact area, see `fea.mesh.generators.plane.disc`) and the
+    patch (whose outline has its exact area, see `disc`) and the
     corner squares.
     Facet groups: ``patch`` (in the middle of the top face), ``corners`` (four squares of the
     bottom face), ``rim`` (the four sides), ``top``, ``bottom``.

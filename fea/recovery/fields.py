@@ -8,11 +8,11 @@ import numpy as np
 
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.mesh.facets import outer_surface
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress, stress_of
 from wrenchbook.fea.solution import Solution
+from wrenchbook.fea.tensors import von_mises
 
 Array = np.ndarray
 

@@ -1,4 +1,4 @@
-"""Stresses at the integration points, in the first interface's frame, and what of a part yields."""
+"""Stresses at the integration points, in the first interface's frame; yielding; nodal masses."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ import numpy as np
 from wrenchbook.fea.assembly.blocks import sorted_cells
 from wrenchbook.fea.assembly.body import ElasticBody, gather
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.solution import Solution
+from wrenchbook.fea.tensors import COLUMNS, ROWS, von_mises
 
 Array = np.ndarray
-
-_ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # xx, yy, zz, xy, xz, yz
 
 
 def places_of(component: ComponentModel, points: Array) -> tuple[Array, Array]:
@@ -96,7 +94,7 @@ def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
 
 def _six(stress: Array) -> Array:
     """Return six numbers of each point: (k, cells, points, 3, 3) or without k -> (.., p, 6)."""
-    six = stress[..., _ROWS, _COLUMNS]
+    six = stress[..., ROWS, COLUMNS]
     *before, cells, points, _ = six.shape
     return six.reshape(*before, cells * points, 6)
 
@@ -148,3 +146,32 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
         f"{used[worst]:.3g} times that of {material.region} ({material.yield_strength:.4g} Pa): "
         "materials here do not yield, so the answer is too stiff."
     )
+
+
+def material_of_parts(component: ComponentModel, body: ElasticBody) -> list[Array]:
+    """Return for each of the body's parts its cells' material numbers, shape (cells,)."""
+    materials, first, by_part = places_of(component, body.points)[1], 0, []
+    for part in body.parts:
+        weights = part.gradients.weights
+        by_part.append(materials[first : first + weights.size : weights.shape[1]])
+        first += weights.size
+    return by_part
+
+
+def nodal_masses(component: ComponentModel, body: ElasticBody) -> Array:
+    """Return the mass that each node carries, shape (n,), kg; without a density it is zero."""
+    densities = np.array([material.density or 0.0 for material in component.materials])
+    total = np.zeros(body.size)
+    numbers = material_of_parts(component, body)
+    for part, nodes, number in zip(body.parts, body.cells, numbers, strict=True):
+        masses = (densities[number][:, None] * part.gradients.weights) @ part.gradients.values
+        total = total + np.bincount(nodes.ravel(), masses.ravel(), minlength=body.size)
+    return total
+
+
+def pull_of(component: ComponentModel, body: ElasticBody) -> Array:
+    """Return the nodal forces per unit of acceleration along the mesh's axes, (n, 3, 3), kg.
+
+    They are in the interface frame, as the body is.
+    """
+    return nodal_masses(component, body)[:, None, None] * component.axes

@@ -9,7 +9,6 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import CoupledState, each_interface
-from wrenchbook.fea.coupling.rotation import rotation, rotation_vector
 from wrenchbook.fea.failure import (
     SolveFailed,
     gave_way,
@@ -27,6 +26,7 @@ from wrenchbook.fea.solver.newton import (
     Stuck,
     find_equilibrium,
 )
+from wrenchbook.fea.tensors import rotation, rotation_vector
 
 Array = np.ndarray
 

@@ -14,8 +14,8 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contra
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
-from wrenchbook.fea.coupling.rotation import spin_per_vector, spin_slope
-from wrenchbook.fea.element.cell_state import every_place
+from wrenchbook.fea.element.cell_state import CellState, every_place
+from wrenchbook.fea.tensors import spin_per_vector, spin_slope
 
 Array = np.ndarray
 
@@ -85,7 +85,7 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
     body = system.body.at(system.temperature(inputs))
     changes = tangent.tangent.times(fields, coupling.tied)
     changes[:, :, coupling.active.size :] -= tangent.further
-    body_part = body.third(state.nodes, fields)
+    body_part = body.derivatives(CellState.third, state.nodes, fields)
     body_part += coupling.third(state, (balance.forces, changes), fields, border)
     if body.expands:
         # The strain energy's derivatives by the temperature, input number `place`.
@@ -93,7 +93,8 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
         steps = _WARMER * np.arange(-2, 3)
         near = [system.body.at(temperature + step).forces(nodes) for step in steps]
         forces, energies, _ = zip(*near, strict=True)
-        ahead = system.body.at(temperature + 1j * _COMPLEX_STEP).second(nodes, fields)
+        warmer = system.body.at(temperature + 1j * _COMPLEX_STEP)
+        ahead = warmer.derivatives(CellState.second, nodes, fields)
         once = np.zeros((fields.shape[2],) * 3)
         twice = np.zeros_like(once)
         once[:, :, coupling.active.size] = np.imag(ahead) / _COMPLEX_STEP

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.fea.element.equivalent_stress import von_mises
+from wrenchbook.fea.tensors import von_mises
 from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError

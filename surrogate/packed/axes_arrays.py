@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ..axes.axes import Axes
-from ..axes.axis_table import LARGEST, AxisTable
+from ..axes.axis_table import FEWEST, LARGEST, AxisTable
 from ..axes.triangulation import Triangulation, curve_order
-from ..error_law import FEWEST
 from ..table.rows import Floats
 
 SIMPLEX, VERTEX = 16, 16  # doubles of a simplex and of a point: wb_simplex, wb_vertex

@@ -204,7 +204,7 @@ def _attribute(file: h5py.File, name: str) -> Any:
 
 def _read_meta(file: h5py.File) -> TableMeta:
     low, high = (_numbers(file, f"load_range/{name}") for name in ("low", "high"))
-    space = _read_space(file)
+    space, words = _read_space(file), {word: word for word in get_args(OffAxis)}
     tolerance: Any = file.attrs.get("tolerance")  # files of 0.1 say nothing of these three
     return TableMeta(
         component=str(_attribute(file, "component")),
@@ -217,7 +217,7 @@ def _read_meta(file: h5py.File) -> TableMeta:
         ledger=str(file.attrs.get("ledger", "")),
         tolerance=Tolerance(*map(float, tolerance)) if tolerance is not None else None,
         linear=bool(file.attrs.get("linear", False)),
-        off_axis=_off_axis(str(file.attrs.get("off_axis", "correct"))),
+        off_axis=words[str(file.attrs.get("off_axis", "correct"))],
         edits=_read_edits(file),
         solver_error=json.loads(str(file.attrs.get("solver_error", "null"))),
         locked=tuple(map(space.output_names.index, str(file.attrs.get("locked", "")).split())),
@@ -227,11 +227,6 @@ def _read_meta(file: h5py.File) -> TableMeta:
 def _read_space(file: h5py.File) -> Space:
     words = file.attrs.get("space")  # files of one interface without further inputs have none
     return DEFAULT if words is None else Space.read(json.loads(str(words)))
-
-
-def _off_axis(word: str) -> OffAxis:
-    words: dict[str, OffAxis] = {one: one for one in get_args(OffAxis)}
-    return words[word]
 
 
 def _read_edits(file: h5py.File) -> tuple[tuple[str, bool, float], ...] | None:

@@ -8,7 +8,6 @@ they differ by is its uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -165,7 +164,6 @@ class RowIndex:
         # A direction whose parts have no common measure, shape (n,).
         roots = np.sqrt(np.array(_PRIMES[: len(scale)], dtype=float))
         self.rates = (roots / roots.sum()) / scale
-        self._one_over: list[float] = self.rates.tolist()
         keys = wrenches @ self.rates
         order = np.argsort(keys, kind="stable")
         placed = wrenches[order]
@@ -182,27 +180,12 @@ class RowIndex:
             first = np.searchsorted(self.keys, keys - WINDOW)
             last = np.searchsorted(self.keys, keys + WINDOW, side="right")
         for place in np.flatnonzero(first < last).tolist():
-            found[place] = self._nearest(wrenches[place].tolist(), first[place], last[place])
+            rows = np.sort(self.order[first[place] : last[place]])
+            apart = (np.abs(self._wrenches[rows] - wrenches[place]) / self._scale).max(axis=1)
+            nearest = np.argmin(apart)  # of equally near rows the first
+            if apart[nearest] <= NEAR:
+                found[place] = rows[nearest]
         return found
-
-    def place(self, wrench: Sequence[float]) -> int:
-        """Return the row of one wrench (6,), N and N·m, or -1: `places` without arrays."""
-        key = 0.0
-        for load, rate in zip(wrench, self._one_over, strict=True):
-            key += load * rate
-        first = int(self.keys.searchsorted(key - WINDOW))
-        if first == len(self.keys) or not self.keys[first] <= key + WINDOW:
-            return -1
-        last = int(self.keys.searchsorted(key + WINDOW, side="right"))
-        return self._nearest(wrench, first, last)
-
-    def _nearest(self, wrench: Sequence[float], first: int, last: int) -> int:
-        """Return the nearest row of a part of the order, or -1; of equally near ones the first."""
-        rows = np.sort(self.order[first:last])
-        steps = np.abs(self._wrenches[rows] - wrench) / self._scale
-        apart = steps.max(axis=1)
-        nearest = int(np.argmin(apart))
-        return int(rows[nearest]) if apart[nearest] <= NEAR else -1
 
 
 def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:

@@ -43,7 +43,12 @@ def check_physics(
     if not len(whole):
         return {"rows_checked": 0, "ok": None, "checks": {}}
     space = load_range.space
-    stored = np.nan_to_num(whole.uncertainty) + _noise(whole, tolerance, space)
+    # Deviations that are no evidence, (m,), m and rad.
+    if tolerance is None:
+        noise = ZERO * space.largest_of_kind(np.abs(whole.displacement).max(axis=0))
+    else:
+        noise = np.where(space.is_rotation, tolerance.rotation, tolerance.translation)
+    stored = np.nan_to_num(whole.uncertainty) + noise
     checks = {
         "zero_at_zero_load": _zero(whole, load_range, stored),
         "symmetric": _symmetric(whole, load_range, fit),
@@ -55,13 +60,6 @@ def check_physics(
     # Being nonlinear breaks no law.
     broken = [check for name, check in checks.items() if name != "linear" and check["ok"] is False]
     return {"rows_checked": len(whole), "ok": not broken, "checks": checks}
-
-
-def _noise(rows: Rows, tolerance: Tolerance | None, space: Space) -> Floats:
-    """Return deviations that are no evidence, shape (m,), m and rad."""
-    if tolerance is not None:
-        return np.where(space.is_rotation, tolerance.rotation, tolerance.translation)
-    return ZERO * space.largest_of_kind(np.abs(rows.displacement).max(axis=0))
 
 
 def _sizes(rows: Rows, space: Space) -> Floats:

@@ -135,18 +135,6 @@ def acting_one(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[float
     return [0.0 if load in locked else amount for load, amount in enumerate(wrench)]
 
 
-def without_locked(slopes: Floats, locked: Sequence[int]) -> Floats:
-    """Return du/dw, shape (..., 6, 6), SI, with zeros for the loads on locked freedoms.
-
-    NaN stays: an output without a value has no slope either.
-    """
-    if not locked:
-        return slopes
-    found = slopes.copy()
-    found[..., list(locked)] = np.where(np.isnan(found[..., list(locked)]), np.nan, 0.0)
-    return found
-
-
 @dataclass(frozen=True)
 class Tolerance:
     """The largest error bar an answer may have and still be `covered`.
@@ -256,7 +244,12 @@ class Rows:
     def take(self, which: ArrayLike) -> Rows:
         """Return the rows that an index array or a mask of shape (n,) picks."""
         index = np.asarray(which)
-        return Rows(*(_picked(getattr(self, name), index) for name in _COLUMNS), space=self.space)
+        count = int(index.sum()) if index.dtype == bool else len(index)
+        columns = {name: getattr(self, name) for name in _COLUMNS}
+        for name, column in columns.items():
+            unknown = _is_unknown(column)  # of which another takes no memory either
+            columns[name] = unknown_column(count, *column.shape[1:]) if unknown else column[index]
+        return Rows(**columns, space=self.space)
 
     @classmethod
     def empty(cls, space: Space = DEFAULT) -> Rows:
@@ -328,33 +321,23 @@ def _is_unknown(column: NDArray[Any]) -> bool:
     return column.ndim > 1 and not any(column.strides) and column.size > 0
 
 
-def _picked(column: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
-    """Return the entries that an index array or a mask picks; of an unknown column another."""
-    if not _is_unknown(column):
-        return column[index]
-    count = int(index.sum()) if index.dtype == bool else len(index)
-    return unknown_column(count, *column.shape[1:])
-
-
 def joined(parts: Sequence[Rows]) -> Rows:
     """Return the rows of several tables, at least one, in this order."""
     some = [part for part in parts if len(part)]
     if len(some) < 2:
         return some[0] if some else parts[0]
-    columns = (joined_columns([getattr(part, name) for part in some]) for name in _COLUMNS)
-    return Rows(*columns, space=some[0].space)
-
-
-def joined_columns(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return columns of one kind, shape (n, ...) each, one below the other, in their units.
-
-    NaN stands for a curvature, (n, p), that some of them have and others, (n, 0), have not.
-    """
-    if all(_is_unknown(column) for column in columns):
-        return unknown_column(sum(map(len, columns)), *columns[0].shape[1:])
-    width = max(column.shape[1:] for column in columns)
-    same = (one if one.shape[1:] == width else unknown_column(len(one), *width) for one in columns)
-    return np.concatenate(list(same))
+    found: dict[str, NDArray[Any]] = {}
+    for name in _COLUMNS:
+        columns = [getattr(part, name) for part in some]
+        # NaN stands for a curvature, (n, p), that some have and others, (n, 0), have not.
+        width = max(column.shape[1:] for column in columns)
+        if all(map(_is_unknown, columns)):
+            found[name] = unknown_column(sum(map(len, columns)), *width)
+            continue
+        blank = [unknown_column(len(column), *width) for column in columns]
+        pairs = zip(columns, blank, strict=True)
+        found[name] = np.concatenate([own if own.shape[1:] == width else no for own, no in pairs])
+    return Rows(**found, space=some[0].space)
 
 
 def why_beyond(load_range: LoadRange, wrench: Floats) -> str:

@@ -13,20 +13,22 @@ from numpy.typing import NDArray
 from .rows import Floats, LoadRange
 
 INSIDE = 448  # wrenches inside the range: with its 64 corners they are answered in 5 ms
-# Steps of an additive sequence that spreads points over a cube of six dimensions evenly: powers of
-# the root of g^7 = g + 1 (Roberts 2018, the generalised golden ratio).
-STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)
-ROUNDING = 1e-10  # of the largest eigenvalue: a kriging's slopes are right to some 1e-11
+SLOPE_ROUNDING = 1e-10  # of the largest eigenvalue: a kriging's slopes are right to some 1e-11
+
+
+def _spread(count: int, dimensions: int, start: int = 0) -> Floats:
+    """Return points of the unit cube, shape (count, dimensions)."""
+    root = 2.0  # the root of x^(d + 1) = x + 1, by which the recurrence steps
+    for _ in range(60):
+        root = (1 + root) ** (1 / (dimensions + 1))
+    step = root ** -np.arange(1.0, dimensions + 1)
+    return (0.5 + np.arange(start, start + count)[:, None] * step) % 1.0
 
 
 def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
     """Return `count` evenly spread wrenches of a span, shape (count, 6), N and N·m."""
     vary = np.flatnonzero(span.high > span.low)
-    root = 2.0  # the root of x^(d + 1) = x + 1, by which the recurrence steps
-    for _ in range(60):
-        root = (1 + root) ** (1 / (len(vary) + 1))
-    step = root ** -np.arange(1.0, len(vary) + 1)
-    fraction = (0.5 + np.arange(start, start + count)[:, None] * step) % 1.0
+    fraction = _spread(count, len(vary), start)
     wrenches = np.tile(span.low, (count, 1))
     wrenches[:, vary] += fraction * (span.high - span.low)[vary]
     return wrenches
@@ -39,9 +41,9 @@ def sample_of(ends: Floats, centre: Floats, places: NDArray[np.intp]) -> Floats:
     """
     (low, high), count = ends, len(places)
     corners = np.array(list(product((0.0, 1.0), repeat=count)))
-    inside = np.mod(0.5 + np.outer(np.arange(INSIDE), STEPS[:count]), 1.0)
     loads = np.tile(centre, (len(corners) + INSIDE, 1))
-    loads[:, places] = low[places] + np.vstack([corners, inside]) * (high - low)[places]
+    within = np.vstack([corners, _spread(INSIDE, count)])
+    loads[:, places] = low[places] + within * (high - low)[places]
     return loads
 
 
@@ -55,7 +57,7 @@ def weakest(compliances: Floats, scale: Floats) -> tuple[Floats, Floats]:
     known = np.isfinite(compliances).all(axis=(1, 2))
     energy = compliances[known] * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(0.5 * (energy + energy.transpose(0, 2, 1)))
-    rounding = np.abs(values[:, 0]) <= ROUNDING * np.abs(values).max(axis=1, initial=0.0)
+    rounding = np.abs(values[:, 0]) <= SLOPE_ROUNDING * np.abs(values).max(axis=1, initial=0.0)
     least[known] = np.where(rounding, 0.0, values[:, 0])
     own = vectors[:, :, 0]
     loads[known] = own / np.take_along_axis(own, np.abs(own).argmax(axis=1)[:, None], axis=1)

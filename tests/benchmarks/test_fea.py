@@ -24,7 +24,7 @@ import pytest
 from tests.benchmarks.kinds_of_parts import kinds
 from tests.validation import calculix
 from tests.validation.calculix import LINEAR, NONLINEAR, worst_gap
-from tests.validation.clamped import shipped
+from tests.validation.clamped import attached, shipped
 from tests.validation.plate import WRENCH
 from wrenchbook.fea.accuracy.convergence import finer
 from wrenchbook.fea.solve import Solver
@@ -41,10 +41,10 @@ import json, sys, time
 started = time.perf_counter()
 from dataclasses import replace
 from wrenchbook.fea.solve import Solver
-from tests.validation.clamped import shipped
+from tests.validation.clamped import attached, shipped
 imported = time.perf_counter()
 name, nonlinear, wrench = json.loads(sys.argv[1])
-part = replace(shipped(name), coupling="rigid")
+part = attached(shipped(name), coupling="rigid")
 part = replace(part, analysis=replace(part.analysis, nonlinear=nonlinear))
 found = Solver(part).solve(wrench)
 done = time.perf_counter()
@@ -56,7 +56,7 @@ pytestmark = pytest.mark.skipif(not calculix.installed(), reason=calculix.ABSENT
 
 
 def part_of(name: str, nonlinear: bool):
-    part = replace(shipped(name), coupling="rigid")
+    part = attached(shipped(name), coupling="rigid")
     return replace(part, analysis=replace(part.analysis, nonlinear=nonlinear))
 
 
@@ -124,7 +124,7 @@ def test_a_nonlinear_solve_agrees_with_calculix_when_that_converges_as_far(name:
 
 def test_six_loads_of_fifteen_thousand_unknowns_and_each_later_solve() -> None:
     """The plate at 15,000 unknowns against one ccx run of it; a later solve is 6x6 algebra."""
-    part = replace(shipped("plate", cells=10, rings=5), coupling="rigid")
+    part = attached(shipped("plate", cells=10, rings=5), coupling="rigid")
     part = replace(part, analysis=replace(part.analysis, nonlinear=False))
     calls = []
     for _ in range(ROUNDS):

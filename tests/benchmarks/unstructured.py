@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.fea.geometry import start
 from tests.validation.boxes import box
-from tests.validation.clamped import clamped, shipped
+from tests.validation.clamped import attached, clamped, shipped
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.facets import facets_within, outer_surface
 from wrenchbook.fea.mesh.io.read import read_mesh
@@ -25,10 +25,10 @@ def part_of(name: str, folder: Path) -> ComponentModel:
     of a mesher, so that a solve does not load it.
     """
     if name == "plate":
-        part = replace(shipped("plate", cells=10, rings=5), coupling="rigid")
+        part = attached(shipped("plate", cells=10, rings=5), coupling="rigid")
         return replace(part, analysis=replace(part.analysis, nonlinear=False))
     if name == "plate_thin":
-        return replace(shipped(name), coupling="rigid")
+        return attached(shipped(name), coupling="rigid")
     if name.startswith("block"):
         count = int(name.removeprefix("block") or 11)
         mesh = box("hex20", (count, count, count), (0.1, 0.1, 0.1))

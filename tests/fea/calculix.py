@@ -9,7 +9,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from wrenchbook.fea.coupling.rotation import spin_per_vector
+from wrenchbook.fea.tensors import spin_per_vector
 
 ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10"}
 # Corner numbers of the faces S1 to S6 of a hexahedron.
@@ -85,7 +85,7 @@ def _deck(part, wrench, nonlinear):
     mesh, count = part.mesh, len(part.mesh.points)
     (block,) = mesh.blocks
     (material,) = part.materials
-    points = [*mesh.points, part.point, part.point]
+    points = [*mesh.points, part.interfaces[0].point, part.interfaces[0].point]
     yield "*NODE, NSET=NALL"
     yield from (f"{i + 1}," + ",".join(f"{x:.12e}" for x in p) for i, p in enumerate(points))
     yield f"*ELEMENT, TYPE={ELEMENTS[block.kind]}, ELSET=EALL"
@@ -97,10 +97,10 @@ def _deck(part, wrench, nonlinear):
     yield f"{material.youngs_modulus:.12e},{material.poisson_ratio}"
     yield "*SOLID SECTION, ELSET=EALL, MATERIAL=M"
     yield from ["*NSET, NSET=FIX", *(f"{i + 1}," for i in part.fixed_nodes)]
-    yield from ["*NSET, NSET=SEC", *(f"{i + 1}," for i in part.section.node_ids)]
+    yield from ["*NSET, NSET=SEC", *(f"{i + 1}," for i in part.interfaces[0].section.node_ids)]
     yield from ["*BOUNDARY", "FIX,1,3"]
     yield from _coupling(part, block, count)
-    for name in part.locked:
+    for name in part.interfaces[0].locked:
         freedom = FREEDOMS.index(name)
         yield f"*BOUNDARY\n{count + 1 + freedom // 3},{freedom % 3 + 1},{freedom % 3 + 1}"
     yield "*STEP, NLGEOM, INC=200" if nonlinear else "*STEP"
@@ -115,10 +115,10 @@ def _deck(part, wrench, nonlinear):
 
 
 def _coupling(part, block, count):
-    if part.coupling == "rigid":
+    if part.interfaces[0].coupling == "rigid":
         yield f"*RIGID BODY, NSET=SEC, REF NODE={count + 1}, ROT NODE={count + 2}"
         return
-    inside = set(part.section.node_ids.tolist())
+    inside = set(part.interfaces[0].section.node_ids.tolist())
     yield "*SURFACE, NAME=SURF, TYPE=ELEMENT"
     for i, cell in enumerate(block.nodes):
         for side, corners in enumerate(FACES):

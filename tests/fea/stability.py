@@ -15,6 +15,7 @@ from scipy.optimize import brentq
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.test_failures import arch
+from tests.validation.clamped import attached
 from tests.validation.spring import Rod
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.component import build
@@ -160,7 +161,7 @@ def pure_moment():
     rows = []
     bending = YOUNG * 0.1 * 0.01**3 / 12
     for coupling in ("rigid", "distributed"):
-        part = replace(strip(0.01, (2, 2, 16), nonlinear=True), coupling=coupling)
+        part = attached(strip(0.01, (2, 2, 16), nonlinear=True), coupling=coupling)
         for degrees in (1e-6, 1.0, 19.0, 25.0, 1000.0):
             angle = np.radians(degrees)
 
@@ -219,7 +220,7 @@ def spring():
     """Press the spring of the paper with 10 N, without its guide and with it."""
     part = build(read_bundle(Path(__file__).parents[2] / "data/components/spring"))
     rod = Rod(1.4e-3, 22.6e-3, 5.5, 88e-3, 200e9, 0.28)
-    built = {"guided": Solver(part), "unguided": Solver(replace(part, locked=()))}
+    built = {"guided": Solver(part), "unguided": Solver(attached(part, locked=()))}
     rows = []
     for force, guide in ((-1.0, "guided"), (-10.0, "guided"), (-10.0, "unguided")):
 

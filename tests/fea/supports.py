@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.validation.clamped import attached
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.component import build
 from wrenchbook.fea.solve import Solver
@@ -48,13 +49,13 @@ def mistakes(*what, **options):
 def turned(one, rotation):
     """The component carried elsewhere with all its mesh; the frame of the interface goes along."""
     nodes, held = one.sliding
-    return replace(
+    moved = replace(
         one,
         mesh=replace(one.mesh, points=one.mesh.points @ rotation.T),
-        point=rotation @ one.point,
-        axes=one.axes @ rotation.T,
         sliding=(nodes, rotation @ held @ rotation.T),
     )
+    place = rotation @ one.interfaces[0].point
+    return attached(moved, point=place, axes=one.axes @ rotation.T)
 
 
 def stress(one, wrench):

@@ -13,13 +13,13 @@ from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check.findings import motion_problems
 from wrenchbook.fea.check.reporting import as_text, report
 from wrenchbook.fea.component import build
-from wrenchbook.fea.coupling.rotation import rotation, rotation_vector, skew, spin_per_vector
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import bodies_of, coincident_nodes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.fea.tensors import rotation, rotation_vector, skew, spin_per_vector
 
 COUPLINGS = ["rigid", "distributed"]
 TURN = rotation(np.array([0.4, -0.7, 0.3]))
@@ -56,7 +56,7 @@ def test_the_compliance_of_a_bar_on_a_bushing_is_the_sum_of_both(tmp_path, inter
     askew = bushing(FULL, point=POINT.tolist(), axes=TURN.tolist())
     soft = Solver(on_bushings(tmp_path, askew, coupling=interface))
     clamped = Solver(part(mesh(), tmp_path, {"fixed": ["z0"]}, coupling=interface))
-    at_bushing = np.kron(np.eye(2), TURN) @ lever(POINT, soft.component.point)
+    at_bushing = np.kron(np.eye(2), TURN) @ lever(POINT, soft.component.interfaces[0].point)
     expected = clamped.compliance + at_bushing.T @ np.linalg.solve(FULL, at_bushing)
     assert largest(soft.compliance - expected, expected) < 1e-9
 
@@ -74,7 +74,9 @@ def test_a_part_on_one_distributed_bushing_moves_on_it_as_a_rigid_body(tmp_path,
         )
         for factor in (1.0, 2.0)
     ]
-    at_bushing = lever(each[0].component.bushings[0][0].point, each[0].component.point)
+    at_bushing = lever(
+        each[0].component.bushings[0][0].point, each[0].component.interfaces[0].point
+    )
     expected = at_bushing.T @ np.linalg.solve(FULL, at_bushing) / 2
     assert largest(each[0].compliance - each[1].compliance - expected, expected) < 1e-9
     assert each[0].linear.energy_gap < 1e-9
@@ -95,9 +97,10 @@ def test_a_bar_on_a_bushing_is_the_clamped_bar_moved_by_the_spring_at_any_rotati
     force, moment = np.split(WRENCH * 2, 2)
     clamped = Solver(part(mesh(), tmp_path, {"fixed": ["z0"]}, nonlinear=True))
     bar = clamped.solve(np.concatenate([turned.T @ force, turned.T @ moment]))
-    arm = turned @ (soft.component.point + bar.displacement[:3] - point)
+    own = soft.component.interfaces[0].point
+    arm = turned @ (own + bar.displacement[:3] - point)
     place = point + motion[:3] + arm
-    np.testing.assert_allclose(found.displacement[:3], place - soft.component.point, atol=1e-7)
+    np.testing.assert_allclose(found.displacement[:3], place - own, atol=1e-7)
     spin = rotation_vector(turned @ rotation(bar.displacement[3:]))
     np.testing.assert_allclose(found.displacement[3:], spin, atol=1e-7)
     carried = np.concatenate(

@@ -49,16 +49,16 @@ def test_a_component_has_its_groups_its_section_and_its_frame():
     built = component()
     assert built.mesh.unknowns == 423
     assert (built.mesh.points[built.fixed_nodes][:, 0] == 0.0).all()
-    assert len(built.fixed_nodes) == len(built.section.node_ids) == 21
-    assert built.section.area == pytest.approx(1e-4, rel=1e-12)
-    assert built.section.by_area
-    np.testing.assert_allclose(built.point, [0.02, 0.005, 0.005], atol=1e-15)
+    assert len(built.fixed_nodes) == len(built.interfaces[0].section.node_ids) == 21
+    assert built.interfaces[0].section.area == pytest.approx(1e-4, rel=1e-12)
+    assert built.interfaces[0].section.by_area
+    np.testing.assert_allclose(built.interfaces[0].point, [0.02, 0.005, 0.005], atol=1e-15)
     np.testing.assert_array_equal(built.axes, np.eye(3))
-    assert (built.coupling, built.locked) == ("distributed", ())
+    assert (built.interfaces[0].coupling, built.interfaces[0].locked) == ("distributed", ())
 
 
 def test_a_point_that_is_given_is_taken():
-    assert component(interface__point=[0, 1, 2]).point.tolist() == [0, 1, 2]
+    assert component(interface__point=[0, 1, 2]).interfaces[0].point.tolist() == [0, 1, 2]
 
 
 def test_each_cell_has_the_material_of_its_region():
@@ -76,7 +76,7 @@ def test_all_fills_what_no_other_material_names():
 
 
 def test_section_weights_integrate_a_constant_and_a_linear_field():
-    section = component().section
+    section = component().interfaces[0].section
     points = component().mesh.points[section.node_ids]
     assert section.weights.sum() == pytest.approx(1e-4, rel=1e-12)
     assert section.weights @ points[:, 1] == pytest.approx(1e-4 * 0.005, rel=1e-12)
@@ -90,17 +90,19 @@ def test_a_node_group_weighs_by_the_faces_whose_nodes_are_all_in_it(tmp_path):
     built = component(tmp_path, mesh=file, supports__fixed=["root"])
     assert "tip" in built.mesh.node_groups
     assert "tip" not in built.mesh.facet_groups
-    facets = component(tmp_path, mesh=file, interface__section="skin").section
-    np.testing.assert_array_equal(built.section.node_ids, facets.node_ids)
-    np.testing.assert_allclose(built.section.weights, facets.weights, atol=1e-18)
+    facets = component(tmp_path, mesh=file, interface__section="skin").interfaces[0].section
+    np.testing.assert_array_equal(built.interfaces[0].section.node_ids, facets.node_ids)
+    np.testing.assert_allclose(built.interfaces[0].section.weights, facets.weights, atol=1e-18)
 
 
 def test_a_node_group_without_a_whole_face_weighs_every_node_the_same(tmp_path):
     text = (FILES / "tet10.inp").read_text() + "*NSET, NSET=bolts\n9, 10, 12\n"
     (tmp_path / "a.inp").write_text(text)
-    section = component(
-        tmp_path, mesh={"file": "a.inp", "unit": "mm"}, interface__section="bolts"
-    ).section
+    section = (
+        component(tmp_path, mesh={"file": "a.inp", "unit": "mm"}, interface__section="bolts")
+        .interfaces[0]
+        .section
+    )
     assert not section.by_area
     np.testing.assert_allclose(section.weights, 1 / 3)
     np.testing.assert_allclose(section.centre, [0.02, 0.01 / 3, 0.01 / 3])
@@ -154,8 +156,8 @@ def test_a_table_only_component_cannot_be_built():
 def test_the_shipped_components_build(name, area, centre, fixed_area):
     built = build(read_bundle(SHIPPED / name))
     assert built.mesh.unknowns < 15_000
-    assert built.section.area == pytest.approx(area, rel=1e-12)
-    np.testing.assert_allclose(built.section.centre, centre, atol=1e-12)
+    assert built.interfaces[0].section.area == pytest.approx(area, rel=1e-12)
+    np.testing.assert_allclose(built.interfaces[0].section.centre, centre, atol=1e-12)
     (fixed,) = built.bundle.supports.fixed
     support = section_of_facets(built.mesh.points, built.mesh.facet_groups[fixed])
     assert support.area == pytest.approx(fixed_area, rel=1e-12)
@@ -164,6 +166,6 @@ def test_the_shipped_components_build(name, area, centre, fixed_area):
 
 def test_the_spring_is_held_on_its_axis_and_guided():
     built = build(read_bundle(SHIPPED / "spring"))
-    assert built.point.tolist() == [0, 0, 0.088]
-    assert built.coupling == "rigid"
-    assert built.locked == ("ux", "uy", "rx", "ry")
+    assert built.interfaces[0].point.tolist() == [0, 0, 0.088]
+    assert built.interfaces[0].coupling == "rigid"
+    assert built.interfaces[0].locked == ("ux", "uy", "rx", "ry")

@@ -11,10 +11,10 @@ from tests.fea.supports import PLANES, largest, mistakes, part, stress, turned
 from tests.validation import calculix, second_opinion
 from tests.validation.patch import distort
 from wrenchbook.fea.check.findings import motion_problems
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.inspection import bodies_of, coincident_nodes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
+from wrenchbook.fea.tensors import rotation
 
 TURN = rotation(np.array([0.4, -0.7, 0.3]))
 CORNER = {"coupling": "rigid", "point": [0, 0, 1], "locked": ["ux", "uy", "rx", "ry", "rz"]}

@@ -14,11 +14,11 @@ from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import warnings_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.fea.tensors import rotation
 
 ALUMINIUM = {
     "region": "all",

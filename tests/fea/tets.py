@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.validation.clamped import attached
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 
@@ -62,10 +63,10 @@ def _rebuilt(part, points, cells, groups):
     }
     mesh = Mesh(points[used], (CellBlock("tet10", numbered.reshape(cells.shape)),), {}, own)
     bundle = part.bundle
-    return replace(
+    moved = replace(
         part,
         mesh=mesh,
         material_of_cells=(np.zeros(len(cells), dtype=int),),
         fixed_nodes=own[bundle.supports.fixed[0]].node_ids,
-        section=section_of_facets(mesh.points, own[bundle.interface.section]),
     )
+    return attached(moved, section=section_of_facets(mesh.points, own[bundle.interface.section]))

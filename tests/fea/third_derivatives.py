@@ -6,6 +6,7 @@ from itertools import combinations_with_replacement, pairwise, permutations
 
 import numpy as np
 
+from wrenchbook.fea.element.cell_state import CellState
 from wrenchbook.fea.solver.third_derivatives import load_rates, third_derivatives
 
 
@@ -43,7 +44,7 @@ def strain_part(solver, balance, tangent):
     rates = rates_of(solver, balance, tangent)[np.ix_(active, active)]
     fields = tangent.nodal_response[:, :, active] @ np.linalg.inv(rates)
     body = solver._system.body.at(solver._system.temperature(inputs))
-    return body.third(balance.state.nodes, fields), active
+    return body.derivatives(CellState.third, balance.state.nodes, fields), active
 
 
 def asymmetry(solver, inputs):

@@ -78,7 +78,8 @@ def with_second(part, section, *, coupling="rigid", point=None, axes=None, locke
     place = own.centre if point is None else np.asarray(point, dtype=float)
     frame = np.eye(3) if axes is None else np.asarray(axes, dtype=float)
     right = AttachedInterface("interface[1]", "right", own, place, frame, coupling, tuple(locked))
-    return replace(part, name="left", others=(right,))
+    left = replace(part.interfaces[0], key="interface[0]", name="left")
+    return replace(part, interfaces=(left, right))
 
 
 def wobble(points):

@@ -138,7 +138,6 @@ def test_of_rows_close_together_the_nearest_is_found_and_of_equally_near_ones_th
     asked = base + 2e-7 * HIGH
     assert index.places(asked).tolist() == list(range(300))
     assert index.places(base + 4e-7 * HIGH).tolist() == list(range(300, 600))
-    assert [index.place(one) for one in asked.tolist()] == list(range(300))
     assert (index.places(base - 1.1e-6 * HIGH) == -1).all()
-    assert index.place([1e300] * 6) == -1
+    assert index.places(np.full((1, 6), 1e300)).tolist() == [-1]
     assert index.places(np.full((1, 6), 1e308)).tolist() == [-1]

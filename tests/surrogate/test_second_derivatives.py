@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.surrogate.tables.write import HERE
-from wrenchbook.fea.coupling.rotation import spin_per_vector, spin_slope
+from wrenchbook.fea.tensors import spin_per_vector, spin_slope
 from wrenchbook.surrogate.table.second_derivatives import moment_map, symmetric_tangents
 from wrenchbook.surrogate.table.space import DEFAULT, Floats, Input, Space, space_of
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from tests.validation.boxes import box
-from tests.validation.clamped import clamped, shipped
+from tests.validation.clamped import attached, clamped, shipped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.solve import Solver
 
@@ -71,7 +70,7 @@ def betti() -> Iterator[Finding]:
     for name in ("bar", "plate", "plate_thin", "spring"):
         part = shipped(name)
         for coupling in ("rigid", "distributed"):
-            linear = Solver(replace(part, coupling=coupling)).linear
+            linear = Solver(attached(part, coupling=coupling)).linear
             largest = max(linear.asymmetry, linear.energy_gap)
             quantity = f"{name}, {coupling}: asymmetry, and gap to the strain energies, relative"
             source = "Betti 1872, Clapeyron"

@@ -14,12 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tests.validation.clamped import attached
 from tests.validation.finding import Finding
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.coupling import each_interface
-from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.export.calculix import deck_of, further_placeholder, placeholders
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.tensors import spin_per_vector
 
 Array = np.ndarray
 
@@ -105,9 +106,9 @@ def solve_distributed(
     wrench goes in as nodal forces w_i (F + m x rho_i), area-weighted, and the interface
     displacement is the least-squares rigid motion of the section's nodes.
     """
-    weights = part.section.weights / part.section.weights.sum()
-    places = (part.mesh.points - part.point) @ part.axes.T
-    own = places[part.section.node_ids]
+    weights = part.interfaces[0].section.weights / part.interfaces[0].section.weights.sum()
+    places = (part.mesh.points - part.interfaces[0].point) @ part.axes.T
+    own = places[part.interfaces[0].section.node_ids]
     centre = weights @ own
     arms = own - centre
     inertia = (weights * (arms**2).sum(axis=1)).sum() * np.eye(3) - (arms.T * weights) @ arms
@@ -115,7 +116,7 @@ def solve_distributed(
     spin = np.linalg.solve(inertia, moment - np.cross(centre, force))
     loads = weights[:, None] * (force + np.cross(spin, arms))
     rows, seconds = _run(_with_loads(part, loads), timeout)
-    moved = np.array([rows[int(node) + 1] for node in part.section.node_ids])
+    moved = np.array([rows[int(node) + 1] for node in part.interfaces[0].section.node_ids])
     rotation = np.linalg.solve(inertia, weights @ np.cross(arms, moved))
     return CalculixResult(
         np.concatenate([weights @ moved - np.cross(rotation, centre), rotation]), seconds
@@ -125,11 +126,11 @@ def solve_distributed(
 def _with_loads(part: ComponentModel, loads: Array) -> str:
     """Return the deck with nodal loads, shape (k, 3), N, in place of the rigid body."""
     linear = replace(part.analysis, nonlinear=False)
-    deck = deck_of(replace(part, coupling="rigid", analysis=linear))
+    deck = deck_of(attached(replace(part, analysis=linear), coupling="rigid"))
     above = deck[: deck.index("*CLOAD")].splitlines()
     lines = [line for line in above if not line.startswith("*RIGID BODY, NSET=SECTION")]
     lines.append("*CLOAD")
-    for node, load in zip(part.section.node_ids + 1, loads, strict=True):
+    for node, load in zip(part.interfaces[0].section.node_ids + 1, loads, strict=True):
         lines += [f"{node}, {i + 1}, {load[i]:.12e}" for i in range(3)]
     return "\n".join([*lines, f"{_ENDING}, NSET=SECTION", "U", "*END STEP"]) + "\n"
 
@@ -175,12 +176,12 @@ def same_mesh(
     """Compare one solve on one mesh: the largest relative difference of the six components."""
     part = replace(part, analysis=replace(part.analysis, nonlinear=nonlinear))
     kind = "nonlinear" if nonlinear else "linear"
-    quantity = f"{name}, {part.coupling}, {kind}: worst of six components, relative"
+    quantity = f"{name}, {part.interfaces[0].coupling}, {kind}: worst of six components, relative"
     if not installed():
         yield Finding(quantity, _SOURCE, missing=ABSENT)
         return
     found = Solver(part).solve(wrench).displacement
-    if part.coupling == "rigid":
+    if part.interfaces[0].coupling == "rigid":
         reply = solve_rigid(part, wrench, found[3:] if nonlinear else None)
     else:
         reply = solve_distributed(part, wrench)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.component import ComponentModel, build
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.material import Material
@@ -59,13 +60,15 @@ def clamped(
         materials=bundle.materials,
         material_of_cells=tuple(np.zeros(len(block), dtype=int) for block in mesh.blocks),
         fixed_nodes=mesh.facet_groups[fixed].node_ids,
-        section=part,
-        point=place,
-        axes=interface.axes,
-        coupling=coupling,
-        locked=(),
+        interfaces=(AttachedInterface("interface", "", part, place, frame, coupling, ()),),
         analysis=bundle.analysis,
     )
+
+
+def attached(part: ComponentModel, **changes: Any) -> ComponentModel:
+    """Return a component whose first interface has another coupling, locked freedoms or point."""
+    first, *others = part.interfaces
+    return replace(part, interfaces=(replace(first, **changes), *others))
 
 
 def _bundle(material: Material, fixed: str, interface: Interface, nonlinear: bool) -> Bundle:

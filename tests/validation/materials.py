@@ -12,8 +12,8 @@ from tests.validation.calculix import same_mesh
 from tests.validation.clamped import clamped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.spec.material import Cylinder, Material, Orthotropic
+from wrenchbook.fea.tensors import rotation
 
 Array = np.ndarray
 

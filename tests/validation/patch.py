@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from tests.validation.boxes import box
-from tests.validation.clamped import Warp, clamped
+from tests.validation.clamped import Warp, attached, clamped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.tensors import rotation
 
 Array = np.ndarray
 
@@ -130,9 +130,8 @@ def turned_component() -> Iterator[Finding]:
             mesh, "x0", "x1", (70e9, 0.33), coupling=coupling, nonlinear=True, point=point
         )
         shift = np.array([1.0, -2.0, 3.0])
-        moved = replace(
-            part,
-            mesh=replace(mesh, points=mesh.points @ R.T + shift),
+        moved = attached(
+            replace(part, mesh=replace(mesh, points=mesh.points @ R.T + shift)),
             point=R @ point + shift,
             axes=part.axes @ R.T,
         )

@@ -16,13 +16,14 @@ import math
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tests.validation import calculix
 from tests.validation.calculix import LINEAR, NONLINEAR
+from tests.validation.clamped import attached
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.element.pressure_projection import projects
@@ -74,13 +75,13 @@ class Opinion:
 
 def comparable(part: ComponentModel) -> tuple[ComponentModel, tuple[str, ...]]:
     """Return the component that both can solve, and how it differs from the user's."""
-    if part.coupling == "rigid" or not part.analysis.nonlinear:
+    if part.interfaces[0].coupling == "rigid" or not part.analysis.nonlinear:
         return part, ()
     notes = (
         "CalculiX does not report the motion of a distributing coupling: both solve the component "
         'with coupling = "rigid" in its place, so the answers are not those of the component',
     )
-    return replace(part, coupling="rigid"), notes
+    return attached(part, coupling="rigid"), notes
 
 
 def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIMEOUT) -> Opinion:
@@ -100,7 +101,7 @@ def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIM
     tolerance = NONLINEAR if nonlinear else LINEAR
     try:
         own = solver.solve(loads)
-        if part.coupling == "rigid":
+        if part.interfaces[0].coupling == "rigid":
             rotation = own.displacement[3:] if nonlinear else None
             reply = calculix.solve_rigid(part, loads, rotation, timeout=timeout)
         else:
@@ -224,7 +225,7 @@ def _made_ready(
         raise BundleError([BundleProblem(key, message)])
     part, notes = comparable(build(bundle))
     wrenches = chosen_wrenches(part, texts)
-    deck_of(replace(part, coupling="rigid"))  # what CalculiX has no counterpart of, before a solve
+    deck_of(attached(part, coupling="rigid"))  # what CalculiX has no counterpart of, before a solve
     return Solver(part), wrenches, [*notes, *_projections(part)]
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tests.validation.calculix import same_mesh
-from tests.validation.clamped import shipped
+from tests.validation.clamped import attached, shipped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
@@ -142,7 +142,7 @@ def calculix() -> Iterator[Finding]:
     for load in (1.0, 10.0):
         wrench = [0.0, 0.0, -load, 0.0, 0.0, 0.0]
         yield from same_mesh(f"{load:g} N", part, wrench, nonlinear=False)
-    free = replace(part, locked=())
+    free = attached(part, locked=())
     wrench = [0.1, -0.1, -1.0, 1e-3, 2e-3, -1e-3]
     yield from same_mesh("1 N, no guide, all six loads", free, wrench, nonlinear=False)
     coarse = shipped("spring", cells_per_turn=12)

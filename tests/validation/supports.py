@@ -13,8 +13,8 @@ from tests.validation.clamped import clamped
 from tests.validation.finding import Finding, case
 from tests.validation.patch import MATERIAL, distort
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.coupling.rotation import rotation, skew
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.tensors import rotation, skew
 
 Array = np.ndarray
 
@@ -44,7 +44,7 @@ def sliding_stretch() -> Iterator[Finding]:
 def bushing_adds() -> Iterator[Finding]:
     """Bar on an elastic bushing with a full 6x6 stiffness, askew and off its section."""
     part = on_bushing()
-    (own, stiffness), arm = part.bushings[0], part.point - part.bushings[0][0].point
+    (own, stiffness), arm = part.bushings[0], part.interfaces[0].point - part.bushings[0][0].point
     at_bushing = np.eye(6)
     at_bushing[3:, :3] = skew(arm)
     at_bushing = np.kron(np.eye(2), own.axes) @ at_bushing

@@ -6,8 +6,8 @@ import pytest
 from tests.fea import calculix
 from tests.fea.boxes import box
 from tests.fea.components import component
-from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.tensors import spin_per_vector
 
 pytestmark = pytest.mark.ccx
 

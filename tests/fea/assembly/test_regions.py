@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.fea.boxes import box
-from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.material import Material
@@ -23,11 +23,9 @@ def two_materials(mesh, is_soft):
         materials=(Material("stiff", STIFF, 0.0), Material("soft", SOFT, 0.0)),
         material_of_cells=tuple(is_soft(m).astype(int) for m in middles),
         fixed_nodes=mesh.facet_groups["z0"].node_ids,
-        section=section,
-        point=section.centre,
-        axes=np.eye(3),
-        coupling="rigid",
-        locked=(),
+        interfaces=(
+            AttachedInterface("interface", "", section, section.centre, np.eye(3), "rigid", ()),
+        ),
         analysis=Analysis(nonlinear=False),
     )
 

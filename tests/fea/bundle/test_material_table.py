@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.validation.clamped import attached
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.bundle.tables import MaterialTable
@@ -111,7 +112,7 @@ def test_law_and_constants_are_in_the_fingerprint_and_an_isotropic_ones_is_as_it
 def test_a_linear_deck_of_rubber_is_elastic_because_calculix_makes_hyperelastic_nonlinear():
     part = build(read_bundle(SHIPPED / "plate_thin"))
     rubber = replace(part.materials[0], law="neo-hookean")
-    part = replace(part, coupling="rigid", materials=(rubber,))
+    part = attached(replace(part, materials=(rubber,)), coupling="rigid")
     assert "*HYPERELASTIC, NEO HOOKE" in deck_of(part)
     linear = replace(part, analysis=replace(part.analysis, nonlinear=False))
     assert "*HYPERELASTIC" not in deck_of(linear)

@@ -14,9 +14,9 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text, report
 from wrenchbook.fea.check.trial import strength
 from wrenchbook.fea.component import build
-from wrenchbook.fea.element.equivalent_stress import von_mises
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import DeclaredRange
+from wrenchbook.fea.tensors import von_mises
 
 
 def bar(tmp_path, **changes):

@@ -14,11 +14,11 @@ from tests.fea.decks import SOFT, WRENCH, component
 from tests.until import until
 from wrenchbook.fea import readers
 from wrenchbook.fea.bundle.read import BundleError
-from wrenchbook.fea.coupling.rotation import spin_per_vector
 from wrenchbook.fea.deck.running import deck_report, filled
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers import NumbersReader, Reading
 from wrenchbook.fea.solve import solve
+from wrenchbook.fea.tensors import spin_per_vector
 
 NUMBER = st.floats(allow_nan=False, allow_infinity=False)
 

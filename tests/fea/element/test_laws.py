@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.fea.boxes import box
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.element.neo_hookean import NeoHookeanStiffness
 from wrenchbook.fea.element.pressure_projection import volume_modes
 from wrenchbook.fea.element.st_venant_kirchhoff import (
@@ -16,6 +15,7 @@ from wrenchbook.fea.element.st_venant_kirchhoff import (
 )
 from wrenchbook.fea.mesh.mapping import cell_gradients
 from wrenchbook.fea.spec.material import Orthotropic
+from wrenchbook.fea.tensors import rotation
 
 RNG = np.random.default_rng(17)
 STRAIGHT = np.eye(3)

@@ -6,8 +6,8 @@ import pytest
 from tests.fea import components
 from tests.fea.boxes import box
 from tests.fea.components import component
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.tensors import rotation
 
 KINDS = ["hex8", "hex20", "hex27", "tet4", "tet10", "wedge6", "wedge15"]
 RNG = np.random.default_rng(2)

@@ -104,12 +104,12 @@ def test_a_flat_rubber_strip_is_as_stiff_as_the_closed_form_of_a_layer():
     part = component(mesh, young=young, poisson=poisson, locked=("uy", "rx", "ry", "rz"))
     # Plane strain: the sides are held across, which the supports of a component cannot say.
     unknown = np.ones((len(mesh.points), 3), dtype=bool)
-    unknown[part.fixed_nodes] = unknown[part.section.node_ids] = False
+    unknown[part.fixed_nodes] = unknown[part.interfaces[0].section.node_ids] = False
     unknown[sides, 1] = False
     assert body.size == len(mesh.points)
     stiffness = dense(body)
     moved = np.zeros((len(mesh.points), 3))
-    moved[part.section.node_ids, 2] = 1.0
+    moved[part.interfaces[0].section.node_ids, 2] = 1.0
     free = np.flatnonzero(unknown)
     moved.ravel()[free] = -np.linalg.solve(
         stiffness[np.ix_(free, free)], (stiffness @ moved.ravel())[free]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.fea.boxes import box
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
 from wrenchbook.fea.mesh.mapping import cell_gradients
+from wrenchbook.fea.tensors import rotation
 
 RNG = np.random.default_rng(5)
 

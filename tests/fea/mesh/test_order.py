@@ -141,6 +141,6 @@ def test_a_bundle_with_first_order_cells_is_refused_with_the_way_out(tmp_path):
 def test_order_2_in_the_bundle_solves_it_and_is_in_the_fingerprint(tmp_path):
     built = build(cube(tmp_path, order=2))
     assert built.mesh.cell_counts == {"hex20": 1}
-    assert len(built.fixed_nodes) == len(built.section.node_ids) == 8
+    assert len(built.fixed_nodes) == len(built.interfaces[0].section.node_ids) == 8
     assert Solver(built).compliance[2, 2] == pytest.approx(0.01 / 1e-4 / 1e9, rel=1e-9)
     assert cube(tmp_path, order=2).fingerprint != cube(tmp_path).fingerprint

@@ -9,10 +9,10 @@ from scipy.linalg import eigh
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.validation.clamped import shipped
-from wrenchbook.fea.coupling.rotation import rotation, skew
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Inertia, Riding
 from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.tensors import rotation, skew
 
 DENSITY, SIZE = 2700.0, (0.05, 0.03, 0.4)
 AXES = rotation(np.array([0.3, -0.5, 0.2]))

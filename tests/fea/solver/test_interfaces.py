@@ -11,12 +11,12 @@ from tests.fea.components import component
 from tests.fea.two_interfaces import column, with_second
 from tests.validation import calculix
 from wrenchbook.fea import solve
-from wrenchbook.fea.coupling.rotation import rotation, skew
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.load_steps import LoadPath
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.schema import FREEDOMS
+from wrenchbook.fea.tensors import rotation, skew
 
 COUPLINGS = ["rigid", "distributed"]
 PAIRS = [(one, other) for one in COUPLINGS for other in COUPLINGS]
@@ -56,7 +56,7 @@ def test_the_compliance_of_two_interfaces_is_symmetric_and_equal_to_its_energies
 @pytest.mark.parametrize("first", COUPLINGS)
 def test_a_free_second_interface_changes_nothing_of_the_first(first):
     both = column(first, "distributed", axes=TURN)
-    alone = Solver(replace(both, name="", others=()))
+    alone = Solver(replace(both, interfaces=both.interfaces[:1]))
     found = Solver(both).compliance[:6, :6]
     scale = np.sqrt(np.outer(*(2 * [np.diagonal(found)])))
     assert (np.abs(found - alone.compliance) <= 1e-14 * scale).all()
@@ -95,12 +95,14 @@ def test_a_link_held_rigidly_is_the_same_link_clamped_there(nonlinear):
 @pytest.mark.parametrize("coupling", COUPLINGS)
 def test_holding_the_other_end_of_a_link_gives_the_same_relative_motion(coupling):
     left = link(first=coupling, coupling="distributed")
-    right = replace(left, locked=(), others=(replace(left.others[0], locked=FREEDOMS),))
+    first, second = left.interfaces
     if coupling == "rigid":
-        right = replace(right, others=(replace(right.others[0], coupling="rigid"),))
-        left = replace(left, others=(replace(left.others[0], coupling="rigid"),))
+        second = replace(second, coupling="rigid")
+        left = replace(left, interfaces=(first, second))
+    held = replace(first, locked=()), replace(second, locked=FREEDOMS)
+    right = replace(left, interfaces=held)
     arm = np.eye(6)
-    arm[:3, 3:] = skew(left.others[0].point - left.point)
+    arm[:3, 3:] = skew(second.point - first.point)
     relative = arm @ Solver(left).compliance[6:, 6:] @ arm.T
     found = Solver(right).compliance[:6, :6]
     np.testing.assert_allclose(found, relative, atol=1e-11 * np.abs(relative).max())
@@ -113,7 +115,7 @@ def test_a_link_held_in_the_mean_stands_still_there_and_its_tangent_is_that_of_i
     solver = Solver(link(first="distributed", nonlinear=nonlinear))
     wrench = np.array([900.0, -500.0, 2e4, 40.0, 60.0, 50.0])
     found = solver.solve({"right": wrench})
-    section = solver.component.section
+    section = solver.component.interfaces[0].section
     mean = section.weights @ found.nodes[section.node_ids] / section.area
     assert not found.displacement[:6].any()
     np.testing.assert_allclose(mean, 0.0, atol=1e-15)
@@ -135,7 +137,7 @@ def test_the_nodes_that_anchor_a_link_held_in_the_mean_change_no_answer(monkeypa
     part = link(first="distributed", nonlinear=True)
     wrench = {"right": [900.0, -500.0, 2e4, 40.0, 60.0, 50.0]}
     found = Solver(part).solve(wrench)
-    nodes = part.section.node_ids[[0, 1, -2]]
+    nodes = part.interfaces[0].section.node_ids[[0, 1, -2]]
     assert set(nodes) != set(solve._anchors(part))
     monkeypatch.setattr(solve, "_anchors", lambda _: nodes)
     other = Solver(part).solve(wrench)
@@ -184,12 +186,12 @@ def test_supports_carry_the_wrenches_of_both_interfaces_in_the_deformed_state():
     found = solver.solve(WRENCH)
     part = solver.component
     forces = solver.body.forces(found.nodes)[0]
-    places = part.mesh.points - part.point
+    places = part.mesh.points - part.interfaces[0].point
     moment, pull = np.zeros(3), np.zeros(3)
     for i, one in enumerate(part.interfaces):
         own, moved = WRENCH[6 * i : 6 * i + 6], found.displacement[6 * i : 6 * i + 6]
         pull += own[:3]
-        moment += own[3:] + np.cross(one.point - part.point + moved[:3], own[:3])
+        moment += own[3:] + np.cross(one.point - part.interfaces[0].point + moved[:3], own[:3])
     fixed = part.fixed_nodes
     np.testing.assert_allclose(forces[fixed].sum(axis=0), -pull, atol=1e-12)
     np.testing.assert_allclose(np.cross(places, forces)[fixed].sum(axis=0), -moment, atol=1e-12)
@@ -269,7 +271,8 @@ def test_a_column_between_two_pushing_interfaces_buckles_by_euler_s_load():
 def test_two_free_interfaces_swing_with_the_part_and_a_mass_on_one_is_refused():
     part = column("rigid", "distributed")
     part = replace(part, materials=(replace(part.materials[0], density=1.0),))
-    alone = Solver(replace(column("distributed"), materials=part.materials, name="", others=()))
+    alone = column("distributed")
+    alone = Solver(replace(alone, materials=part.materials, interfaces=alone.interfaces[:1]))
     found = Solver(part).vibration(Riding.of())
     assert found.interface.shape == (12,)
     assert np.linalg.norm(found.interface) == pytest.approx(1.0)

@@ -47,7 +47,7 @@ def test_a_slender_bar_is_timoshenkos_beam(coupling):
 def test_an_offset_interface_point_moves_rigidly_with_the_section(coupling):
     offset = np.array([0.1, -0.2, 0.05])
     at_centre = Solver(slender(coupling=coupling))
-    centre = at_centre.component.point
+    centre = at_centre.component.interfaces[0].point
     offset_point = Solver(slender(coupling=coupling, point=centre + offset))
     x, y, z = offset
     carry = np.eye(6)

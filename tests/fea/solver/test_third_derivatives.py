@@ -15,9 +15,9 @@ from tests.fea.two_interfaces import column
 from tests.validation.clamped import shipped
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.component import build
-from wrenchbook.fea.coupling.rotation import rotation
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.third_derivatives import third_derivatives
+from wrenchbook.fea.tensors import rotation
 
 SHIPPED = {
     "plate_thin": ({"cells": 2, "rings": 2, "layers": 1}, 0.02),

@@ -12,8 +12,8 @@ import pytest
 from tests.surrogate.kernel.kinds import KINDS, RANGE, asked_of, packed_of, special_of, table_of
 from wrenchbook.surrogate.answer import ANSWERED, METHODS, NAMES, UnknownMethodError
 from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.kernel import binding
 from wrenchbook.surrogate.kernel import build as kernel_build
-from wrenchbook.surrogate.kernel import library
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import write_file
 from wrenchbook.surrogate.kernel.replies import InverseError
@@ -77,14 +77,14 @@ def test_other_optimisation_and_vectors_change_no_bit(kind, tmp_path, monkeypatc
     subprocess.run([*command, "-lm", "-lpthread"], check=True)
     packed, asked = packed_of(kind), asked_of(table_of(kind), 300)
     expected = packed.batch(asked), packed.derivatives(asked[:50])
-    monkeypatch.setattr(library, "ready_library", lambda: other)
-    library.kernel.cache_clear()
+    monkeypatch.setattr(binding, "ready_library", lambda: other)
+    binding.kernel.cache_clear()
     try:
         again = packed_of.__wrapped__(kind)
         found = again.batch(asked), again.derivatives(asked[:50])
     finally:
         monkeypatch.undo()
-        library.kernel.cache_clear()
+        binding.kernel.cache_clear()
     for one, two in zip((*found[0], found[1]), (*expected[0], expected[1]), strict=True):
         np.testing.assert_array_equal(one, two)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.surrogate.law.answer import Answer, Batch, within
 from wrenchbook.surrogate.answer import COVERED
 from wrenchbook.surrogate.build import STEEPER, Group
-from wrenchbook.surrogate.table.rows import Floats, Rows, acting, acting_one, without_locked
+from wrenchbook.surrogate.table.rows import Floats, Rows, acting, acting_one
 
 
 class Beside(NamedTuple):
@@ -66,7 +66,7 @@ class RowLaw:
             What the distance from the row may add to its bar.
         """
         wrench = acting_one(wrench, self._locked)
-        place = self.index.place(wrench)
+        place = self._place(wrench)
         return None if place < 0 else self._told_by(place, np.array(wrench, dtype=float), allowed)
 
     def put_into(self, asked: Floats, found: Batch, allowed: Sequence[float]) -> Batch:
@@ -79,21 +79,27 @@ class RowLaw:
                 found.coverage[place] = COVERED
         return found
 
+    def _place(self, wrench: Sequence[float]) -> int:
+        return int(self.index.places(np.array([wrench], dtype=float))[0])
+
     def near(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
         return self.index.places(acting(wrenches, self._locked)) >= 0
 
     def wrench_at(self, wrench: Sequence[float]) -> Floats | None:
         """Return the wrench (6,), N and N·m, of the row at or beside one, if there is one."""
-        place = self.index.place(acting_one(wrench, self._locked))
+        place = self._place(acting_one(wrench, self._locked))
         return None if place < 0 else self.wrenches[place]
 
     def tangent(self, wrench: Sequence[float]) -> Floats:
         """Return the tangent (6, 6), SI, of the row at or near a wrench (6,); NaN if none has."""
-        place = self.index.place(acting_one(wrench, self._locked))
+        place = self._place(acting_one(wrench, self._locked))
         if place < 0:
             return np.full(self.told.compliance.shape[1:], np.nan)
-        return without_locked(self.told.compliance[self.owner[place]], self._locked)
+        found = self.told.compliance[self.owner[place]].copy()
+        locked = list(self._locked)
+        found[..., locked] = np.where(np.isnan(found[..., locked]), np.nan, 0.0)
+        return found
 
     def has(self, wrench: Sequence[float]) -> bool:
         """Return whether the row at or beside a wrench (6,), N and N·m, has just that."""

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wrenchbook.surrogate.axes.axes import NO_ROWS, OFF_HULL, Axes, Composed
-from wrenchbook.surrogate.axes.axis_table import DEGENERATE, LARGEST, SOUND, AxisTable
-from wrenchbook.surrogate.error_law import FEWEST
+from wrenchbook.surrogate.axes.axis_table import DEGENERATE, FEWEST, LARGEST, SOUND, AxisTable
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.rows import CLEAN, Floats
 from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS

@@ -54,7 +54,7 @@ def solved(
         told = part.estimate(wrench, tolerance, method).method
         bars = np.full(6, np.nan)
         if told == "row":
-            place = part.by_row.index.place(acting_one(wrench, table.locked))
+            place = int(part.by_row.index.places(np.array([acting_one(wrench, table.locked)]))[0])
             bars = part.row_uncertainty[part.merged.owner[place]]
         elif told == "linear" and table.linear and part.fit.complete:
             most = np.abs(part.fit.matrix) @ table.load_range.scale

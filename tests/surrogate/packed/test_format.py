@@ -8,9 +8,9 @@ import pytest
 
 from tests.surrogate.kernel.kinds import asked_of, packed_of, table_of
 from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.kernel import format as packed_format
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import PackedTableError, map_file, pieces, read, write_file
-from wrenchbook.surrogate.packed import format as packed_format
 from wrenchbook.surrogate.packed.writer import pack
 
 HEADER = 64

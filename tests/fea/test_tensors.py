@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from wrenchbook.fea.coupling.rotation import (
+from wrenchbook.fea.tensors import (
     rotation,
     rotation_derivatives,
     rotation_less_identity,

@@ -1,10 +1,16 @@
-"""Rotation vectors: the exponential map and the spin of a changing rotation vector."""
+"""Tensors of three dimensions: symmetric ones as six numbers, von Mises stress, rotation vectors.
+
+Numpy only: a web process may import it too.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 Array = np.ndarray
+
+ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+"""Of the six numbers of a symmetric 3x3 matrix: xx, yy, zz, xy, xz, yz."""
 
 _DERIVATIVE_TERMS = 30
 """Terms of exp: at 2 rad, the most that Newton's method lets pass, 2^26 / 26! is below 1e-18."""
@@ -111,3 +117,13 @@ def _series(square: complex, start: int) -> complex:
         term = -term * square / ((2 * k + start - 1) * (2 * k + start))
         total = total + term
     return total
+
+
+def von_mises(stress: Array) -> Array:
+    """Return the von Mises stress, shape (...), Pa, of stresses, shape (..., 6), Pa.
+
+    The six are xx, yy, zz, xy, xz, yz; any other unit goes through as it is.
+    """
+    xx, yy, zz, xy, xz, yz = np.moveaxis(stress, -1, 0)
+    normal = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2
+    return np.asarray(np.sqrt(0.5 * normal + 3.0 * (xy**2 + xz**2 + yz**2)))
