@@ -1,4 +1,4 @@
-/* What one axis answers: surrogate/composition/axis_table.py builds it. MIT license. */
+/* What one axis answers. MIT license. */
 #include "wb_internal.h"
 
 #include <math.h>
@@ -18,7 +18,7 @@ static int64_t point_of(const wb_composition *c, int simplex, int corner) {
 }
 
 /* Outputs and errors at a point of a simplex. Linear interpolation of |x|^2 / 2 errs by
- * S = 1/2 sum of shares |x - x_v|^2, of a response by sqrt(A + C S^2): error_law.py */
+ * S = 1/2 sum of shares |x - x_v|^2, of a response by sqrt(A + C S^2) */
 static void read_values(const wb_composition *c, int axis, int simplex, const double at[3],
                         const double shares[4], wb_part *part) {
     const double *error = c->error + 12 * axis;

@@ -1,4 +1,4 @@
-/* Three axes to one answer: surrogate/composition builds their tables. MIT license.
+/* Three axes to one answer. MIT license.
  *
  * All six outputs are composed, u = u(0) + sum over axes of (axis - u(0)) - sum over moments of
  * (that moment alone - u(0)), their errors in quadrature; `own` keeps each translation of its own

@@ -1,4 +1,4 @@
-/* The Gaussian process over all rows: surrogate/kriging. MIT license.
+/* The Gaussian process over all rows. MIT license.
  *
  * Rows are innermost and padded to whole vectors; rows of the padding weigh nothing. Sums run in
  * WB_LANES partial sums, in the order of the rows.
@@ -18,7 +18,7 @@
 #endif
 
 /* Of squared scaled distances: rows as near as this are equally near, and the first is taken, so
- * that rounding does not choose. surrogate/kriging/factor.py */
+ * that rounding does not choose. */
 static const double TIE = 1e-10;
 
 /* exp(-a) for a >= 0, without branches so that loops become vectors; below 1.2 units in the last
