@@ -165,7 +165,7 @@ def counted(count: int) -> BeforeValidator:
 
 
 def array_of(inner: Any, make: Callable[[Any], Array] = np.array) -> GetPydanticSchema:
-    """Make an array of an `inner` by `make`; one that is an array is taken as it is."""
+    """Make an array, of the shape of an `inner`, by `make`; an array is taken as it is."""
 
     def check(value: object, handler: Callable[[object], Any]) -> Array:
         return value if isinstance(value, np.ndarray) else make(handler(value))
