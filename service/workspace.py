@@ -157,11 +157,10 @@ class Workspace:
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
         self.errors = SolverErrors(self.ledger)
         self.tables = MappedTables(
-            TableStore(settings.data / "tables", self.ledger, self.errors),
+            TableStore(settings.data / "tables", self.ledger, self.errors, settings.method),
             self.library,
             CoordinatorState(settings.data / FOLDER),
             settings.table_memory,
-            settings.method,
         )
         self.fields = FieldStore(settings.data / "fields")
         self.shapes = DeformedSurfaces(self.fields)

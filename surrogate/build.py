@@ -199,9 +199,9 @@ class Group:
         by_axes_or_kriging = self.has_axes or self.by_kriging
         return len(self.used) > 0 and (by_axes_or_kriging or self.is_exact)
 
-    def coverage_summary(self) -> dict[str, Any]:
+    def coverage_summary(self, *, axes: bool = True) -> dict[str, Any]:
         """Return how the rows cover the load range, as JSON-able values; seconds for 100,000."""
-        fit, no_axes = self.fit, self.default == "linear" or not self.has_axes
+        fit, no_axes = self.fit, self.default == "linear" or not (self.has_axes and axes)
         made = self.kriging if self.by_kriging else None
         return {
             "rows": len(self.rows),
@@ -271,9 +271,9 @@ class Table:
             noise[list(group.outputs)] = group.reading[list(group.outputs)]
         return noise
 
-    def coverage_summary(self) -> dict[str, Any]:
-        """Return how the table covers the load range, as JSON-able values."""
-        summary = self.groups[0].coverage_summary() | {
+    def coverage_summary(self, *, axes: bool = True) -> dict[str, Any]:
+        """Return how the table covers the load range, as JSON-able values, with axes or without."""
+        summary = self.groups[0].coverage_summary(axes=axes) | {
             "table_version": self.version,
             "rig_error": self.rig_error.tolist(),
             "noise_of_a_reading": [None if one != one else one for one in self.reading.tolist()],
@@ -325,12 +325,12 @@ def build(
     how: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
     groups = [
         Group(own, load_range, before=known.get(outputs), outputs=outputs, locked=locked, **how)
-        for outputs, own in _by_output(rows)
+        for outputs, own in by_output(rows)
     ]
     return Table(
         rows,
         load_range,
-        tuple(sorted(groups, key=lambda group: len(group.rows))),
+        tuple(groups),
         tolerance,
         linear,
         version,
@@ -340,9 +340,10 @@ def build(
     )
 
 
-def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
+def by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
     """Return which outputs the same rows have, and those rows, 0 in the place of all others.
 
+    Those of the fewest rows come first.
     Their slopes are 0 too, and there are no third derivatives: those of a displacement that is not
     there would contradict it.
     """
@@ -367,4 +368,4 @@ def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
                 "curvature": np.empty((len(some), 0)),
             }
             parts.append((tuple(outputs), replace(some, **changed)))
-    return parts
+    return sorted(parts, key=lambda part: len(part[1]))

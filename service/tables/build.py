@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.program import give_back, usable_cores
@@ -61,11 +62,13 @@ def build_table(
     )
 
 
-def packed_bytes(table: Table, component: Component, origin: dict[str, str] | None = None) -> bytes:
+def packed_bytes(
+    table: Table, component: Component, origin: dict[str, str] | None = None, *, axes: bool = True
+) -> bytes:
     """Return the packed file of a component's table; `origin` is of `TableStore.origin`."""
     name, fingerprint = component.name, component.fingerprint
-    pieces = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT, origin=origin)
-    return b"".join(pieces)
+    how: dict[str, Any] = {"contract": CONTRACT, "origin": origin, "axes": axes}
+    return b"".join(pack(table, component=name, fingerprint=fingerprint, **how))
 
 
 @dataclass
@@ -255,7 +258,8 @@ class TableBuilder:
         before = self._versions.get(name)
         origin, error = self._store.origin(component, number), self._store.solver_error(component)
         table = build_table(component, rows, number, error, before and before.table)
-        content, save_at = packed_bytes(table, component, origin), SAVE_AFTER_QUIET_S
+        content = packed_bytes(table, component, origin, axes=self._store.axes)
+        save_at = SAVE_AFTER_QUIET_S
         try:
             self._store.write_packed(name, number, content)
             content = b""

@@ -26,13 +26,17 @@ def explain(
     -------
     list of dict
         ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
-        numbers of the rows used. They are the compliance's if that answers, the axes' otherwise.
+        numbers of the rows used. They are the compliance's if that answers, the axes' otherwise;
+        none where the kriging does, to which all rows around a wrench contribute together.
     """
     own = table.arrays["space/tolerance"].tolist()
     limit = tolerance or (None if any(map(math.isnan, own)) else own)
     found = []
     for number, group in enumerate(table.words["groups"]):
-        if (method or group["method"]) == "linear" and table.arrays[f"g{number}/flags"][_USED]:
+        name = method or table.method or group["method"]
+        if name == "kriging" and f"g{number}/kriging/x" in table.arrays:
+            continue
+        if name == "linear" and table.arrays[f"g{number}/flags"][_USED]:
             parts = _linear(table, number, wrench, tolerance)
         else:
             parts = [_axis(table, number, axis, wrench, limit) for axis in range(3)]

@@ -15,14 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..answer import METHODS, allowed_by
-from ..build import Group, Table
+from ..axes.axes import build_axes
+from ..build import Group, Table, by_output
 from ..kernel.binding import PackedTable
 from ..kernel.format import pieces
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.factor import Neighbourhoods
 from ..methods import ENOUGH_FULL
-from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats
+from ..table.compliance import fit_compliance
+from ..table.merging import merge
+from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats, LoadRange, Rows
+from ..table.space import Space
 from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
@@ -42,6 +46,7 @@ def pack(
     contract: Mapping[str, Any] | None = None,
     interface: Mapping[str, Any] | None = None,
     origin: Mapping[str, str] | None = None,
+    axes: bool = True,
 ) -> list[bytes]:
     """Return the packed file of a table as pieces of bytes.
 
@@ -53,15 +58,19 @@ def pack(
         Meaning of loads and displacements, in words; stored as they are.
     origin
         Digests of what the table is built from; kept as they are.
+    axes
+        Without, groups whose default is the kriging have no axes: `with_axes` adds them.
     """
     arrays = dict(_space_arrays(table, len(table.groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
     for number, group in enumerate(table.groups):
-        for name, array in _group_arrays(group, sources):
+        for name, array in _group_arrays(group, sources, axes=axes or not group.by_kriging):
             arrays[f"g{number}/{name}"] = array
     # The gaps of each axis; None where the compliance answers, which needs no axes.
     first = table.groups[0]
-    no_axes = not first.has_axes or (table.linear and first.fit.complete)
+    is_shown = axes or not first.by_kriging
+    no_axes = not (first.has_axes and is_shown) or (table.linear and first.fit.complete)
+    lacks_axes = not axes and any(group.has_axes and group.by_kriging for group in table.groups)
     words = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
@@ -69,8 +78,9 @@ def pack(
         "groups": [_group_words(group) for group in table.groups],
         "sources": sources.words,
         "solver_error": None if table.solver_error is None else table.solver_error.values,
-        "summary": table.coverage_summary(),
+        "summary": table.coverage_summary(axes=is_shown),
         "gaps": None if no_axes else first.axes.gaps(table.load_range),
+        "lacks_axes": lacks_axes,
         "provenance": {
             "component": component,
             "fingerprint": fingerprint,
@@ -81,6 +91,28 @@ def pack(
             "linear": table.linear,
         },
     }
+    return pieces(check(arrays), _plain(words))
+
+
+def with_axes(packed: PackedTable, rows: Rows) -> list[bytes]:
+    """Return the file that `pack` makes with axes, of a table that was packed without.
+
+    Nothing but the axes is built; `rows` are those of the table.
+    """
+    arrays, words = dict(packed.arrays), {**packed.words, "lacks_axes": False}
+    low, high = arrays["space/range"]
+    load_range = LoadRange(low, high, Space.read(words["space"]))
+    rows = rows.take(np.argsort(rows.seq, kind="stable"))
+    for number, (_, own) in enumerate(by_output(rows)):
+        if arrays[f"g{number}/flags"][1] == _KRIGING:
+            used, members, _ = merge(own, load_range).usable()
+            fit = fit_compliance(used, load_range, linear=False)
+            axes = build_axes(used, load_range, fit, "correct")
+            named = axes_arrays(axes, members)
+            arrays |= {f"g{number}/axes/{name}": array for name, array in named}
+            if number == 0:
+                words["summary"] = words["summary"] | {"axes": axes.summary()}
+                words["gaps"] = axes.gaps(load_range)
     return pieces(check(arrays), _plain(words))
 
 
@@ -175,7 +207,7 @@ class _Sources:
         return self._numbers[sources]
 
 
-def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]]:
+def _group_arrays(group: Group, sources: _Sources, *, axes: bool) -> Iterator[tuple[str, Array]]:
     """Yield what answers one group of outputs."""
     used, exact = group.can_answer, group.is_exact
     mode, missed = _reference(group, exact) if used else (0, None)
@@ -220,7 +252,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     yield "row/tangent", tangents[has_one]
     yield "row/source", sources.numbers(wrenches)
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
-    if used and group.has_axes:
+    if used and group.has_axes and axes:
         parts.append(("axes", axes_arrays(group.axes, group.members)))
     for name, kriging in (("kriging", group.kriging), ("missed", missed)):
         if kriging is not None:

@@ -41,12 +41,13 @@ Places = NDArray[np.intp]
     responses=answers(dict[str, Any], "hull and gaps"),
 )
 def coverage(name: str, table: Newest) -> Response:
-    gaps = table.packed.words["gaps"]
+    words = table.with_axes().words
+    gaps = words["gaps"]
     if not table.load_range.space.is_default:
         gaps = []  # its table has no axes
     elif gaps is None:
         gaps = table.surrogate().groups[0].axes.gaps(table.load_range)
-    return json_reply({"component": name, **table.summary, "gaps": gaps})
+    return json_reply({"component": name, **words["summary"], "gaps": gaps})
 
 
 @router.get(
