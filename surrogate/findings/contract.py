@@ -70,14 +70,14 @@ def linear_fit(rows: Rows, load_range: LoadRange, response: RobustFit) -> Fit:
         _, sizes, axes = np.linalg.svd(x, full_matrices=False)
         spanned = axes[sizes > 1e-6 * sizes[0]]
         sure_terms = (spanned**2).sum(axis=0) > 1 - 1e-6
-        found = np.linalg.lstsq(x, y, rcond=1e-6)[0]
-        misfit = float(np.sqrt(((y - x @ found) ** 2).mean()))
+        coefficients = np.linalg.lstsq(x, y, rcond=1e-6)[0]
+        misfit = float(np.sqrt(((y - x @ coefficients) ** 2).mean()))
         spread = np.sqrt(np.diag(np.linalg.pinv(x.T @ x, rcond=1e-12)).clip(0.0))
         error = misfit * spread
         noise = response.deviation[output] / np.sqrt(known.sum())
-        matrix[output, used] = found[1:]
+        matrix[output, used] = coefficients[1:]
         sure[output, used] = sure_terms[1:] & (
-            np.abs(found[1:]) > DEVIATIONS * np.hypot(error, noise)[1:]
+            np.abs(coefficients[1:]) > DEVIATIONS * np.hypot(error, noise)[1:]
         )
         loads[used] |= sure_terms[1:]
     return Fit(matrix / load_range.scale, sure & _is_large(matrix), loads)
@@ -104,11 +104,11 @@ def sign_findings(fit: Fit) -> list[RigFinding]:
     if not len(wrong):
         return []
     names = ", ".join(f"{LOADS[k]} on {OUTPUTS[k]}" for k in wrong)
-    whole = len(wrong) == work.sum()
+    all_wrong = len(wrong) == work.sum()
     what = (
         "all loads, or all displacements, have the wrong sign. The wrench acts ON the component: "
         "turn the signs of readings of the opposite wrench, with a mapping such as Fz=-fz [N]"
-        if whole and len(wrong) > 1
+        if all_wrong and len(wrong) > 1
         else "these loads, or these displacements, have the wrong sign or the axes of another "
         "frame (turn one of the two with a mapping such as Fz=-fy [N]; --frame turns both), or "
         "another reference point (--load-point, --displacement-point)"
@@ -128,36 +128,36 @@ def turned_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
         wrong = (count > 0) & (count == both.sum(axis=axis))
         if not wrong.any() or count[wrong].sum() < turned.sum():
             continue
-        found = [names[k] for k in np.flatnonzero(wrong)]
-        whole = wrong.sum() == both.any(axis=axis).sum()
-        what = "all loads, or all displacements," if whole else ", ".join(found)
+        wrong_names = [names[k] for k in np.flatnonzero(wrong)]
+        all_wrong = wrong.sum() == both.any(axis=axis).sum()
+        what = "all loads, or all displacements," if all_wrong else ", ".join(wrong_names)
         message = (
             f"{what} have the opposite sign of the solves: the wrench acts ON the component, in "
             "the interface's axes. Turn the sign with a mapping such as Fz=-fz [N]"
         )
-        return [RigFinding("sign", message, (), {"quantities": found})]
+        return [RigFinding("sign", message, (), {"quantities": wrong_names})]
     return []
 
 
 def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
     """Return findings of forces and moments of another size than the load range."""
-    found = []
+    findings = []
     for name, part in (("forces", slice(0, 3)), ("moments", slice(3, 6))):
         ends = np.abs(load_range.ends[:, part]).max(axis=0)
         largest = np.abs(rows.wrench[:, part]).max(axis=0)
         loaded = (largest > 0) & (ends > CLEAN * np.abs(load_range.ends).max())
         if not loaded.any():
             continue
-        share = float((largest[loaded] / ends[loaded]).max())
-        if SMALL <= share <= LARGE:
+        ratio = float((largest[loaded] / ends[loaded]).max())
+        if SMALL <= ratio <= LARGE:
             continue
-        unit = named_unit(1.0 / share if share < 1 else share)
+        unit = named_unit(1.0 / ratio if ratio < 1 else ratio)
         message = (
-            f"the largest of the {name} is {share:.3g} times the end of the load range: check "
+            f"the largest of the {name} is {ratio:.3g} times the end of the load range: check "
             f"their unit{unit}, or the component's range"
         )
-        found.append(RigFinding("unit", message, (), {"quantity": name, "factor": share}))
-    return found
+        findings.append(RigFinding("unit", message, (), {"quantity": name, "factor": ratio}))
+    return findings
 
 
 def size_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
@@ -210,23 +210,23 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
     quantities = {"translations": 1.0, "rotations": 1.0, "forces": -1.0, "moments": -1.0}
     best = []
     for quantity, power in quantities.items():
-        own = [value for name, value in blocks.items() if quantity in name]
-        if not own:
+        matching = [value for name, value in blocks.items() if quantity in name]
+        if not matching:
             continue
-        factor = float(np.mean(own)) * power
-        left = [
+        factor = float(np.mean(matching)) * power
+        residuals = [
             value - (factor * power if quantity in name else 0.0) for name, value in blocks.items()
         ]
-        best.append((float(np.abs(left).max()), quantity, float(np.exp(factor))))
-    missed, quantity, factor = min(best)
+        best.append((float(np.abs(residuals).max()), quantity, float(np.exp(factor))))
+    residual, quantity, factor = min(best)
     size = float(abs(np.log(factor)))
-    if size <= np.log(least) or missed > min(size / 3, np.log(FAR)):
+    if size <= np.log(least) or residual > min(size / 3, np.log(FAR)):
         return []
     what = "unit" if size > np.log(FAR) else "calibration"
     others = "".join(
         f", or the {name} {times:.3g} times"
         for far, name, times in best
-        if name != quantity and far - missed < TIE
+        if name != quantity and far - residual < TIE
     )
     message = (
         f"the {quantity} are {factor:.3g} times those of the solves{others}: check their "
@@ -241,16 +241,16 @@ def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
         return None
     logs = np.log(np.abs(first / second))
     factor = float(np.exp(np.median(logs)))
-    apart = np.exp(np.abs(logs - np.median(logs))).max()
-    return factor if apart < AGREE and max(factor, 1 / factor) >= least else None
+    deviation = np.exp(np.abs(logs - np.median(logs))).max()
+    return factor if deviation < AGREE and max(factor, 1 / factor) >= least else None
 
 
 def named_unit(factor: float) -> str:
     """Return " (probably ...)" for a factor near that of two units, else nothing."""
     size = max(factor, 1 / factor)
-    for known, words in UNITS.items():
+    for known, description in UNITS.items():
         if abs(np.log(size / max(known, 1 / known))) < np.log(1.15):
-            return f" (a factor of {max(known, 1 / known):g}: {words}?)"
+            return f" (a factor of {max(known, 1 / known):g}: {description}?)"
     return ""
 
 
@@ -272,7 +272,7 @@ def lever_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     after = _asymmetry(moved, load_range)
     if before <= ASYMMETRY or after * BETTER > before or (np.diag(moved) <= 0).any():
         return []
-    load_point, moved_point = (",".join(f"{one:.4g}" for one in sign * lever) for sign in (-1, 1))
+    load_point, moved_point = (",".join(f"{x:.4g}" for x in sign * lever) for sign in (-1, 1))
     message = (
         f"the compliance is unsymmetric by {before:.0%}; it is symmetric to {after:.1%} if the "
         f"point that the moments are about is {np.linalg.norm(lever):.4g} m from the one whose "

@@ -54,10 +54,10 @@ def find(
     rows = looked_at(rows)
     response = response_of(rows, load_range)
     wrong = wrong_rows(rows, load_range, response)
-    found = single_row_findings(rows, response, wrong)
+    findings = single_row_findings(rows, response, wrong)
     good = rows.take(~wrong.any(axis=1))
     if len(good) < MIN_ROWS:
-        return found
+        return findings
     response = response_of(good, load_range)
     fit = linear_fit(good, load_range, response)
     units = [*range_findings(good, load_range), *size_findings(good, response)]
@@ -65,8 +65,8 @@ def find(
     units = units or unit_findings(fit, known, linear=linear)
     # A lever can make a load's own work negative; a wrong sign or unit is no lever.
     contract = units or turned_findings(fit, known) or lever_findings(fit, load_range)
-    found += contract or sign_findings(fit) or asymmetry_findings(fit, load_range)
-    return [*found, *sequence_findings(good, response)]
+    findings += contract or sign_findings(fit) or asymmetry_findings(fit, load_range)
+    return [*findings, *sequence_findings(good, response)]
 
 
 def looked_at(rows: Rows) -> Rows:
@@ -101,8 +101,8 @@ def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
         if len(good) < MIN_ROWS_IN_ORDER:
             return none
         response = response_of(good, load_range)
-    found = sequence_errors(good, response, probable=True)
-    return np.maximum(np.abs(found.drift) + found.loop, 2 * branches(good, load_range))
+    errors = sequence_errors(good, response, probable=True)
+    return np.maximum(np.abs(errors.drift) + errors.loop, 2 * branches(good, load_range))
 
 
 def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> Floats:
@@ -123,17 +123,17 @@ def branches(rows: Rows, load_range: LoadRange) -> Floats:
     each wrench. Readings in two branches are all as far from their mean.
     """
     outputs = rows.displacement.shape[1]
-    groups, found = repeated(rows, load_range), np.zeros(outputs)
+    groups, half_widths = repeated(rows, load_range), np.zeros(outputs)
     for output in range(outputs):
         moved = rows.displacement[:, output]
         measured = np.isfinite(moved)
-        readings = [moved[places][measured[places]] for places in groups]
-        several = [own for own in readings if len(own) > 1]
-        deviations = np.concatenate([np.empty(0), *(own - own.mean() for own in several)])
+        groups_of_values = [moved[indices][measured[indices]] for indices in groups]
+        several = [values for values in groups_of_values if len(values) > 1]
+        deviations = np.concatenate([np.empty(0), *(values - values.mean() for values in several)])
         square = float((deviations**2).mean()) if several else 0.0
         if square <= 0:
             continue
         kurtosis = float((deviations**4).mean()) / square**2
         if kurtosis + 2 * math.sqrt(24 / (len(deviations) - len(several))) < NORMAL:
-            found[output] = math.sqrt(square)
-    return found
+            half_widths[output] = math.sqrt(square)
+    return half_widths
