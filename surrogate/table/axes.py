@@ -100,7 +100,7 @@ class AxisRows:
             self.points[which],
             self.displacement[which],
             self.uncertainty[which],
-            tuple(self.members[place] for place in np.flatnonzero(which)),
+            tuple(self.members[point] for point in np.flatnonzero(which)),
             self.clean[which],
             self.tangent[which],
         )
@@ -147,43 +147,43 @@ def axis_rows(
     loads (and leaves the row out if the fit does not know those loads), "ignore" uses it as it
     is, "exclude" leaves it out.
     """
-    clean = clean_rows(rows, load_range)
-    mine = clean[:, AXES.index(axis)]
-    joining = ~clean.any(axis=1) & (off_axis != "exclude")
+    single_axis = clean_rows(rows, load_range)
+    mine = single_axis[:, AXES.index(axis)]
+    joining = ~single_axis.any(axis=1) & (off_axis != "exclude")
     displacement = rows.displacement.copy() if joining.any() else rows.displacement
     if off_axis == "correct" and joining.any():
         loads = np.where(np.isin(np.arange(6), axis.others), rows.wrench, 0.0)
         joining &= ~((np.abs(loads) > CLEAN * load_range.scale) & ~fit.known).any(axis=1)
         displacement[joining] -= loads[joining] @ fit.matrix.T
     # At the points of clean rows these alone count.
-    inputs, places = list(axis.inputs), np.flatnonzero(mine | joining)
+    inputs, indices = list(axis.inputs), np.flatnonzero(mine | joining)
     if joining.any():
-        group = close_groups((rows.wrench[places] / load_range.scale)[:, inputs])
-        places = places[mine[places] | ~np.isin(group, group[mine[places]])]
+        group = close_groups((rows.wrench[indices] / load_range.scale)[:, inputs])
+        indices = indices[mine[indices] | ~np.isin(group, group[mine[indices]])]
     # Full wrenches may have one point; a row's number is its place, so that these are the members.
     merged = merge(
         replace(
-            rows.take(places),
-            seq=places,
-            wrench=np.where(np.isin(np.arange(6), inputs), rows.wrench[places], 0.0),
-            displacement=displacement[places],
-            curvature=np.empty((len(places), 0)),
+            rows.take(indices),
+            seq=indices,
+            wrench=np.where(np.isin(np.arange(6), inputs), rows.wrench[indices], 0.0),
+            displacement=displacement[indices],
+            curvature=np.empty((len(indices), 0)),
         ),
         load_range,
     )
     # In an order that the rows' order cannot change.
     points = merged.rows.wrench[:, inputs] / load_range.scale[inputs] + 0.0
     order = np.lexsort(points.T[::-1])
-    found = merged.rows.take(order)
-    tangent = found.compliance[:, :, inputs] * load_range.scale[inputs]
-    tangent[~mine[found.seq]] = np.nan  # a full wrench's is not that of its axis' loads alone
+    ordered = merged.rows.take(order)
+    tangent = ordered.compliance[:, :, inputs] * load_range.scale[inputs]
+    tangent[~mine[ordered.seq]] = np.nan  # a full wrench's is not that of its axis' loads alone
     return AxisRows(
         axis=axis,
         points=points[order],
-        displacement=found.displacement,
-        uncertainty=np.nan_to_num(found.uncertainty),
-        members=tuple(merged.members[place] for place in order),
-        clean=mine[found.seq],
+        displacement=ordered.displacement,
+        uncertainty=np.nan_to_num(ordered.uncertainty),
+        members=tuple(merged.members[point] for point in order),
+        clean=mine[ordered.seq],
         tangent=tangent,
     )
 
@@ -228,14 +228,14 @@ def evenly_chosen(points: Floats) -> NDArray[np.bool_]:
         (corners, np.column_stack((radius * np.cos(angle), radius * np.sin(angle), height)))
     )
     most = np.full(len(directions), -np.inf)
-    place = np.zeros(len(directions), dtype=np.intp)
+    outermost = np.zeros(len(directions), dtype=np.intp)
     for start in range(0, len(points), CHUNK):
         along = directions @ points[start : start + CHUNK].T
         best = along.argmax(axis=1)
         value = along[np.arange(len(best)), best]
         better = value > most
-        most[better], place[better] = value[better], start + best[better]
-    chosen[place] = True
+        most[better], outermost[better] = value[better], start + best[better]
+    chosen[outermost] = True
     return chosen
 
 

@@ -58,8 +58,8 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
     if not len(rows):
         return fit
     # Rounding errs too: no bar is 0.
-    full = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
-    moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ full)
+    largest_loads = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
+    moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ largest_loads)
     kinds = load_range.space.largest_of_kind(moved)
     least = np.maximum(ROUNDING * kinds, SMALLEST)
     return replace(fit, error=np.maximum(fit.error, least))
@@ -127,6 +127,6 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
         # others do not span shows nothing: there the bar is what the row moved.
         room = 1.0 - (basis**2).sum(axis=1)[:, None]
         alone = room < LONE
-        missed = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, room))
-        error = conformal_factor(np.abs(missed)) + stored
+        deleted = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, room))
+        error = conformal_factor(np.abs(deleted)) + stored
     return ComplianceFit(matrix, known, error, "fitted", offset)

@@ -84,7 +84,7 @@ class Merged(NamedTuple):
         if self.within.all():
             return self.rows, self.members, self.readings
         inside = np.flatnonzero(self.within)
-        members = tuple(self.members[place] for place in inside)
+        members = tuple(self.members[index] for index in inside)
         return self.rows.take(inside), members, self.readings.take(inside)
 
 
@@ -98,10 +98,12 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     several = np.flatnonzero(sizes > 1)
     present = np.isfinite(rows.displacement)
     solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
-    stated = present & ((rows.uncertainty > 0) | solved[:, None])
-    readings = Readings(np.where(present & ~stated, 1.0, 0.0), np.zeros_like(rows.displacement))
+    is_known = present & ((rows.uncertainty > 0) | solved[:, None])
+    observations = Readings(
+        np.where(present & ~is_known, 1.0, 0.0), np.zeros_like(rows.displacement)
+    )
     if not len(several):
-        return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, readings)
+        return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, observations)
     # The wrench is that of the row with the fewest loads, so that a clean row stays clean and the
     # row at no load at no load; then of the outermost, so that the hull does not shrink.
     loaded = (np.abs(scaled) > CLEAN).sum(axis=1)
@@ -126,15 +128,17 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     for name, values in columns.items():
         merged[name][several] = values
     members = list(zip(rows.seq[first].tolist(), strict=True))
-    for place, group in zip(several.tolist(), np.split(part.seq, starts[1:]), strict=True):
-        members[place] = tuple(group.tolist())
-    apart = np.where(present, part.displacement - mean.repeat(sizes[several], axis=0), 0.0)
-    unstated = ~np.logical_or.reduceat(stated[order], starts)
-    readings = readings.take(first)
-    readings.number[several] = np.where(unstated, np.add.reduceat(present, starts, dtype=float), 0)
-    readings.scatter[several] = np.where(unstated, np.add.reduceat(apart**2, starts), 0.0)
-    kept = replace(rows.take(first), **merged)
-    return Merged(kept, tuple(members), within[first], owner, readings)
+    for index, group in zip(several.tolist(), np.split(part.seq, starts[1:]), strict=True):
+        members[index] = tuple(group.tolist())
+    deviations = np.where(present, part.displacement - mean.repeat(sizes[several], axis=0), 0.0)
+    unknown = ~np.logical_or.reduceat(is_known[order], starts)
+    observations = observations.take(first)
+    observations.number[several] = np.where(
+        unknown, np.add.reduceat(present, starts, dtype=float), 0
+    )
+    observations.scatter[several] = np.where(unknown, np.add.reduceat(deviations**2, starts), 0.0)
+    merged_rows = replace(rows.take(first), **merged)
+    return Merged(merged_rows, tuple(members), within[first], owner, observations)
 
 
 class RowIndex:
@@ -174,18 +178,18 @@ class RowIndex:
 
     def places(self, wrenches: Floats) -> NDArray[np.intp]:
         """Return the row of each wrench (k, 6), N and N·m, shape (k,); -1 where none is near."""
-        found = np.full(len(wrenches), -1, dtype=np.intp)
+        indices = np.full(len(wrenches), -1, dtype=np.intp)
         with np.errstate(over="ignore", invalid="ignore"):  # a load may be 1e300
             keys = wrenches @ self.rates
             first = np.searchsorted(self.keys, keys - WINDOW)
             last = np.searchsorted(self.keys, keys + WINDOW, side="right")
-        for place in np.flatnonzero(first < last).tolist():
-            rows = np.sort(self.order[first[place] : last[place]])
-            apart = (np.abs(self._wrenches[rows] - wrenches[place]) / self._scale).max(axis=1)
-            nearest = np.argmin(apart)  # of equally near rows the first
-            if apart[nearest] <= NEAR:
-                found[place] = rows[nearest]
-        return found
+        for index in np.flatnonzero(first < last).tolist():
+            rows = np.sort(self.order[first[index] : last[index]])
+            distances = (np.abs(self._wrenches[rows] - wrenches[index]) / self._scale).max(axis=1)
+            nearest = np.argmin(distances)  # of equally near rows the first
+            if distances[nearest] <= NEAR:
+                indices[index] = rows[nearest]
+        return indices
 
 
 def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:
@@ -202,24 +206,24 @@ def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
     """
     groups = repeated(rows, load_range)
     size = AGREE * np.abs(np.nan_to_num(rows.displacement)).max(axis=0, initial=0.0)
-    names, found = rows.space.output_names, []
-    for places in groups:
-        moved = rows.displacement[places]
+    names, conflicts = rows.space.output_names, []
+    for indices in groups:
+        moved = rows.displacement[indices]
         spread = np.fmax.reduce(moved) - np.fmin.reduce(moved)  # NaN where none is measured
-        allowed = 2 * np.nan_to_num(rows.uncertainty[places]).max(axis=0) + size
+        allowed = 2 * np.nan_to_num(rows.uncertainty[indices]).max(axis=0) + size
         over = np.flatnonzero(spread > allowed)
         if len(over):
-            wrench = rows.wrench[places[0]].tolist()
-            found.append(
+            wrench = rows.wrench[indices[0]].tolist()
+            conflicts.append(
                 {
-                    "rows": rows.seq[places].tolist(),
+                    "rows": rows.seq[indices].tolist(),
                     "wrench": dict(zip(rows.space.input_names, wrench, strict=True)),
                     "spread": {names[output]: float(spread[output]) for output in over},
                 }
             )
     return {
-        "conflicts": found[:MAX_LISTED],
-        "conflicting_wrenches": len(found),
+        "conflicts": conflicts[:MAX_LISTED],
+        "conflicting_wrenches": len(conflicts),
         "repeated_wrenches": len(groups),
     }
 
@@ -252,17 +256,17 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     distinct = ordered[new]
     # The points that another one may be near to, by what they are along a few directions. Points
     # that are near each other are so along any direction; of points apart few are.
-    left = np.arange(len(distinct))
+    remaining = np.arange(len(distinct))
     directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, distinct.shape[1]))
     for direction in directions:
-        along = distinct[left] @ direction
+        along = distinct[remaining] @ direction
         order = np.argsort(along)
         close = np.diff(along[order]) <= NEAR * direction.sum() * ALONG
-        kept = np.zeros(len(left), dtype=bool)
-        kept[order[1:][close]] = True
-        kept[order[:-1][close]] = True
-        left = left[kept]
-    near = left
+        is_close = np.zeros(len(remaining), dtype=bool)
+        is_close[order[1:][close]] = True
+        is_close[order[:-1][close]] = True
+        remaining = remaining[is_close]
+    near = remaining
     pairs = near[KDTree(distinct[near]).query_pairs(NEAR, p=np.inf, output_type="ndarray")]
     size = len(distinct)
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
@@ -281,9 +285,9 @@ def _several(owner: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp
     return order[sizes[owner[order]] > 1], np.cumsum(several) - several
 
 
-def _means(values: Floats, starts: NDArray[np.intp], whole: tuple[int, ...]) -> Floats:
-    """Return each group's mean, (k, ...), of entries that are known along `whole`; else NaN."""
-    known = np.asarray(np.isfinite(values).all(axis=whole, keepdims=True))
+def _means(values: Floats, starts: NDArray[np.intp], axes: tuple[int, ...]) -> Floats:
+    """Return each group's mean, (k, ...), of entries that are known along `axes`; else NaN."""
+    known = np.asarray(np.isfinite(values).all(axis=axes, keepdims=True))
     count = np.add.reduceat(known, starts, dtype=float)
     total = np.add.reduceat(np.where(known, values, 0.0), starts)
     return np.where(count > 0, total / np.maximum(count, 1.0), np.nan)

@@ -124,8 +124,8 @@ def sync(path: Path) -> None:
 
 def _digest(file: BinaryIO) -> bytes:
     file.seek(USER_BLOCK)
-    whole = blake2b(digest_size=32)
+    digest = blake2b(digest_size=32)
     while piece := file.read(PIECE):
-        whole.update(piece)
+        digest.update(piece)
     file.seek(0)
-    return whole.hexdigest().encode()
+    return digest.hexdigest().encode()
