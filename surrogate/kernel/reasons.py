@@ -51,8 +51,8 @@ class Reason(NamedTuple):
 
 def text_of(reasons: Sequence[Reason], inputs: Sequence[float], packed: Packed) -> str:
     """Return reasons in words, each once, for one wrench of n inputs, N and N·m."""
-    words = [_WORDS[reason.code](reason, inputs, packed) for reason in reasons]
-    return "; ".join(dict.fromkeys(words))
+    texts = [_WORDS[reason.code](reason, inputs, packed) for reason in reasons]
+    return "; ".join(dict.fromkeys(texts))
 
 
 Maker = Callable[[Reason, Sequence[float], Packed], str]
@@ -94,8 +94,8 @@ def _axis_inputs(axis: int) -> tuple[int, int, int]:
 
 
 def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    own = _axis_inputs(reason.axis)
-    return ", ".join(_amount(packed, load, inputs[load]) for load in own if inputs[load])
+    loads = _axis_inputs(reason.axis)
+    return ", ".join(_amount(packed, load, inputs[load]) for load in loads if inputs[load])
 
 
 def _no_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
@@ -105,7 +105,7 @@ def _no_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     """Say which loads leave the rows, and what the rows span."""
-    name, axes, found = "xyz"[reason.axis], f"g{reason.group}/axes/", []
+    name, axes, sentences = "xyz"[reason.axis], f"g{reason.group}/axes/", []
     span = packed.arrays[axes + "span"][reason.axis]
     floats = packed.arrays[axes + "floats"][reason.axis]
     for column, load in enumerate(_axis_inputs(reason.axis)):
@@ -113,15 +113,15 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
         slack = CLEAN * float(floats[column])  # of the scale: a load as near counts as on the hull
         if low - slack <= inputs[load] <= high + slack:
             continue
-        own, unit = _name(packed, load)
+        load_name, unit = _name(packed, load)
         if high - low <= slack:
             only = ", ".join(_name(packed, at)[0] for at in _axis_inputs(reason.axis))
-            where = f": the rows with {only} alone all hold {own} = {low:.6g} {unit}"
+            where = f": the rows with {only} alone all hold {load_name} = {low:.6g} {unit}"
         else:
             where = f" lies outside the rows, which span {low:.6g}..{high:.6g} {unit}"
-        found.append(f"{_amount(packed, load, inputs[load])}{where}")
-    if found:
-        return f"axis {name}: {', '.join(found)}"
+        sentences.append(f"{_amount(packed, load, inputs[load])}{where}")
+    if sentences:
+        return f"axis {name}: {', '.join(sentences)}"
     first = packed.arrays[axes + "point_first"]
     count = int(first[reason.axis + 1] - first[reason.axis])
     amounts = _axis_amounts(reason, inputs, packed)
@@ -231,7 +231,7 @@ FIXED = frozenset({1, 2, 11, 12, 15, 16, 17, 19, 22})
 
 def unmeasured_text(missing: int, packed: Packed) -> str:
     """Return which outputs no row holds, by the bits of a mask; empty if there are none."""
-    names = [one["name"] for one in packed.words["space"]["outputs"]]
+    names = [output["name"] for output in packed.words["space"]["outputs"]]
     read = packed.words.get("scene", {}).get("outputs", names)
-    found = [name for bit, name in enumerate(names) if missing >> bit & 1 and name in read]
-    return f"not measured in any row: {', '.join(found)}" if found else ""
+    unmeasured = [name for bit, name in enumerate(names) if missing >> bit & 1 and name in read]
+    return f"not measured in any row: {', '.join(unmeasured)}" if unmeasured else ""
