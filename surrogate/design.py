@@ -96,8 +96,8 @@ def first_count(span: LoadRange, rows: Rows) -> int:
     Fewer as long as all `rows` of the table bring second derivatives.
     """
     vary = int((span.high > span.low).sum())
-    bent = not len(rows) or (rows.curvature.shape[1] and np.isfinite(rows.curvature).all())
-    return (PER_LOAD_CURVED if bent else PER_LOAD) * vary + FURTHER if vary else 1
+    has_curvature = not len(rows) or (rows.curvature.shape[1] and np.isfinite(rows.curvature).all())
+    return (PER_LOAD_CURVED if has_curvature else PER_LOAD) * vary + FURTHER if vary else 1
 
 
 def first_design(span: LoadRange, known: Known, count: int) -> Floats:
@@ -108,17 +108,17 @@ def first_design(span: LoadRange, known: Known, count: int) -> Floats:
     Fewer come from a span so narrow that there are not as many different wrenches in it.
     """
     middle, half = (span.low + span.high) / 2, (span.high - span.low) / 2
-    at_rest = np.clip(span.space.zero, span.low, span.high)
+    zero_load = np.clip(span.space.zero, span.low, span.high)
     signs = CORNERS if span.space.is_default else np.empty((0, len(half)))
     corners = middle + OUT * signs * half
-    chosen = list(known.new(np.concatenate((at_rest[None], corners))))
+    chosen = list(known.new(np.concatenate((zero_load[None], corners))))
     # A place of the sequence is refused only if it is known already. So many refusals mean that
     # the whole span is.
     last = count + len(known.keys) if half.any() else 0
-    for place in range(1, last + 1):
+    for number in range(1, last + 1):
         if len(chosen) >= count:
             break
-        chosen.extend(known.new(spread_wrenches(span, 1, place)))
+        chosen.extend(known.new(spread_wrenches(span, 1, number)))
     return np.array(chosen[:count]).reshape(-1, len(half))
 
 
@@ -185,8 +185,8 @@ def next_wrenches(
                 known.pending[:0], "met", "the compliance is known in all loads that occur"
             )
         high, low = surrogate.load_range.high, surrogate.load_range.low
-        full = np.where(high > 0, high, low)
-        single = np.diag(np.where(full != 0, full, 1.0))[needed]
+        amounts = np.where(high > 0, high, low)
+        single = np.diag(np.where(amounts != 0, amounts, 1.0))[needed]
         if not len(surrogate.rows):
             single = single[:1]
         fresh = known.new(single)
@@ -197,18 +197,18 @@ def next_wrenches(
         )
     if not (span.high > span.low).any():
         return _first(known.new(span.low[None])[:budget], "the scene has one wrench")
-    left = first_count(span, surrogate.used) - len(surrogate.used) - len(known.pending)
-    if left > 0:
-        more = first_design(span, known, min(budget, left))
+    remaining = first_count(span, surrogate.used) - len(surrogate.used) - len(known.pending)
+    if remaining > 0:
+        more = first_design(span, known, min(budget, remaining))
         return _first(
-            more, f"the first design needs {left} solves; their error bars place the next ones"
+            more, f"the first design needs {remaining} solves; their error bars place the next ones"
         )
     if surrogate.kriging is None:
         more = first_design(span, known, budget)
         return _first(more, "too few rows for error bars: these wrenches are evenly spread")
     limit = tolerance or surrogate.tolerance
-    places = np.delete(np.arange(len(outputs)), surrogate.locked) if for_joint else None
-    return _Refinement(table, known, limit, span, list(outputs), places).design(budget)
+    indices = np.delete(np.arange(len(outputs)), surrogate.locked) if for_joint else None
+    return _Refinement(table, known, limit, span, list(outputs), indices).design(budget)
 
 
 def _first(wrenches: Floats, reason: str) -> Design:
@@ -288,17 +288,17 @@ class _Refinement:
         parts = [self.indefinite, spread_wrenches(self.span, CANDIDATES, start)]
         has_tangents = np.isfinite(self.surrogate.used.compliance).all(axis=(1, 2)).any()
         if self.surrogate.has_axes and not has_tangents:
-            at_rest = np.clip(self.span.space.zero, self.span.low, self.span.high)
+            zero_load = np.clip(self.span.space.zero, self.span.low, self.span.high)
             single = spread_wrenches(self.span, AXIS_CANDIDATES, start)
             parts += [
-                np.where(np.isin(np.arange(6), axis.inputs), single, at_rest) for axis in AXES
+                np.where(np.isin(np.arange(6), axis.inputs), single, zero_load) for axis in AXES
             ]
         candidates = self.known.new(np.concatenate(parts))
         losses, pending = self._losses(candidates), self.known.pending
         if not np.isfinite(losses).all():  # the kriging's own error bars order them all the same
-            own = self.kriging.answer_many(candidates)[1] / self.allowed
-            losses = own[:, self.outputs].max(axis=1)
-        left, now = losses * self._left(pending, candidates), self._losses(sample)
+            errors = self.kriging.answer_many(candidates)[1] / self.allowed
+            losses = errors[:, self.outputs].max(axis=1)
+        expected, now = losses * self._left(pending, candidates), self._losses(sample)
         first, before = len(pending), len(pending) + len(self.surrogate.used)
         while (count := len(pending) - first) < min(budget, len(candidates)):
             if self.may_end and count and count % BETWEEN_CHECKS == 0:
@@ -309,13 +309,13 @@ class _Refinement:
             even = spread_wrenches(self.span, 1, FAR + number // EVENLY)
             fresh = self.known.new(even) if number % EVENLY == 0 else even[:0]
             if not len(fresh):
-                computed = np.zeros(len(left), dtype=bool)
-                while not computed[best := int(np.argmax(left))]:
-                    top = np.argsort(-left)[:RECOMPUTED]
+                computed = np.zeros(len(expected), dtype=bool)
+                while not computed[best := int(np.argmax(expected))]:
+                    top = np.argsort(-expected)[:RECOMPUTED]
                     top = top[~computed[top]]
-                    left[top] = losses[top] * self._left(pending, candidates[top])
+                    expected[top] = losses[top] * self._left(pending, candidates[top])
                     computed[top] = True
-                losses[best] = left[best] = -1.0
+                losses[best] = expected[best] = -1.0
                 fresh = candidates[best : best + 1]
             pending = np.concatenate((pending, fresh))
         return pending[first:]

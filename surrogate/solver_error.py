@@ -68,8 +68,8 @@ class SolverError:
             stiffness = _shaped(values["mesh_stiffness"], (n, m), "mesh_stiffness")
             self.stiffness = None if "linearity" in values else stiffness
         matrix = np.zeros((m, n)) if self.mesh is None else self.mesh
-        shares = matrix * loads
-        small = shares <= _NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
+        components = matrix * loads
+        small = components <= _NEGLIGIBLE * components.sum(axis=1, keepdims=True)
         self._matrix = np.where(small, 0.0, matrix)
         self._square = self.growth + (0.0 if self.linearity is None else self.linearity)
         self._loads = np.where(loads > 0, loads, np.inf)
@@ -124,15 +124,15 @@ class SolverError:
         if self.mesh is None or self.linearity is not None or "mesh_stiffness" not in self.values:
             return self
         # Wrenches (n, 6), displacements (n, 6) and tangents (n, 6, 6) of rows solved whole.
-        whole = (
+        complete = (
             (rows.source == "fea")
             & np.isfinite(rows.displacement).all(axis=1)
             & np.isfinite(rows.compliance).all(axis=(1, 2))
         )
         wrench, moved, tangent = (
-            rows.wrench[whole],
-            rows.displacement[whole],
-            rows.compliance[whole],
+            rows.wrench[complete],
+            rows.displacement[complete],
+            rows.compliance[complete],
         )
         one_over = self._one_over
         size = np.abs(wrench - self.zero)
@@ -180,17 +180,17 @@ class SolverError:
 
 
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:
-    found = _shaped(value, shape, name)
-    if not (found >= 0).all():
+    array = _shaped(value, shape, name)
+    if not (array >= 0).all():
         raise ValueError(f"{name} of a solver's error must not be negative")
-    return found
+    return array
 
 
 def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
-    found = np.array(value, dtype=float)
-    if found.shape != shape or not np.isfinite(found).all():
+    array = np.array(value, dtype=float)
+    if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"{name} of a solver's error must be of shape {shape}, finite")
-    return found
+    return array
 
 
 def bars_are_whole(rows: Rows, error: SolverError | None) -> bool:

@@ -62,7 +62,7 @@ def pack(
     # The gaps of each axis; None where the compliance answers, which needs no axes.
     first = table.groups[0]
     no_axes = not first.has_axes or (table.linear and first.fit.complete)
-    words = {
+    meta = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
         "space": table.load_range.space.words(),
@@ -81,7 +81,7 @@ def pack(
             "linear": table.linear,
         },
     }
-    return pieces(check(arrays), _plain(words))
+    return pieces(check(arrays), _plain(meta))
 
 
 def packed_of(table: Table) -> PackedTable:
@@ -94,9 +94,9 @@ def packed_of(table: Table) -> PackedTable:
 def _plain(value: Any) -> Any:
     """Return what JSON can hold: None in the place of numbers that are not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(one) for one in value]
+        return [_plain(entry) for entry in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -154,19 +154,19 @@ class _Sources:
         self._one = list(sources) if len(sources) == 1 else None
         if self._one:
             return
-        places = np.ascontiguousarray(table.rows.wrench)
-        for wrench, source in zip(places, table.rows.source.tolist(), strict=True):
-            found = self._at.setdefault(wrench.tobytes(), [])
-            if source not in found:
-                found.append(source)
+        wrenches = np.ascontiguousarray(table.rows.wrench)
+        for wrench, source in zip(wrenches, table.rows.source.tolist(), strict=True):
+            names = self._at.setdefault(wrench.tobytes(), [])
+            if source not in names:
+                names.append(source)
 
     def numbers(self, wrenches: Floats) -> NDArray[np.int32]:
         """Return the number of the sources of the rows at each wrench (r, 6), N and N·m, (r,)."""
         if self._one:
             self.words = [self._one]
             return np.zeros(len(wrenches), dtype=np.int32)
-        found = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
-        return np.array(found, dtype=np.int32)
+        numbers = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
+        return np.array(numbers, dtype=np.int32)
 
     def _number(self, sources: tuple[str, ...]) -> int:
         if sources not in self._numbers:
@@ -178,7 +178,7 @@ class _Sources:
 def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]]:
     """Yield what answers one group of outputs."""
     used, exact = group.can_answer, group.is_exact
-    mode, missed = _reference(group, exact) if used else (0, None)
+    mode, residual_kriging = _reference(group, exact) if used else (0, None)
     flags = [
         *(METHODS.index(group.default), mode, group.knows_interaction, group.rest_unknown),
         *(exact, used, group.full_wrenches, group.full_needed, len(group.used) > 0),
@@ -195,14 +195,14 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     members = group.members
     if group.fit.origin == "stored":
         sloped = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2)))
-        members = tuple(members[place] for place in sloped.tolist())
+        members = tuple(members[row] for row in sloped.tolist())
     yield "fit/rows", np.array(sorted(chain.from_iterable(members)), dtype=np.int64)
     # The rows that answer at their own wrenches, in the order of a key.
     index, merged = group.row_index, group.merged.rows
     order = index.order
     owner = group.merged.owner[order]
     tangents = merged.compliance[owner]
-    has_one = np.isfinite(tangents).any(axis=(1, 2))
+    has_tangent = np.isfinite(tangents).any(axis=(1, 2))
     wrenches = np.ascontiguousarray(group.rows.wrench[order])
     bucket, start = buckets_of(index.keys)
     yield "row/key", index.keys
@@ -215,18 +215,18 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     yield "row/wrench", wrenches
     yield "row/moved", merged.displacement[owner]
     yield "row/bar", group.row_uncertainty[owner]
-    places = np.where(has_one, np.cumsum(has_one) - 1, -1)
-    yield "row/tangent_of", places.astype(np.int32)
-    yield "row/tangent", tangents[has_one]
+    tangent_rows = np.where(has_tangent, np.cumsum(has_tangent) - 1, -1)
+    yield "row/tangent_of", tangent_rows.astype(np.int32)
+    yield "row/tangent", tangents[has_tangent]
     yield "row/source", sources.numbers(wrenches)
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used and group.has_axes:
         parts.append(("axes", axes_arrays(group.axes, group.members)))
-    for name, kriging in (("kriging", group.kriging), ("missed", missed)):
+    for name, kriging in (("kriging", group.kriging), ("missed", residual_kriging)):
         if kriging is not None:
             parts.append((name, _kriging_arrays(kriging)))
     for name, arrays in parts:
-        yield from ((f"{name}/{own}", array) for own, array in arrays)
+        yield from ((f"{name}/{array_name}", array) for array_name, array in arrays)
 
 
 def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
@@ -235,8 +235,8 @@ def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
         return _ADDITIVE if group.has_axes else 0, None
     if group.by_kriging:
         return _KRIGING, None
-    missed = group.interaction
-    return _ADDITIVE if missed is None else _ADDITIVE | _MISSED, missed
+    residual_kriging = group.interaction
+    return _ADDITIVE if residual_kriging is None else _ADDITIVE | _MISSED, residual_kriging
 
 
 def _group_words(group: Group) -> dict[str, Any]:
@@ -262,13 +262,13 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     rows = len(kriging.equations)
     stride = -(-rows // LANES) * LANES
     x = np.pad(kriging.equations.x.T, ((0, 0), (0, stride - rows)))
-    weights_by_place = np.zeros((*kriging.weights.shape[:0:-1], stride))
-    weights_by_place[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
+    padded_weights = np.zeros((*kriging.weights.shape[:0:-1], stride))
+    padded_weights[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
     yield "x", x
     rates, weights = kriging.hyperparameters.terms
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", kriging.hyperparameters.inverse_squares
-    yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
+    yield "weights", padded_weights.reshape(len(padded_weights), -1)
     if kriging.equations.places > 1 + len(x):
         yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)
     yield "coefficients", kriging.coefficients
@@ -283,48 +283,55 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "span", kriging.span
     yield "span_loads", scaling.wrenches(kriging.span)
     yield "shares", np.array([len(kriging.shares)], dtype=np.int32)
-    for number, (share, found) in enumerate(zip(kriging.shares, kriging.calibrations, strict=True)):
-        outputs, places = len(kriging.deviation), kriging.equations.places
-        arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
+    for number, (share, calibration) in enumerate(
+        zip(kriging.shares, kriging.calibrations, strict=True)
+    ):
+        outputs, derivatives = len(kriging.deviation), kriging.equations.places
+        arrays = (
+            _share_arrays(share, stride, outputs, derivatives),
+            _levels(share, calibration, outputs),
+        )
         for name, array in chain(*arrays):
             yield f"share{number}/{name}", array
 
 
-def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
+def _levels(
+    share: Neighbourhoods, calibration: Calibration, outputs: int
+) -> Iterator[tuple[str, Array]]:
     """Yield the calibration of one factor."""
-    factors = np.zeros((len(found.sigma), outputs))
-    factors[:, share.factor.share.outputs] = found.factors.reshape(len(found.sigma), -1)
-    yield "sigma", found.sigma
+    factors = np.zeros((len(calibration.sigma), outputs))
+    factors[:, share.factor.share.outputs] = calibration.factors.reshape(len(calibration.sigma), -1)
+    yield "sigma", calibration.sigma
     yield "factors", factors
-    yield "reach", np.array([found.reach])
+    yield "reach", np.array([calibration.reach])
 
 
 def _share_arrays(
-    share: Neighbourhoods, stride: int, outputs: int, places_of_row: int
+    share: Neighbourhoods, stride: int, outputs: int, derivatives: int
 ) -> Iterator[tuple[str, Array]]:
     """Yield what gives sigma for the outputs of one factor."""
     count = len(share.around)
     most = max(len(local.places) for local in share.around)
     padded = -(-most // PANEL) * PANEL
     number, least = np.zeros(stride, dtype=np.int32), np.full(stride, np.inf)
-    places = np.zeros((count, padded), dtype=np.int32)
+    columns = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
     unsettled = np.zeros((count, share.around[0].TF.shape[1], padded))
-    for place, (row, local) in enumerate(zip(share.factor.share.rows, share.around, strict=True)):
+    for k, (row, local) in enumerate(zip(share.factor.share.rows, share.around, strict=True)):
         size = len(local.places)
-        at_row, of_row = np.divmod(local.places, places_of_row)
-        places[place, :size] = of_row * stride + at_row
+        at_row, of_row = np.divmod(local.places, derivatives)
+        columns[k, :size] = of_row * stride + at_row
         # A lower triangle (e, e), dimensionless, in panels of rows, columns first.
-        whole = np.zeros((padded, padded))
-        whole[: len(local.T), : len(local.T)] = local.T
-        panels[place] = np.concatenate(
-            [whole[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
+        lower = np.zeros((padded, padded))
+        lower[: len(local.T), : len(local.T)] = local.T
+        panels[k] = np.concatenate(
+            [lower[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
         )
-        unsettled[place, :, :size] = local.TF.T
-        number[row], least[row] = place, local.least
+        unsettled[k, :, :size] = local.TF.T
+        number[row], least[row] = k, local.least
     yield "outputs", np.isin(np.arange(outputs), share.factor.share.outputs).astype(np.int32)
     yield "number", number
-    yield "places", places
+    yield "places", columns
     yield "panels", panels
     yield "unsettled", unsettled
     yield "least", least
