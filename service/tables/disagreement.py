@@ -46,8 +46,8 @@ def disagreement(
     table = build(
         of_solves, span, solver_error=known, tolerance=tolerance, linear=linear, locked=locked
     )
-    places = np.flatnonzero(within)
-    measured = rows.take(places[:: max(1, -(-len(places) // MAX_ROWS))])
+    indices = np.flatnonzero(within)
+    measured = rows.take(indices[:: max(1, -(-len(indices) // MAX_ROWS))])
     expected = packed_of(table).batch(measured.wrench)
     off = measured.displacement - expected.outputs
     uncertainty = np.where(np.isfinite(measured.uncertainty), measured.uncertainty, 0.0)

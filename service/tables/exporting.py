@@ -102,7 +102,7 @@ def _write_columns(
         space=component.space,
         curvature=curvature,
     )
-    about = {
+    properties = {
         "component": component.name,
         "title": component.title,
         "table_version": str(table.version),
@@ -110,9 +110,9 @@ def _write_columns(
         "contract": CONTRACT_WORDS,
     }
     if request.format == "csv":
-        comments = [f"{key}: {text}" for key, text in about.items() if request.comments]
+        comments = [f"{key}: {text}" for key, text in properties.items() if request.comments]
         with path.open("w", encoding="utf-8", newline="") as file:
             file.writelines(csv_text(pieces, columns, comments))
     else:
         write = write_xlsx if request.format == "xlsx" else write_parquet
-        write(path, pieces, columns, about)
+        write(path, pieces, columns, properties)

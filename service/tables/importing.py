@@ -41,8 +41,10 @@ def import_files(
     on; ``loaded`` is whether rows were loaded. Raises SandboxBusyError, ImportRunningError,
     LedgerUnavailableError or OSError if nothing could be read or written now.
     """
-    own = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
-    read = read_untrusted(files, own, preview)
+    component_options = replace(
+        options, load_range=component.load_range, fingerprint=component.fingerprint
+    )
+    read = read_untrusted(files, component_options, preview)
     report = dict(read.report)
     refused = report.pop("whole") or bool(report["errors"] and not partial)
     report.pop("converted")
@@ -117,9 +119,9 @@ def _with_stored_numbers(
     for piece in read.pieces():
         columns = piece.wrench, piece.displacement, piece.uncertainty
         numbers = np.hstack(columns)
-        own, size = _sums(numbers, len(space.inputs))
-        first = np.searchsorted(sums, own - 2.0 * SAME * size)
-        end = np.searchsorted(sums, own + 2.0 * SAME * size, side="right")
+        total, size = _sums(numbers, len(space.inputs))
+        first = np.searchsorted(sums, total - 2.0 * SAME * size)
+        end = np.searchsorted(sums, total + 2.0 * SAME * size, side="right")
         open_ = np.flatnonzero(first < end)
         for step in range(_MAX_TRIED):
             candidates = stored[order[first[open_] + step]]

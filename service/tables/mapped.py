@@ -175,9 +175,9 @@ class ServedTable:
             if f"g{group}/kriging/rates" in arrays:
                 weights = arrays[f"g{group}/kriging/terms"][:, -1]
                 groups = self.load_range.space.kriging_groups
-                stated = arrays.get(f"g{group}/kriging/smoothness", [Hyperparameters.smoothness])
+                order = arrays.get(f"g{group}/kriging/smoothness", [Hyperparameters.smoothness])
                 rates = arrays[f"g{group}/kriging/rates"]
-                return Hyperparameters(rates, weights, groups, int(stated[0]))
+                return Hyperparameters(rates, weights, groups, int(order[0]))
         return None
 
     def method_detail(self, method: str) -> str:

@@ -76,8 +76,8 @@ def followed(ledger: Ledger, component: Component, rows: Rows, after: int) -> tu
     while True:
         changes = ledger.row_changes(component.name, after, **setup)
         if changes.gone:
-            kept = joined(fresh)
-            fresh = [kept.take(~np.isin(kept.seq, list(changes.gone)))]
+            earlier = joined(fresh)
+            fresh = [earlier.take(~np.isin(earlier.seq, list(changes.gone)))]
         fresh.append(changes.rows)
         after = changes.last_seq
         if changes.whole:
