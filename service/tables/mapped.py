@@ -89,25 +89,25 @@ class ServedTable:
         self.packed, self._rows_of, self.built = packed, rows_of, built
         self._rows = None if built is None else built.rows
         self.used, self._lock = time.monotonic(), threading.Lock()
-        provenance, self.summary = packed.words["provenance"], packed.words["summary"]
+        provenance, self.summary = packed.meta["provenance"], packed.meta["summary"]
         self.version: int = provenance["version"]
         self.row_count: int = provenance["rows"]
         self.sources: dict[str, int] = provenance["sources"]
         self.linear: bool = provenance["linear"]
-        self.default: str = packed.words["groups"][0]["method"]
+        self.default: str = packed.meta["groups"][0]["method"]
         self.needs_compliance = self.linear and not self.fit.complete
         self.bars_are_whole = bool(packed.arrays["solver/flags"][_ALL_PARTS])
         low, high = packed.arrays["space/range"]
-        self.load_range = LoadRange(low, high, Space.read(packed.words["space"]))
+        self.load_range = LoadRange(low, high, Space.read(packed.meta["space"]))
         self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
         self.interfaces = self.load_range.space.several
         limit = packed.arrays["space/tolerance"][[0, 3]].tolist()
         self.tolerance = Tolerance(*limit) if np.isfinite(limit).all() else None
-        self.solver_error = SolverError.read(packed.words["solver_error"])
+        self.solver_error = SolverError.read(packed.meta["solver_error"])
         # The server's method answers where the table's inputs have it.
         if method is not None and (self.load_range.space.is_default or method not in BY_AXES):
             self.packed.method = self.default = method
-        packed.answer([0.0] * len(packed.words["space"]["inputs"]))  # reads pages: 0.1 ms
+        packed.answer([0.0] * len(packed.meta["space"]["inputs"]))  # reads pages: 0.1 ms
 
     @property
     def rows(self) -> Rows:
@@ -162,7 +162,7 @@ class ServedTable:
         """The largest change of each output over half the load range, (6,), m and rad."""
         arrays = self.packed.arrays
         steepest = np.zeros(len(self.load_range.space.outputs))
-        for group in range(len(self.packed.words["groups"])):
+        for group in range(len(self.packed.meta["groups"])):
             outputs = arrays[f"g{group}/outputs"].astype(bool)
             steepest[outputs] = arrays[f"g{group}/row/steepest"][outputs]
         return steepest
@@ -171,7 +171,7 @@ class ServedTable:
     def hyperparameters(self) -> Hyperparameters | None:
         """Those of the first outputs that have a kriging, None without one."""
         arrays = self.packed.arrays
-        for group in range(len(self.packed.words["groups"])):
+        for group in range(len(self.packed.meta["groups"])):
             if f"g{group}/kriging/rates" in arrays:
                 weights = arrays[f"g{group}/kriging/terms"][:, -1]
                 groups = self.load_range.space.kriging_groups
@@ -182,7 +182,7 @@ class ServedTable:
 
     def method_detail(self, method: str) -> str:
         """How a method answers, or why it is the one that does, in the group of the fewest rows."""
-        group = self.packed.words["groups"][0]
+        group = self.packed.meta["groups"][0]
         if method == ROW:
             return ROW_DETAIL
         if method == "kriging" and group["kriging"]:
@@ -387,7 +387,7 @@ class MappedTables:
 
 def _mark(table: ServedTable) -> list[int | str]:
     """Return a table's version, and the setup that its file was built from."""
-    return [table.version, table.packed.words["provenance"]["origin"].get("setup", "")]
+    return [table.version, table.packed.meta["provenance"]["origin"].get("setup", "")]
 
 
 def row_table(

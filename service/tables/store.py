@@ -290,7 +290,7 @@ class TableStore:
 
 def is_of(packed: PackedTable, name: str, origin: dict[str, str]) -> bool:
     """Whether a packed table is of a component and of this origin."""
-    provenance = packed.words.get("provenance", {})
+    provenance = packed.meta.get("provenance", {})
     built = provenance.get("origin") or {"setup": None}
     return provenance.get("component") == name and built.items() <= origin.items()
 

@@ -156,7 +156,7 @@ class PackedTable:
         How many there are: n and m.
     size : int
         Bytes of the file.
-    words : dict
+    meta : dict
         The table's JSON block: contract, space, interface, groups, sources, provenance.
     arrays : dict of str to ndarray
         Read-only views of the mapped file.
@@ -167,9 +167,9 @@ class PackedTable:
     method: str | None = None
 
     def __init__(self, handle: int, packed: Packed, source: Floats | Path, size: int) -> None:
-        """Take an open handle, the file's views, and its words or path, and its bytes."""
-        self._handle, self._packed, self._kept, self.size = handle, packed, source, size
-        self.arrays, self.words = packed.arrays, packed.words
+        """Take an open handle, the file's views, and its buffer or path, and its bytes."""
+        self._handle, self._packed, self._source, self.size = handle, packed, source, size
+        self.arrays, self.meta = packed.arrays, packed.meta
         library = kernel().with_gil
         self._answer, self._release = library.wb_answer, library.wb_close
         self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
@@ -204,10 +204,10 @@ class PackedTable:
         """
         buffer = np.zeros(len(content) // 8 + 1, dtype=np.float64)  # which aligns them
         buffer.view(np.uint8)[: len(content)] = np.frombuffer(content, dtype=np.uint8)
-        return cls._from_words(buffer, len(content))
+        return cls._from_buffer(buffer, len(content))
 
     @classmethod
-    def _from_words(cls, buffer: Floats, size: int) -> PackedTable:
+    def _from_buffer(cls, buffer: Floats, size: int) -> PackedTable:
         """Open a packed table of `size` bytes that lies in words of eight bytes."""
         packed = read(buffer.data.cast("B")[:size])
         return cls._opened(packed, buffer.ctypes.data, buffer)
@@ -227,9 +227,9 @@ class PackedTable:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what is pickled: the file's bytes, as one array."""
-        if isinstance(self._kept, np.ndarray):
-            return PackedTable._from_words, (self._kept, self.size)
-        return PackedTable.open, (self._kept,)
+        if isinstance(self._source, np.ndarray):
+            return PackedTable._from_buffer, (self._source, self.size)
+        return PackedTable.open, (self._source,)
 
     @property
     def content(self) -> bytes:
@@ -239,7 +239,7 @@ class PackedTable:
     @cached_property
     def space(self) -> Space:
         """The table's inputs and outputs: names, units, interfaces."""
-        return Space.read(self.words["space"])
+        return Space.read(self.meta["space"])
 
     @property
     def checksum(self) -> int:
@@ -284,9 +284,9 @@ class PackedTable:
 
         Without a kriging the table's default method answers in its place.
         """
-        default = self.words["summary"]["method"]
+        default = self.meta["summary"]["method"]
         name = method or self.method or default
-        groups = range(len(self.words["groups"]))
+        groups = range(len(self.meta["groups"]))
         has_kriging = name != "kriging" or any(f"g{k}/kriging/x" in self.arrays for k in groups)
         return name if has_kriging else default
 
@@ -371,7 +371,7 @@ class PackedTable:
         arrays, locked = self.arrays, self.arrays["space/locked"] != 0
         tangents = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
         row = np.full_like(tangents, np.nan)
-        for group in range(len(self.words["groups"])):
+        for group in range(len(self.meta["groups"])):
             outputs, name = arrays[f"g{group}/outputs"] != 0, f"g{group}/row/"
             unknown = (arrays[f"g{group}/fit/known"] == 0) & ~locked
             tangents[np.ix_(outputs, unknown)] = np.nan

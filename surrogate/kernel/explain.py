@@ -31,7 +31,7 @@ def explain(
     stored = table.arrays["space/tolerance"].tolist()
     limit = tolerance or (None if any(map(math.isnan, stored)) else stored)
     explanations = []
-    for number, group in enumerate(table.words["groups"]):
+    for number, group in enumerate(table.meta["groups"]):
         if (method or group["method"]) == "linear" and table.arrays[f"g{number}/flags"][_USED]:
             parts = _linear(table, number, wrench, tolerance)
         else:
@@ -44,8 +44,8 @@ def _named(
     table: PackedTable, group: int, axis: int, values: Sequence[float]
 ) -> dict[str, float] | None:
     """Return an axis' own outputs of a group by name; None where one is not known."""
-    outputs = table.words["groups"][group]["outputs"]
-    names = [output["name"] for output in table.words["space"]["outputs"]]
+    outputs = table.meta["groups"][group]["outputs"]
+    names = [output["name"] for output in table.meta["space"]["outputs"]]
     by_name = {names[output]: values[output] for output in (axis, 3, 4, 5)}
     if any(map(math.isnan, by_name.values())):
         return None
@@ -53,7 +53,7 @@ def _named(
 
 
 def _inputs(table: PackedTable, axis: int, wrench: Sequence[float]) -> dict[str, float]:
-    names = [entry["name"] for entry in table.words["space"]["inputs"]]
+    names = [entry["name"] for entry in table.meta["space"]["inputs"]]
     return {names[load]: float(wrench[load]) for load in _AXES[axis]}
 
 

@@ -68,14 +68,14 @@ class Packed(NamedTuple):
     ----------
     arrays : dict of str to ndarray
         Read-only views of the file's bytes; `packed.arrays` says what each is.
-    words : dict
+    meta : dict
         The JSON block.
     content : memoryview
         The file's bytes.
     """
 
     arrays: dict[str, NDArray[Any]]
-    words: dict[str, Any]
+    meta: dict[str, Any]
     content: memoryview
 
 
@@ -86,7 +86,7 @@ def pieces(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> list[
     ----------
     arrays
         Of float64, int32, int64 or uint8, of at most four dimensions.
-    words
+    meta
         What JSON can hold.
 
     Raises

@@ -63,7 +63,7 @@ def _fixed(text: str) -> Maker:
 
 
 def _name(packed: Packed, index: int) -> tuple[str, str]:
-    load = packed.words["space"]["inputs"][index]
+    load = packed.meta["space"]["inputs"][index]
     return load["name"], load["unit"]
 
 
@@ -173,7 +173,7 @@ def _moment_alone(reason: Reason, inputs: Sequence[float], packed: Packed) -> st
 
 
 def _together(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    has_tangents = packed.words["groups"][reason.group]["has_tangents"]
+    has_tangents = packed.meta["groups"][reason.group]["has_tangents"]
     tangents = "" if has_tangents else " and no tangents"
     return UNKNOWN_TOGETHER.format(
         full=int(reason.value), tangents=tangents, needed=int(reason.limit)
@@ -181,7 +181,7 @@ def _together(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 
 def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    output = packed.words["space"]["outputs"][reason.place]
+    output = packed.meta["space"]["outputs"][reason.place]
     unit = output["unit"]
     axis = "" if reason.axis < 0 else f"axis {'xyz'[reason.axis]}: "
     return (
@@ -231,7 +231,7 @@ FIXED = frozenset({1, 2, 11, 12, 15, 16, 17, 19, 22})
 
 def unmeasured_text(missing: int, packed: Packed) -> str:
     """Return which outputs no row holds, by the bits of a mask; empty if there are none."""
-    names = [output["name"] for output in packed.words["space"]["outputs"]]
-    read = packed.words.get("scene", {}).get("outputs", names)
+    names = [output["name"] for output in packed.meta["space"]["outputs"]]
+    read = packed.meta.get("scene", {}).get("outputs", names)
     unmeasured = [name for bit, name in enumerate(names) if missing >> bit & 1 and name in read]
     return f"not measured in any row: {', '.join(unmeasured)}" if unmeasured else ""

@@ -123,7 +123,7 @@ class ReplyReader:
 
     def __init__(self, packed: Packed, inputs: int, outputs: int) -> None:
         self._packed, self.outputs = packed, outputs
-        self._names = [output["name"] for output in packed.words["space"]["outputs"]]
+        self._names = [output["name"] for output in packed.meta["space"]["outputs"]]
         self._texts: dict[bytes, str] = {}
         self._loads = struct.Struct(f"={inputs}d").unpack_from
         gap = 8 * (MAX_VALUES - outputs)
@@ -196,7 +196,7 @@ class ReplyReader:
 
     def _source_at(self, group: int, index: int) -> str:
         number = int(self._packed.arrays[f"g{group}/row/source"][index])
-        return ", ".join(self._packed.words["sources"][number])
+        return ", ".join(self._packed.meta["sources"][number])
 
 
 def reasons_in(content: bytes, count: int) -> list[Reason]:
@@ -228,8 +228,8 @@ def method_code(method: str | None) -> int:
 
 def mistake(code: int, method: str | None, packed: Packed) -> Exception:
     """Return what a code other than WB_OK means: see wrenchbook.h."""
-    if code == NO_METHOD and "scene" in packed.words:
-        default = packed.words["summary"]["method"]
+    if code == NO_METHOD and "scene" in packed.meta:
+        default = packed.meta["summary"]["method"]
         return UnknownMethodError(
             method or "(default)",
             f"the table of a scene answers by its default method alone, {default}: download the "

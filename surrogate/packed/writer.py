@@ -66,8 +66,8 @@ def pack(
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
         "space": table.load_range.space.words(),
-        "groups": [_group_words(group) for group in table.groups],
-        "sources": sources.words,
+        "groups": [_group_meta(group) for group in table.groups],
+        "sources": sources.lists,
         "solver_error": None if table.solver_error is None else table.solver_error.values,
         "summary": table.coverage_summary(),
         "gaps": None if no_axes else first.axes.gaps(table.load_range),
@@ -147,7 +147,7 @@ class _Sources:
     """The sources of the rows at each wrench, as numbers of lists of words."""
 
     def __init__(self, table: Table) -> None:
-        self.words: list[list[str]] = []
+        self.lists: list[list[str]] = []
         self._numbers: dict[tuple[str, ...], int] = {}
         self._at: dict[bytes, list[str]] = {}
         sources = dict.fromkeys(table.rows.source.tolist())
@@ -163,15 +163,15 @@ class _Sources:
     def numbers(self, wrenches: Floats) -> NDArray[np.int32]:
         """Return the number of the sources of the rows at each wrench (r, 6), N and N·m, (r,)."""
         if self._one:
-            self.words = [self._one]
+            self.lists = [self._one]
             return np.zeros(len(wrenches), dtype=np.int32)
         numbers = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
         return np.array(numbers, dtype=np.int32)
 
     def _number(self, sources: tuple[str, ...]) -> int:
         if sources not in self._numbers:
-            self._numbers[sources] = len(self.words)
-            self.words.append(list(sources))
+            self._numbers[sources] = len(self.lists)
+            self.lists.append(list(sources))
         return self._numbers[sources]
 
 
@@ -239,7 +239,7 @@ def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
     return _ADDITIVE if residual_kriging is None else _ADDITIVE | _MISSED, residual_kriging
 
 
-def _group_words(group: Group) -> dict[str, Any]:
+def _group_meta(group: Group) -> dict[str, Any]:
     kriging = group.kriging
     return {
         "outputs": [group.rows.space.output_names[output] for output in group.outputs],

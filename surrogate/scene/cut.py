@@ -39,7 +39,7 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     outputs = list(need.outputs)
     read = [
         bool(table.arrays[f"g{group}/outputs"][outputs].any())
-        for group in range(len(table.words["groups"]))
+        for group in range(len(table.meta["groups"]))
     ]
     groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
     slopes = np.ones(table.inputs, dtype=bool)
@@ -56,8 +56,8 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
         arrays |= {f"g{number}/{name}": array for name, array in group_arrays.items()}
     arrays |= _scene_arrays(table, need, len(groups), slopes)
     meta = {
-        **table.words,
-        "groups": [table.words["groups"][group] for group in groups],
+        **table.meta,
+        "groups": [table.meta["groups"][group] for group in groups],
         "scene": {"outputs": need.output_names(), "plan": plan or {}},
     }
     return pieces(check(arrays), meta)

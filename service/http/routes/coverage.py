@@ -41,7 +41,7 @@ Places = NDArray[np.intp]
     responses=answers(dict[str, Any], "hull and gaps"),
 )
 def coverage(name: str, table: Newest) -> Response:
-    gaps = table.packed.words["gaps"]
+    gaps = table.packed.meta["gaps"]
     if not table.load_range.space.is_default:
         gaps = []  # its table has no axes
     elif gaps is None:
