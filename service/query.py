@@ -365,7 +365,7 @@ def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -
     elapsed_us = (perf_counter_ns() - started) / 1e3
     method = table.packed.answers_by(query.method)
     outcome = BatchOutcome(name, table, replies, elapsed_us, method, began)
-    if table.bars_are_whole:
+    if table.bars_are_complete:
         outcome.tolerance = query.tolerance or table.tolerance
     if query.derivatives:
         outcome.derivatives = table.packed.derivatives(wrenches, *options)

@@ -33,7 +33,7 @@ from .kriging import (
     why_too_large,
 )
 from .methods import MethodChoice, choose, full_needed, interaction_of
-from .solver_error import SolverError, bars_are_whole
+from .solver_error import SolverError, bars_are_complete
 from .table.axes import OffAxis, count_full
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import RowIndex, merge, row_conflicts
@@ -242,7 +242,7 @@ class Table:
     locked : tuple of int
         Places, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
     solver_error : SolverError or None
-        Error of the solver: in no error bar here; `bars_are_whole` says whether it is known.
+        Error of the solver: in no error bar here; `bars_are_complete` says whether it is known.
     packed : surrogate.kernel.binding.PackedTable or None
         The same table packed; None until it is made.
     """
@@ -255,7 +255,7 @@ class Table:
     version: int
     locked: tuple[int, ...]
     solver_error: SolverError | None
-    bars_are_whole: bool
+    bars_are_complete: bool
     packed: Any = None
 
     @cached_property
@@ -336,7 +336,7 @@ def build(
         version,
         tuple(locked),
         None if solver_error is None else solver_error.grown(rows, load_range),
-        bars_are_whole(rows, solver_error),
+        bars_are_complete(rows, solver_error),
     )
 
 

@@ -193,7 +193,7 @@ def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
     return array
 
 
-def bars_are_whole(rows: Rows, error: SolverError | None) -> bool:
+def bars_are_complete(rows: Rows, error: SolverError | None) -> bool:
     """Tell whether bars hold all that rows may be wrong by: solved ones need their solver's share.
 
     Where the solver's error was never estimated, or is lost, bars are of the table alone.

@@ -71,7 +71,7 @@ class ServedTable:
 
     `sources` has the number of rows of each source, `default` the method that answers without a
     choice of the caller's, `interfaces` the names where there are several, `needs_compliance`
-    whether solves of a linear component's 6x6 compliance are missing, and `bars_are_whole` whether
+    whether solves of a linear component's 6x6 compliance are missing, and `bars_are_complete` whether
     error bars have all their parts. `other_rows` are rows of another setup of the component, and
     `other_wrenches` their wrenches that no row here has.
     """
@@ -96,7 +96,7 @@ class ServedTable:
         self.linear: bool = provenance["linear"]
         self.default: str = packed.meta["groups"][0]["method"]
         self.needs_compliance = self.linear and not self.fit.complete
-        self.bars_are_whole = bool(packed.arrays["solver/flags"][_ALL_PARTS])
+        self.bars_are_complete = bool(packed.arrays["solver/flags"][_ALL_PARTS])
         low, high = packed.arrays["space/range"]
         self.load_range = LoadRange(low, high, Space.read(packed.meta["space"]))
         self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())

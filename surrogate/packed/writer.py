@@ -65,7 +65,7 @@ def pack(
     meta = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
-        "space": table.load_range.space.words(),
+        "space": table.load_range.space.as_json(),
         "groups": [_group_meta(group) for group in table.groups],
         "sources": sources.lists,
         "solver_error": None if table.solver_error is None else table.solver_error.values,
@@ -128,14 +128,14 @@ def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
     error, shape = table.solver_error, table.groups[0].fit.matrix.shape
     matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
     stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
-    known, linear, linearity_known = table.bars_are_whole, False, True
+    known, linear, linearity_known = table.bars_are_complete, False, True
     if error is not None:
         matrix, square, one_over, stiffness, asks = error.packed
         known, linear = error.mesh is not None, "linearity" in error.values
         linearity_known = error.linearity is not None
         if error.zero.any():
             yield "solver/zero", error.zero
-    flags = [int(asks[0]), known, linear, linearity_known, table.bars_are_whole]
+    flags = [int(asks[0]), known, linear, linearity_known, table.bars_are_complete]
     yield "solver/flags", np.array(flags, dtype=np.int32)
     yield "solver/mesh", matrix
     yield "solver/square", square

@@ -148,7 +148,7 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     names = meta.load_range.space.output_names
     file.attrs["locked"] = " ".join(names[load] for load in meta.locked)
     if not meta.load_range.space.is_default:
-        file.attrs["space"] = json.dumps(meta.load_range.space.words(), ensure_ascii=False)
+        file.attrs["space"] = json.dumps(meta.load_range.space.as_json(), ensure_ascii=False)
     if meta.tolerance is not None:
         file.attrs["tolerance"] = (meta.tolerance.translation, meta.tolerance.rotation)
     if meta.solver_error is not None:

@@ -217,7 +217,7 @@ class Space:
             largest[kind] = values[kind].max(initial=-np.inf)
         return largest
 
-    def words(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the space as JSON, which `read` takes."""
         return {
             "inputs": [_filled(asdict(entry)) for entry in self.inputs],

@@ -125,7 +125,7 @@ class Asked:
             solver_error=SolverError.read(told),
             locked=np.flatnonzero(self.packed.arrays["space/locked"]).tolist(),
         )
-        assert table.bars_are_whole == known
+        assert table.bars_are_complete == known
         return table
 
     def question(self, chosen: list[Place], tolerance=None, method=None) -> Question:

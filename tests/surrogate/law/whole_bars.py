@@ -35,7 +35,7 @@ def whole_bar(
     if bars is not None:
         both = zip(bars, table.rig_error.tolist(), strict=True)
         bars = tuple(None if bar is None else bar + rig for bar, rig in both)
-    if bars is None or table.bars_are_whole:
+    if bars is None or table.bars_are_complete:
         return bars
     unknown = solved(table, wrench, None, method)
     found = tuple(None if own else bar for bar, own in zip(bars, unknown, strict=True))
@@ -87,7 +87,7 @@ def whole_bars(
     They are those of `whole_bar` to the last digit.
     """
     bars = _widened(table, wrenches, found, tolerance, method)
-    if not table.bars_are_whole:
+    if not table.bars_are_complete:
         bars = bars.copy()
         for place, wrench in enumerate(np.asarray(wrenches).tolist()):
             bars[place, solved(table, wrench, tolerance, method)] = np.nan
