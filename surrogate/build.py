@@ -34,7 +34,7 @@ from .kriging import (
 )
 from .methods import MethodChoice, choose, full_needed, interaction_of
 from .solver_error import SolverError, bars_are_complete
-from .table.axes import OffAxis, count_full
+from .table.axes import OffAxis, count_multi_axis
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import RowIndex, merge, row_conflicts
 from .table.rows import Floats, LoadRange, Rows, Tolerance
@@ -119,7 +119,7 @@ class Group:
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
         # Without axes the kriging's own error bars tell what interaction is not known; loads of a
         # linear component act by themselves.
-        self.full_wrenches = count_full(self.used, load_range) if self.has_axes else 0
+        self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
         self.full_needed = full_needed(self.used) if self.has_axes else 0
         self.knows_interaction = linear or self.full_wrenches >= self.full_needed
         self.rest_unknown = self.by_axes and not linear and not self.axes.at_rest.known

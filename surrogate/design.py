@@ -250,7 +250,7 @@ class _Refinement:
     def design(self, budget: int) -> Design:
         """Return the next round, or none where the tolerance is met once all pending is solved."""
         sample, pending = spread_wrenches(self.span, SAMPLE), self.known.pending
-        losses = self._losses(sample) * self._left(pending, sample)
+        losses = self._losses(sample) * self._reduction(pending, sample)
         # Where errors are not known nothing is covered, however small the deviation is.
         known = np.isfinite(self.kriging.answer_many(sample)[1]).all(axis=1)
         within = float(((losses <= 1.0) & (known | (len(pending) > 0))).mean())
@@ -298,11 +298,11 @@ class _Refinement:
         if not np.isfinite(losses).all():  # the kriging's own error bars order them all the same
             errors = self.kriging.answer_many(candidates)[1] / self.allowed
             losses = errors[:, self.outputs].max(axis=1)
-        expected, now = losses * self._left(pending, candidates), self._losses(sample)
+        expected, now = losses * self._reduction(pending, candidates), self._losses(sample)
         first, before = len(pending), len(pending) + len(self.surrogate.used)
         while (count := len(pending) - first) < min(budget, len(candidates)):
             if self.may_end and count and count % BETWEEN_CHECKS == 0:
-                within = now * self._left(pending, sample) <= 1.0
+                within = now * self._reduction(pending, sample) <= 1.0
                 if float(within.mean()) >= ENOUGH:
                     break
             number = before + count
@@ -313,7 +313,7 @@ class _Refinement:
                 while not computed[best := int(np.argmax(expected))]:
                     top = np.argsort(-expected)[:RECOMPUTED]
                     top = top[~computed[top]]
-                    expected[top] = losses[top] * self._left(pending, candidates[top])
+                    expected[top] = losses[top] * self._reduction(pending, candidates[top])
                     computed[top] = True
                 losses[best] = expected[best] = -1.0
                 fresh = candidates[best : best + 1]
@@ -362,7 +362,7 @@ class _Refinement:
         slopes = packed.derivatives(wrenches, method="kriging", without_rows=True)
         return slopes[:, self.joint][:, :, self.joint]
 
-    def _left(self, solved: Floats, wrenches: Floats) -> Floats:
+    def _reduction(self, solved: Floats, wrenches: Floats) -> Floats:
         """Return the part of their bars (n,) that is left at wrenches (n, 6) once others are."""
         if not len(solved):
             return np.ones(len(wrenches))

@@ -76,7 +76,7 @@ class SolverError:
         self.needs_tangent = self.stiffness is not None and bool(
             (self.growth > _MAX_BY_SQUARE * (self._matrix @ loads)).any()
         )
-        self._one_over = 1.0 / self._loads
+        self._inverse_loads = 1.0 / self._loads
 
     @property
     def can_grow(self) -> bool:
@@ -97,7 +97,7 @@ class SolverError:
         asks = 0.0 if self.stiffness is None else 1.0 + self.needs_tangent
         none = np.zeros(self._matrix.T.shape)
         stiffness = none if self.stiffness is None else self.stiffness
-        return self._matrix, self._square, self._one_over, stiffness, np.array([asks])
+        return self._matrix, self._square, self._inverse_loads, stiffness, np.array([asks])
 
     @classmethod
     def read(cls, values: Mapping[str, Any] | None) -> SolverError | None:
@@ -134,9 +134,9 @@ class SolverError:
             rows.displacement[complete],
             rows.compliance[complete],
         )
-        one_over = self._one_over
+        inverse_loads = self._inverse_loads
         size = np.abs(wrench - self.zero)
-        part = (size * one_over).max(axis=1, initial=0.0)
+        part = (size * inverse_loads).max(axis=1, initial=0.0)
         inside = (part > 0.0) & (part <= 1.0 + _NEGLIGIBLE)
         if load_range is not None:
             inside &= ~load_range.exceeded(wrench).any(axis=1)
@@ -150,16 +150,16 @@ class SolverError:
         growth = np.maximum(growth, self.growth)
         return SolverError({**self.values, "mesh_growth": growth.tolist()})
 
-    def share(self, wrench: Floats) -> Floats:
+    def total(self, wrench: Floats) -> Floats:
         """Return the whole share of an error bar at a wrench (6,), N and N·m: (6,), m and rad."""
-        return np.sum(self._shares(wrench), axis=0)
+        return np.sum(self._components(wrench), axis=0)
 
     def parts(self, wrench: Sequence[float]) -> dict[str, list[float] | None]:
         """Return each cause's share of a bar, (6,), m and rad, at a wrench (6,), N and N·m.
 
         Of ``mesh``, and of a linear component ``linearity``; None where it is not known.
         """
-        small, more = self._shares(np.array(wrench, dtype=float))
+        small, more = self._components(np.array(wrench, dtype=float))
         if "linearity" not in self.values:
             return {"mesh": None if self.mesh is None else (small + more).tolist()}
         return {
@@ -167,10 +167,10 @@ class SolverError:
             "linearity": None if self.linearity is None else more.tolist(),
         }
 
-    def _shares(self, wrench: Floats) -> tuple[Floats, Floats]:
+    def _components(self, wrench: Floats) -> tuple[Floats, Floats]:
         """Return what grows with the loads, and with the square of the largest of them."""
         sizes = np.abs(wrench - self.zero)
-        most = (sizes * self._one_over).max(initial=0.0)
+        most = (sizes * self._inverse_loads).max(initial=0.0)
         return self._matrix @ sizes, self._square * (most * most)
 
     def at_full_range(self) -> dict[str, list[float] | None]:

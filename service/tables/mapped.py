@@ -71,7 +71,7 @@ class ServedTable:
 
     `sources` has the number of rows of each source, `default` the method that answers without a
     choice of the caller's, `interfaces` the names where there are several, `needs_compliance`
-    whether solves of a linear component's 6x6 compliance are missing, and `bars_are_complete` whether
+    whether solves of a linear component's 6x6 compliance are missing, `bars_are_complete` whether
     error bars have all their parts. `other_rows` are rows of another setup of the component, and
     `other_wrenches` their wrenches that no row here has.
     """
@@ -411,7 +411,7 @@ def row_table(
     return ServedTable(PackedTable.from_bytes(packed_bytes(built, component)), built=built)
 
 
-def others_in_words(name: str, table: ServedTable) -> str:
+def note_on_other_rows(name: str, table: ServedTable) -> str:
     """Return how many rows belong to another setup and what to do; empty if nothing is to do."""
     if not table.other_wrenches:
         return ""
@@ -423,9 +423,9 @@ def others_in_words(name: str, table: ServedTable) -> str:
 
 
 def warning_of(component: Component, table: ServedTable) -> str:
-    """As `others_in_words`, also of a component that nothing can be solved for."""
+    """As `note_on_other_rows`, also of a component that nothing can be solved for."""
     if component.has_fea or not table.other_rows:
-        return others_in_words(component.name, table)
+        return note_on_other_rows(component.name, table)
     return (
         f"{table.other_rows} rows belong to another setup of {component.name!r} and are not in its "
         "table: it has no finite-element setup now. Put its files back, or export the rows and "

@@ -19,7 +19,7 @@ from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Floats, Rows, joined
 
-CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
+CONTRACT_TEXT = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
 
 class ExportRows:
@@ -65,7 +65,7 @@ def table_meta(component: Component, version: int, error: SolverError | None = N
         linear=component.linear,
         solver_error=error and error.values,
         locked=component.idle,
-        contract=CONTRACT_WORDS,
+        contract=CONTRACT_TEXT,
     )
 
 

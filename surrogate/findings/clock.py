@@ -236,7 +236,7 @@ class _Fit:
 
     def residual(self, lag: float | Floats) -> Floats:
         """Return the mean square that each output's response leaves, (k,), of its variance."""
-        return self._left(self._terms(lag), self.logs.displacement)
+        return self._unexplained(self._terms(lag), self.logs.displacement)
 
     def size(self, lag: float) -> float:
         """Return the sum of `residual` over the outputs."""
@@ -250,7 +250,7 @@ class _Fit:
         signs = np.sign((after - before) @ coefficients)
         return np.concatenate(
             [
-                self._left(np.column_stack((terms, sign)), column[:, None])
+                self._unexplained(np.column_stack((terms, sign)), column[:, None])
                 for sign, column in zip(signs.T, y.T, strict=True)
             ]
         )
@@ -297,6 +297,6 @@ class _Fit:
         )
         return float(result.x[1]) * unit, residual(result.x)
 
-    def _left(self, terms: Floats, y: Floats) -> Floats:
+    def _unexplained(self, terms: Floats, y: Floats) -> Floats:
         residual = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
         return np.asarray((residual**2).mean(axis=0) / np.maximum((y**2).mean(axis=0), 1e-300))

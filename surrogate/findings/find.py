@@ -51,7 +51,7 @@ def find(
     """
     if len(rows) < MIN_ROWS:
         return range_findings(rows, load_range) if len(rows) else []
-    rows = looked_at(rows)
+    rows = sampled(rows)
     response = response_of(rows, load_range)
     wrong = wrong_rows(rows, load_range, response)
     findings = single_row_findings(rows, response, wrong)
@@ -69,7 +69,7 @@ def find(
     return [*findings, *sequence_findings(good, response)]
 
 
-def looked_at(rows: Rows) -> Rows:
+def sampled(rows: Rows) -> Rows:
     """Return the rows that are looked at, in their order."""
     return rows.take(np.arange(0, len(rows), -(-len(rows) // MAX_ROWS)))
 
@@ -93,7 +93,7 @@ def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
     some = rows.take(measured & load_range.holds(rows.wrench))
     if len(some) < MIN_ROWS_IN_ORDER:
         return none
-    some = looked_at(some)
+    some = sampled(some)
     response = response_of(some, load_range)
     wrong, good = wrong_rows(some, load_range, response).any(axis=1), some
     if wrong.any():

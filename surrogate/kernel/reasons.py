@@ -51,7 +51,7 @@ class Reason(NamedTuple):
 
 def text_of(reasons: Sequence[Reason], inputs: Sequence[float], packed: Packed) -> str:
     """Return reasons in words, each once, for one wrench of n inputs, N and N·m."""
-    texts = [_WORDS[reason.code](reason, inputs, packed) for reason in reasons]
+    texts = [_TEXTS[reason.code](reason, inputs, packed) for reason in reasons]
     return "; ".join(dict.fromkeys(texts))
 
 
@@ -140,7 +140,7 @@ def _degenerate(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return f"axis {'xyz'[reason.axis]}: the rows around this wrench lie almost in one plane or line"
 
 
-def _far_apart(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+def _far_from_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return (
         f"axis {'xyz'[reason.axis]}: the rows around this wrench are far apart, "
         f"{reason.value:.0%} of the load range lies between them (at most {reason.limit:.0%})"
@@ -199,7 +199,7 @@ def _beyond_span(reason: Reason, inputs: Sequence[float], packed: Packed) -> str
     )
 
 
-_WORDS: dict[int, Maker] = {
+_TEXTS: dict[int, Maker] = {
     1: _fixed(EMPTY),
     2: _fixed(ONLY_BEYOND),
     3: _beyond,
@@ -208,7 +208,7 @@ _WORDS: dict[int, Maker] = {
     6: _off_hull,
     7: _few_rows,
     8: _degenerate,
-    9: _far_apart,
+    9: _far_from_rows,
     10: _moment_alone,
     11: _fixed(UNKNOWN_AT_ZERO_LOAD),
     12: _together,

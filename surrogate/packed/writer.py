@@ -27,7 +27,7 @@ from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
-_ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
+_ADDITIVE, _RESIDUAL, _KRIGING = 1, 2, 4
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 
@@ -126,11 +126,11 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
     """Yield the solver's share of errors."""
     error, shape = table.solver_error, table.groups[0].fit.matrix.shape
-    matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
+    matrix, square, inverse_loads = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
     stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
     known, linear, linearity_known = table.bars_are_complete, False, True
     if error is not None:
-        matrix, square, one_over, stiffness, asks = error.packed
+        matrix, square, inverse_loads, stiffness, asks = error.packed
         known, linear = error.mesh is not None, "linearity" in error.values
         linearity_known = error.linearity is not None
         if error.zero.any():
@@ -139,7 +139,7 @@ def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
     yield "solver/flags", np.array(flags, dtype=np.int32)
     yield "solver/mesh", matrix
     yield "solver/square", square
-    yield "solver/one_over", one_over
+    yield "solver/one_over", inverse_loads
     yield "solver/stiffness", stiffness
 
 
@@ -151,8 +151,8 @@ class _Sources:
         self._numbers: dict[tuple[str, ...], int] = {}
         self._at: dict[bytes, list[str]] = {}
         sources = dict.fromkeys(table.rows.source.tolist())
-        self._one = list(sources) if len(sources) == 1 else None
-        if self._one:
+        self._single = list(sources) if len(sources) == 1 else None
+        if self._single:
             return
         wrenches = np.ascontiguousarray(table.rows.wrench)
         for wrench, source in zip(wrenches, table.rows.source.tolist(), strict=True):
@@ -162,8 +162,8 @@ class _Sources:
 
     def numbers(self, wrenches: Floats) -> NDArray[np.int32]:
         """Return the number of the sources of the rows at each wrench (r, 6), N and N·m, (r,)."""
-        if self._one:
-            self.lists = [self._one]
+        if self._single:
+            self.lists = [self._single]
             return np.zeros(len(wrenches), dtype=np.int32)
         numbers = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
         return np.array(numbers, dtype=np.int32)
@@ -236,7 +236,7 @@ def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
     if group.by_kriging:
         return _KRIGING, None
     residual_kriging = group.interaction
-    return _ADDITIVE if residual_kriging is None else _ADDITIVE | _MISSED, residual_kriging
+    return _ADDITIVE if residual_kriging is None else _ADDITIVE | _RESIDUAL, residual_kriging
 
 
 def _group_meta(group: Group) -> dict[str, Any]:

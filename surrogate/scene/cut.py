@@ -21,7 +21,7 @@ Arrays = dict[str, NDArray[Any]]
 
 # Columns of the array ``flags`` of a group: see `packed.writer`.
 _METHOD, _REFERENCE, _EXACT = 0, 1, 4
-_BY_KRIGING, _BY_MISSED = 4, 2  # bits of the reference
+_BY_KRIGING, _BY_RESIDUAL = 4, 2  # bits of the reference
 
 
 def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
@@ -95,7 +95,7 @@ def _cut_group(group: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> A
         arrays["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if flags[_REFERENCE] & _BY_KRIGING:
         arrays |= _cut_kriging(group, "kriging/", need)
-    if flags[_REFERENCE] & _BY_MISSED:
+    if flags[_REFERENCE] & _BY_RESIDUAL:
         arrays |= _cut_kriging(group, "missed/", need)
     if not alone and "axes/vertex" in group:
         loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | asks_tangent
@@ -146,9 +146,9 @@ def _cut_axes(group: Arrays, loaded: Mask) -> Arrays:
     """Return the axes that the scene loads; the triangulation of each stays whole."""
     axes = {key[5:]: array for key, array in group.items() if key.startswith("axes/")}
     point, simplex = axes["point_first"], axes["simplex_first"]
-    points, simplices = _kept(point, loaded), _kept(simplex, loaded)
-    facets, cells = _kept(axes["facet_first"], loaded), _kept(_cells(axes), loaded)
-    members = _kept(axes["member_first"], points)
+    points, simplices = _selected(point, loaded), _selected(simplex, loaded)
+    facets, cells = _selected(axes["facet_first"], loaded), _selected(_cells(axes), loaded)
+    members = _selected(axes["member_first"], points)
     arrays = axes | {name: axes[name][points] for name in ("vertex", "slopes")}
     fewer_points, fewer_simplices = _fewer(point, loaded), _fewer(simplex, loaded)
     arrays["state"] = axes["state"][simplices]
@@ -200,7 +200,7 @@ def _first(counts: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate(([0], np.cumsum(counts)))
 
 
-def _kept(first: NDArray[Any], selected: Mask) -> Mask:
+def _selected(first: NDArray[Any], selected: Mask) -> Mask:
     """Return which entries belong to a kept part; part k has those from first[k] to first[k+1]."""
     return np.repeat(selected, np.diff(first))
 

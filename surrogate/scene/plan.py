@@ -225,7 +225,7 @@ def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
         return ScenePlan(need, "linear", reason, bound, compliance, solves)
     if not space.is_default:
         return ScenePlan(need, "table", LOOKED_UP, bound, None, solves)
-    compliance, why_not = _one_compliance(table, need)
+    compliance, why_not = _single_compliance(table, need)
     decision: Decision = "table" if compliance is None else "linear"
     return ScenePlan(need, decision, why or why_not, bound, compliance, solves)
 
@@ -274,7 +274,7 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     largest_loads = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
     solver = np.zeros(count)
     if table.solver_error is not None:  # it is largest where the loads are
-        solver = table.solver_error.share(largest_loads)
+        solver = table.solver_error.total(largest_loads)
     if not table.linear and not need.span.space.is_default:
         return bound, LOOKED_UP  # corners of many inputs are too many to look at
     sample = _sample(need)
@@ -312,7 +312,7 @@ def _sample(need: Need) -> Floats:
     return np.concatenate((corners, inner))
 
 
-def _one_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
+def _single_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
     """Return the compliance (6, 6), SI, that answers within the tolerance, if one does, and why.
 
     The least-squares one through the answers at wrenches of the scene; it must miss each of them,

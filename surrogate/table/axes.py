@@ -73,7 +73,7 @@ class AxisRows:
         Stored uncertainty, or half the spread of merged rows where that is more; 0 if unknown.
     members : tuple of tuple of int
         The places, in the table's rows, of the rows behind each point.
-    clean : ndarray of bool, shape (n,)
+    single_axis : ndarray of bool, shape (n,)
     tangent : ndarray, shape (n, 6, 3), m and rad
         Derivative of the displacement by the scaled inputs; NaN where unknown or not clean.
     """
@@ -83,12 +83,12 @@ class AxisRows:
     displacement: Floats
     uncertainty: Floats
     members: tuple[tuple[int, ...], ...]
-    clean: NDArray[np.bool_]
+    single_axis: NDArray[np.bool_]
     tangent: Floats
 
     def equals(self, other: AxisRows) -> bool:
         """Return whether all numbers are another's to the bit, wherever the rows behind are."""
-        columns = ("points", "displacement", "uncertainty", "clean", "tangent")
+        columns = ("points", "displacement", "uncertainty", "single_axis", "tangent")
         return self.axis == other.axis and all(
             getattr(self, name).tobytes() == getattr(other, name).tobytes() for name in columns
         )
@@ -101,7 +101,7 @@ class AxisRows:
             self.displacement[which],
             self.uncertainty[which],
             tuple(self.members[point] for point in np.flatnonzero(which)),
-            self.clean[which],
+            self.single_axis[which],
             self.tangent[which],
         )
 
@@ -110,7 +110,7 @@ class AxisRows:
 _FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)])
 
 
-def clean_wrenches(
+def single_axis_wrenches(
     wrenches: Floats, load_range: LoadRange, least: float = CLEAN
 ) -> NDArray[np.bool_]:
     """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load no axis but which one.
@@ -124,17 +124,17 @@ def clean_wrenches(
     return ~(loaded @ _FOREIGN)
 
 
-def count_full(rows: Rows, load_range: LoadRange) -> int:
+def count_multi_axis(rows: Rows, load_range: LoadRange) -> int:
     """Return how many rows load more than one axis, by more than a load cell scatters."""
-    return int((~clean_wrenches(rows.wrench, load_range, MIN_STEP).any(axis=1)).sum())
+    return int((~single_axis_wrenches(rows.wrench, load_range, MIN_STEP).any(axis=1)).sum())
 
 
-def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
+def single_axis_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     """Return which rows are clean for which axis: no load but the axis' own.
 
     Shape (n, 3), dimensionless.
     """
-    return clean_wrenches(rows.wrench, load_range)
+    return single_axis_wrenches(rows.wrench, load_range)
 
 
 def axis_rows(
@@ -147,7 +147,7 @@ def axis_rows(
     loads (and leaves the row out if the fit does not know those loads), "ignore" uses it as it
     is, "exclude" leaves it out.
     """
-    single_axis = clean_rows(rows, load_range)
+    single_axis = single_axis_rows(rows, load_range)
     mine = single_axis[:, AXES.index(axis)]
     joining = ~single_axis.any(axis=1) & (off_axis != "exclude")
     displacement = rows.displacement.copy() if joining.any() else rows.displacement
@@ -183,7 +183,7 @@ def axis_rows(
         displacement=ordered.displacement,
         uncertainty=np.nan_to_num(ordered.uncertainty),
         members=tuple(merged.members[point] for point in order),
-        clean=mine[ordered.seq],
+        single_axis=mine[ordered.seq],
         tangent=tangent,
     )
 

@@ -232,7 +232,7 @@ def _read_space(file: h5py.File) -> Space:
 def _read_edits(file: h5py.File) -> tuple[tuple[str, bool, float], ...] | None:
     if "edits" not in file:
         return None
-    keys = _words(file, "edits/key").tolist()
+    keys = _strings(file, "edits/key").tolist()
     gone = _numbers(file, "edits/withdrawn").astype(bool).tolist()
     return tuple(zip(keys, gone, _numbers(file, "edits/seconds").tolist(), strict=True))
 
@@ -251,12 +251,12 @@ def _numbers(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
     return np.asarray(_dataset(file, name)[some])
 
 
-def _words(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
+def _strings(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
     return np.array(_dataset(file, name).asstr()[some], dtype=str)
 
 
 def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
-    strings = {name: _words(file, f"rows/{name}", some) for name in ("source", "fingerprint")}
+    strings = {name: _strings(file, f"rows/{name}", some) for name in ("source", "fingerprint")}
     names = [name for name in _UNITS if name != "curvature" or "rows/curvature" in file]
     numbers = {name: _numbers(file, f"rows/{name}", some) for name in ("seq", *names)}
     numbers.setdefault("curvature", np.empty((len(numbers["seq"]), 0)))
@@ -383,13 +383,15 @@ class _Vector:
     """A dataset of shape (1, n), as MATLAB writes a column, or (n, 1)."""
 
     def __init__(self, one: h5py.Dataset) -> None:
-        self._one = one
+        self._dataset = one
 
     def __len__(self) -> int:
-        return int(self._one.size or 0)
+        return int(self._dataset.size or 0)
 
     def __getitem__(self, some: slice) -> np.ndarray:
-        return np.asarray(self._one[0, some] if self._one.shape[0] == 1 else self._one[some, 0])
+        return np.asarray(
+            self._dataset[0, some] if self._dataset.shape[0] == 1 else self._dataset[some, 0]
+        )
 
 
 def _named_columns(file: h5py.File) -> list[NamedColumn]:
@@ -532,18 +534,18 @@ def leads_out(path: Path) -> bool:
         return False
     outside: list[str] = []
 
-    def look_at(name: str, thing: h5py.Group | h5py.Dataset) -> None:
+    def check(name: str, thing: h5py.Group | h5py.Dataset) -> None:
         if isinstance(thing, h5py.Dataset) and (thing.external or thing.is_virtual):
             outside.append(name)
 
-    def look_at_link(name: bytes, link: h5l.LinkInfo) -> None:
+    def check_link(name: bytes, link: h5l.LinkInfo) -> None:
         if link.type not in (h5l.TYPE_HARD, h5l.TYPE_SOFT):
             outside.append(name.decode(errors="replace"))
 
     try:
         with h5py.File(path, "r") as file:
-            file.id.links.visit(look_at_link, info=True)
-            file.visititems(look_at)
+            file.id.links.visit(check_link, info=True)
+            file.visititems(check)
     except Exception as error:
         raise TableFileError(f"is no HDF5 file that can be looked through ({error})") from error
     return bool(outside)

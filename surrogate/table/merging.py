@@ -176,7 +176,7 @@ class RowIndex:
         self.order: NDArray[np.intp] = order[first]
         self.keys: Floats = keys[self.order]
 
-    def places(self, wrenches: Floats) -> NDArray[np.intp]:
+    def indices(self, wrenches: Floats) -> NDArray[np.intp]:
         """Return the row of each wrench (k, 6), N and N·m, shape (k,); -1 where none is near."""
         indices = np.full(len(wrenches), -1, dtype=np.intp)
         with np.errstate(over="ignore", invalid="ignore"):  # a load may be 1e300

@@ -128,7 +128,7 @@ def acting(wrenches: ArrayLike, locked: Sequence[int]) -> Floats:
     return copy
 
 
-def acting_one(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[float]:
+def acting_wrench(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[float]:
     """Return `acting` of one wrench (6,), N and N·m; without an array, for single answers."""
     if not locked:
         return wrench

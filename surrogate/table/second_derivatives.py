@@ -165,7 +165,7 @@ def second_derivatives(
     """
     inputs, outputs = len(space.inputs), len(space.outputs)
     change = load_change(wrench, displacement, compliance, space)
-    third = curvature[:, _places(inputs)][:, :outputs]
+    third = curvature[:, _positions(inputs)][:, :outputs]
     by_loads = symmetric_tangents(wrench, displacement, compliance, space)
     second = np.einsum("noab,nav,nbw->novw", third, change.along, change.along, optimize=True)
     second += np.einsum("noa,navw->novw", by_loads, change.bend)
@@ -174,7 +174,7 @@ def second_derivatives(
     return np.linalg.solve(matrix, second.reshape(len(second), outputs, -1)).reshape(second.shape)
 
 
-def _places(inputs: int) -> NDArray[np.intp]:
+def _positions(inputs: int) -> NDArray[np.intp]:
     """Return where T[a, b, c] stands among the numbers of a row, shape (I, I, I)."""
     positions = np.zeros((inputs,) * 3, dtype=np.intp)
     for position, index in enumerate(combinations_with_replacement(range(inputs), 3)):
