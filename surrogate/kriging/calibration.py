@@ -217,8 +217,8 @@ def calibrated(
     span: Floats,
     settings: KrigingSettings,
 ) -> Calibration:
-    """Return by how much a share's deviations are multiplied for its error bars."""
-    own, outputs = spread.factor.equations, len(spread.factor.share.outputs)
+    """Return the factors of a group's deviations for 95 % error bars."""
+    own, outputs = spread.factor.equations, len(spread.factor.output_group.outputs)
     if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
     full = full_rows(own, scaling)
@@ -266,7 +266,10 @@ def _level(
         return None
     out = left_out(factor, labels)
     anchors = spread.nearest_others(rows, labels)
-    squared, number = np.full(len(rows), np.nan), numbers(equations.known)[factor.share.rows, 0]
+    squared, number = (
+        np.full(len(rows), np.nan),
+        numbers(equations.known)[factor.output_group.rows, 0],
+    )
     lists = spread.members(own.x[anchors], labels, labels[rows])
     for place, (row, near) in enumerate(zip(rows, lists, strict=True)):
         local = spread.local_factor(near, table)
@@ -279,7 +282,7 @@ def _level(
     if not len(known):
         return None
     sigma, known_rows = np.sqrt(squared[known]), rows[known]
-    own_noise = factor.share.noise[known_rows]
+    own_noise = factor.output_group.noise[known_rows]
     errors = out.errors[known_rows] / np.sqrt(factor.variance)
     # A reading misses its answer by its own noise besides the error of the mean, and both
     # variances add up to that of its error: variances and noise have shape (k,), process

@@ -37,8 +37,8 @@ Places = NDArray[np.intp]
 ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
 
 
-class Share(NamedTuple):
-    """Outputs that the same rows tell with the same noise.
+class OutputGroup(NamedTuple):
+    """Outputs of the same rows and the same noise, which one factor answers.
 
     Attributes
     ----------
@@ -52,9 +52,9 @@ class Share(NamedTuple):
     noise: Floats
 
 
-def shares_of(
+def output_groups(
     equations: Equations, variance: Floats, settings: KrigingSettings = DEFAULTS
-) -> list[Share]:
+) -> list[OutputGroup]:
     """Return the outputs in groups that one factor answers.
 
     Parameters
@@ -77,12 +77,12 @@ def shares_of(
                 break
         else:
             groups.append([output])
-    shares = []
+    divided = []
     for group in groups:
         rows = np.flatnonzero(equations.measured[:, group[0]])
         outputs = np.array(group, dtype=np.intp)
-        shares.append(Share(outputs, rows, noise[np.ix_(rows, outputs)].mean(axis=1)))
-    return shares
+        divided.append(OutputGroup(outputs, rows, noise[np.ix_(rows, outputs)].mean(axis=1)))
+    return divided
 
 
 class SingularCovarianceError(ArithmeticError):
@@ -139,7 +139,7 @@ class KrigingFactor(Factor):
     ----------
     equations : Equations
         Of the rows that take part.
-    share : Share
+    output_group : OutputGroup
         The outputs it answers, the rows and their noise.
     mean_covariance : ndarray, shape (7, 7)
         Posterior covariance of the mean's coefficients, over the process variance.
@@ -152,7 +152,7 @@ class KrigingFactor(Factor):
     """
 
     equations: Equations
-    share: Share
+    output_group: OutputGroup
     mean_covariance: Floats
     coefficients: Floats
     weights: Floats
@@ -234,26 +234,26 @@ def _factored(
 def factorise(
     equations: Equations,
     hyperparameters: Hyperparameters,
-    share: Share,
+    group: OutputGroup,
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
 ) -> KrigingFactor:
-    """Return the factor of a share of a table's equations.
+    """Return the factor of an output group of a table.
 
     `table` (a, a), dimensionless, is the covariance of all a equations, where it is at hand.
     """
-    own = equations.take(share.rows)
+    own = equations.take(group.rows)
     if table is None:
         matrix = covariance(own.x, own.known, own.x, own.known, hyperparameters)
     else:
-        places = numbers(equations.known)[share.rows][own.known]
+        places = numbers(equations.known)[group.rows][own.known]
         matrix = table[np.ix_(places, places)]
-    made = _factored(own, share.noise, matrix, hyperparameters, settings.nugget, settings)
+    made = _factored(own, group.noise, matrix, hyperparameters, settings.nugget, settings)
     precision = made.TF.T @ made.TF + np.eye(made.TF.shape[1]) / settings.mean_variance
     mean_covariance, none = np.asarray(np.linalg.inv(precision), dtype=float), np.empty(0)
     inverse = hyperparameters, made.nugget, made.T, made.TF
-    blank = KrigingFactor(*inverse, own, share, mean_covariance, none, none, none)
-    return blank.of_data(own.data[own.known][:, share.outputs])
+    blank = KrigingFactor(*inverse, own, group, mean_covariance, none, none, none)
+    return blank.of_data(own.data[own.known][:, group.outputs])
 
 
 # Added to the diagonal of a group's precision, of its mean: rows a hair apart leave it singular to
@@ -307,13 +307,13 @@ def left_out(factor: KrigingFactor, labels: Places) -> LeftOutRows:
         places = np.concatenate([np.arange(ends[row] - sizes[row], ends[row]) for row in rows])
         # T is triangular: what stands above the group is zero.
         below = factor.T[places[0] :, places]
-        block, shares = below.T @ below, below.T @ factor.TF[places[0] :]
+        block, means = below.T @ below, below.T @ factor.TF[places[0] :]
         diagonal = np.diag_indices_from(block)
         block[diagonal] += REGULAR * block[diagonal].mean()
-        covariance = np.linalg.inv(block - shares @ factor.mean_covariance @ shares.T)
+        covariance = np.linalg.inv(block - means @ factor.mean_covariance @ means.T)
         missed = covariance @ factor.weights[places]
         out.mean_covariances[rows] = np.linalg.inv(
-            precision - shares.T @ np.linalg.solve(block, shares)
+            precision - means.T @ np.linalg.solve(block, means)
         )
         start = 0
         for row, size in zip(rows, sizes[rows], strict=True):
@@ -383,7 +383,7 @@ class Neighbourhoods:
         all_first = np.roll(factor.hyperparameters.groups, 1, axis=0)
         self.roots = np.sqrt(factor.hyperparameters.inverse_squares) * all_first
         self.trees = [KDTree(own.x * root) for root in self.roots]
-        self._numbers = numbers(equations.known)[factor.share.rows]
+        self._numbers = numbers(equations.known)[factor.output_group.rows]
         self.around = tuple(self.local_factor(near, table) for near in self.members(own.x))
 
     def nearest(self, x: Floats) -> Places:
@@ -445,11 +445,13 @@ class Neighbourhoods:
         own = whole.equations.take(near)
         known = own.known
         known[self.settings.deviation_bent :, 1 + own.loads :] = False
-        places = (whole.share.rows[near][:, None] * own.places + np.arange(own.places))[known]
+        places = (whole.output_group.rows[near][:, None] * own.places + np.arange(own.places))[
+            known
+        ]
         number = self._numbers[near][known]
         made = _factored(
             own,
-            whole.share.noise[near],
+            whole.output_group.noise[near],
             table[np.ix_(number, number)],
             whole.hyperparameters,
             whole.nugget,

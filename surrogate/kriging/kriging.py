@@ -26,7 +26,7 @@ from .factor import (
     Neighbourhoods,
     factorise,
     left_out,
-    shares_of,
+    output_groups,
 )
 from .likelihood import estimated, within_one_factor
 from .settings import DEFAULTS, KrigingSettings
@@ -60,10 +60,10 @@ class Kriging:
     tangent : ndarray, shape (6, 6), SI
         Mean tangent of the rows: the derivative by loads that take no part.
     equations : Equations
-    shares : tuple of Neighbourhoods
+    neighbourhoods : tuple of Neighbourhoods
         One of each factor: outputs with the same rows and noise have one.
     calibrations : tuple of Calibration
-        One of each of `shares`.
+        One of each of `neighbourhoods`.
     weights : ndarray, shape (n, p, 6), spreads
     coefficients : ndarray, shape (7, 6), spreads
     deviation : ndarray, shape (6,), spreads
@@ -83,7 +83,7 @@ class Kriging:
     reading_variance: Floats
     tangent: Floats
     equations: Equations
-    shares: tuple[Neighbourhoods, ...]
+    neighbourhoods: tuple[Neighbourhoods, ...]
     calibrations: tuple[Calibration, ...]
     weights: Floats
     coefficients: Floats
@@ -147,22 +147,24 @@ class Kriging:
             values = np.zeros_like(known)
             values[:, 0] = True
             lost = LOST * np.abs(table[values[known]])
-            shares: list[Neighbourhoods] = []
+            neighbourhoods: list[Neighbourhoods] = []
             calibrations: list[Calibration] = []
-            for share in shares_of(equations, noise_scale, settings):
-                factor, own = factorise(equations, held, share, settings, table), share.outputs
+            for group in output_groups(equations, noise_scale, settings):
+                factor, own = factorise(equations, held, group, settings, table), group.outputs
                 # The weights among the readings of all rows.
                 all_rows = np.zeros((*known.shape, len(own)))
-                all_rows[known & np.isin(np.arange(len(x)), share.rows)[:, None]] = factor.weights
+                all_rows[known & np.isin(np.arange(len(x)), group.rows)[:, None]] = factor.weights
                 weights[:, :, own], coefficients[:, own] = all_rows, factor.coefficients
                 deviation[own] = np.sqrt(factor.variance)
                 rounding[own] = (lost @ np.abs(all_rows[known])).max(axis=0)
-                alone = left_out(factor, np.arange(len(share.rows)))
-                errors[np.ix_(share.rows, own)] = alone.errors
-                spread = Neighbourhoods(equations, factor, table, settings)
-                shares.append(spread)
-                calibrations.append(calibrated(equations, spread, table, scaling, span, settings))
-        estimate, parts = (held, reading, tangent), (tuple(shares), tuple(calibrations))
+                alone = left_out(factor, np.arange(len(group.rows)))
+                errors[np.ix_(group.rows, own)] = alone.errors
+                neighbours = Neighbourhoods(equations, factor, table, settings)
+                neighbourhoods.append(neighbours)
+                calibrations.append(
+                    calibrated(equations, neighbours, table, scaling, span, settings)
+                )
+        estimate, parts = (held, reading, tangent), (tuple(neighbourhoods), tuple(calibrations))
         arrays = weights, coefficients, deviation, rounding, errors, span
         return cls(settings, scaling, *estimate, equations, *parts, *arrays)
 
@@ -211,8 +213,8 @@ class Kriging:
         # depends on the shape of the matrices.
         values = (across[:, None] @ self.weights.reshape(-1, outputs))[:, 0] + self.coefficients[0]
         values += (x[:, None] @ self.coefficients[1:])[:, 0]
-        for share, found in zip(self.shares, self.calibrations, strict=True):
-            sigma, own = share.deviations(x, across), share.factor.share.outputs
+        for neighbours, found in zip(self.neighbourhoods, self.calibrations, strict=True):
+            sigma, own = neighbours.deviations(x, across), neighbours.factor.output_group.outputs
             errors[:, own] = sigma[:, None] * found.at(sigma) * self.deviation[own]
             known[:, own] = (sigma <= found.reach)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
@@ -241,7 +243,7 @@ class Kriging:
                 bars[part] = self._scaled_answers(x[part])[1] * self.scaling.spread
             if not len(pending):
                 return bars
-            factors = [share.factor for share in self.shares]
+            factors = [neighbours.factor for neighbours in self.neighbourhoods]
             factor = max(factors, key=lambda factor: len(factor.equations))
             held, doubt = self.hyperparameters, factor.mean_covariance
             places = self.equations.places

@@ -282,8 +282,10 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "span_loads", scaling.wrenches(kriging.span)
-    yield "shares", np.array([len(kriging.shares)], dtype=np.int32)
-    for number, (share, found) in enumerate(zip(kriging.shares, kriging.calibrations, strict=True)):
+    yield "shares", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
+    for number, (share, found) in enumerate(
+        zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
+    ):
         outputs, places = len(kriging.deviation), kriging.equations.places
         arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
         for name, array in chain(*arrays):
@@ -293,7 +295,7 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
 def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
     """Yield the calibration of one factor."""
     factors = np.zeros((len(found.sigma), outputs))
-    factors[:, share.factor.share.outputs] = found.factors.reshape(len(found.sigma), -1)
+    factors[:, share.factor.output_group.outputs] = found.factors.reshape(len(found.sigma), -1)
     yield "sigma", found.sigma
     yield "factors", factors
     yield "reach", np.array([found.reach])
@@ -310,7 +312,9 @@ def _share_arrays(
     places = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
     unsettled = np.zeros((count, share.around[0].TF.shape[1], padded))
-    for place, (row, local) in enumerate(zip(share.factor.share.rows, share.around, strict=True)):
+    for place, (row, local) in enumerate(
+        zip(share.factor.output_group.rows, share.around, strict=True)
+    ):
         size = len(local.places)
         at_row, of_row = np.divmod(local.places, places_of_row)
         places[place, :size] = of_row * stride + at_row
@@ -322,7 +326,7 @@ def _share_arrays(
         )
         unsettled[place, :, :size] = local.TF.T
         number[row], least[row] = place, local.least
-    yield "outputs", np.isin(np.arange(outputs), share.factor.share.outputs).astype(np.int32)
+    yield "outputs", np.isin(np.arange(outputs), share.factor.output_group.outputs).astype(np.int32)
     yield "number", number
     yield "places", places
     yield "panels", panels
