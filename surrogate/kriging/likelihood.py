@@ -62,13 +62,13 @@ def profile(
     by_noise : float
         Its derivative by the logarithm of a reading's noise, but for what inv(K) tells.
     """
-    noise = group.noise + ratio * reading_parts(equations, group)
+    noise = group.noise + ratio * observation_noise_parts(equations, group)
     made = group._replace(noise=noise)
     factor = factorise(equations, hyperparameters, made, settings, table)
     count, more, scatter = len(factor.T), 0.0, np.zeros(len(group.outputs))
     if ratio > 0:
         chosen = np.ix_(group.rows, group.outputs)
-        more = np.maximum(equations.readings[chosen] - 1, 0.0).sum(axis=0).mean()
+        more = np.maximum(equations.observations[chosen] - 1, 0.0).sum(axis=0).mean()
         scatter = equations.scatter[chosen].sum(axis=0) / ratio
     variance = (count * factor.variance + scatter) / (count + more)
     values = 0.5 * (count + more) * np.log(variance) - np.log(np.diag(factor.T)).sum()
@@ -76,12 +76,12 @@ def profile(
     return factor, variance, values, 0.5 * (more - float((scatter / variance).mean()))
 
 
-def reading_parts(equations: Equations, group: OutputGroup) -> Floats:
+def observation_noise_parts(equations: Equations, group: OutputGroup) -> Floats:
     """Return the variance of a group's values over that of one reading; 0 where noise is stated.
 
     Shape (r,), dimensionless, the mean over the group's outputs.
     """
-    readings = equations.readings[np.ix_(group.rows, group.outputs)]
+    readings = equations.observations[np.ix_(group.rows, group.outputs)]
     parts = np.zeros_like(readings)
     np.divide(1.0, readings, out=parts, where=readings > 0)
     return parts.mean(axis=1)
@@ -114,7 +114,7 @@ def negative_log_likelihood(
         sensitivity = factor.T.T @ factor.T - unit @ unit.T
         gradient[:places] += 0.5 * part * _contracted(sensitivity, factor)
         values = numbers(factor.equations.known)[:, 0]
-        by_ratio = ratio * reading_parts(equations, group) @ np.diag(sensitivity)[values]
+        by_ratio = ratio * observation_noise_parts(equations, group) @ np.diag(sensitivity)[values]
         gradient[places] += part * (0.5 * by_ratio + by_noise)
     return value, gradient[: len(logarithms)]
 
@@ -123,7 +123,7 @@ def _contracted(sensitivity: Floats, factor: KrigingFactor) -> Floats:
     """Return the sum of a symmetric matrix (e, e) times the covariance's seven derivatives."""
     own, hyperparameters = factor.equations, factor.hyperparameters
     # A symmetric matrix's sums by the derivatives that its entries stand with.
-    n, places = len(own), own.places
+    n, places = len(own), own.n_derivatives
     whole = np.zeros((n, places, n, places))
     known = np.flatnonzero(own.known)
     whole.reshape(n * places, n * places)[np.ix_(known, known)] = sensitivity
@@ -136,7 +136,7 @@ def _contracted(sensitivity: Floats, factor: KrigingFactor) -> Floats:
     gather = csr_array((sign.ravel(), (joined.ravel(), np.arange(joined.size))), shape=shape)
     apart = np.concatenate((own.x[one] - own.x[other], np.zeros((1, own.loads))))
     parts, apart = gather @ pairs.reshape(len(pairs), -1).T, np.ascontiguousarray(apart.T)
-    order, loads = 2 * order_of(own.places, own.loads), own.loads
+    order, loads = 2 * order_of(own.n_derivatives, own.loads), own.loads
     by_rate, by_weight = np.zeros(loads), []
     for rates, weight in zip(*hyperparameters.terms, strict=True):
         chosen = np.flatnonzero(rates)
@@ -218,7 +218,7 @@ def _hyperparameters(logarithms: Floats, equations: Equations) -> Hyperparameter
     return Hyperparameters.of_logarithms(own, equations.groups, equations.smoothness)
 
 
-def reading_noise(
+def observation_noise(
     equations: Equations,
     scaling: Scaling,
     hyperparameters: Hyperparameters,
@@ -267,7 +267,7 @@ def reading_noise(
                 values[number, place, group.outputs] = found[2]
     variance, reading = before.copy(), np.zeros_like(before)
     fine = np.arange(ratios[0], ratios[-1], settings.ratio_accuracy)
-    for output in np.flatnonzero(~scaling.silent):
+    for output in np.flatnonzero(~scaling.constant):
         readings, usable = ratios + variances[:, :, output], values[:, :, output] < REFUSED
         usable = usable.all(axis=1)
         smooth = np.array([CubicSpline(ratios, one)(fine) for one in values[usable, :, output]])
@@ -299,23 +299,23 @@ def estimated(
     """
     chosen = equations.take(spread_rows(equations, settings.likelihood_equations))
     variance, reading = np.ones_like(scaling.spread), np.zeros_like(scaling.spread)
-    unstated = bool((chosen.readings > 0).any())
+    unstated = bool((chosen.observations > 0).any())
     if unstated:
-        bounds = settings.theta_bounds[0], settings.noise_theta_most
+        bounds = settings.theta_bounds[0], settings.noise_theta_max
         settings = replace(settings, theta_bounds=bounds)
     before: Hyperparameters | None = None
     noisy = unstated or bool((chosen.noise > settings.nugget).any())
     for stage in range(1 + noisy):
-        current = chosen.with_reading_noise(reading)
+        current = chosen.with_observation_noise(reading)
         # The groups without the outputs that vary by rounding only, and with enough rows.
         varying = [
-            group._replace(outputs=group.outputs[~scaling.silent[group.outputs]])
+            group._replace(outputs=group.outputs[~scaling.constant[group.outputs]])
             for group in output_groups(current, variance, settings)
         ]
         groups = [group for group in varying if len(group.outputs) and len(group.rows)]
         before = maximise(current, groups, before, settings, with_noise=unstated and not stage)
         if unstated:
-            variance, reading = reading_noise(equations, scaling, before, variance, settings)
+            variance, reading = observation_noise(equations, scaling, before, variance, settings)
             continue
         for group in groups:
             variance[group.outputs] = factorise(chosen, before, group, settings).variance
