@@ -134,10 +134,8 @@ def calibrate(
     coefficients : float
         Of the mean, that single rows settle too.
     """
-    typical_sigma, far_sigma = (
-        np.median(sigma_of_queries),
-        np.quantile(sigma_of_queries, settings.query_quantile),
-    )
+    typical_sigma = np.median(sigma_of_queries)
+    far_sigma = np.quantile(sigma_of_queries, settings.query_quantile)
     sigma, factors, max_sigma, comparable = [], [], 0.0, False
     factors_so_far, min_factor = np.zeros(1), settings.half_width
     for level in levels:
