@@ -269,7 +269,7 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", kriging.hyperparameters.inverse_squares
     yield "weights", padded_weights.reshape(len(padded_weights), -1)
-    if kriging.equations.places > 1 + len(x):
+    if kriging.equations.n_derivatives > 1 + len(x):
         yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)
     yield "coefficients", kriging.coefficients
     yield "centre", scaling.centre
@@ -282,44 +282,33 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "span_loads", scaling.wrenches(kriging.span)
-    yield "shares", np.array([len(kriging.shares)], dtype=np.int32)
-    for number, (share, calibration) in enumerate(
-        zip(kriging.shares, kriging.calibrations, strict=True)
-    ):
-        outputs, derivatives = len(kriging.deviation), kriging.equations.places
-        arrays = (
-            _share_arrays(share, stride, outputs, derivatives),
-            _levels(share, calibration, outputs),
-        )
-        for name, array in chain(*arrays):
+    yield "shares", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
+    factors = zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
+    for number, (neighbourhoods, calibration) in enumerate(factors):
+        sizes = stride, len(kriging.deviation), kriging.equations.n_derivatives
+        for name, array in _factor_arrays(neighbourhoods, calibration, *sizes):
             yield f"share{number}/{name}", array
 
 
-def _levels(
-    share: Neighbourhoods, calibration: Calibration, outputs: int
+def _factor_arrays(
+    neighbourhoods: Neighbourhoods,
+    calibration: Calibration,
+    stride: int,
+    outputs: int,
+    derivatives: int,
 ) -> Iterator[tuple[str, Array]]:
-    """Yield the calibration of one factor."""
-    factors = np.zeros((len(calibration.sigma), outputs))
-    factors[:, share.factor.share.outputs] = calibration.factors.reshape(len(calibration.sigma), -1)
-    yield "sigma", calibration.sigma
-    yield "factors", factors
-    yield "reach", np.array([calibration.reach])
-
-
-def _share_arrays(
-    share: Neighbourhoods, stride: int, outputs: int, derivatives: int
-) -> Iterator[tuple[str, Array]]:
-    """Yield what gives sigma for the outputs of one factor."""
-    count = len(share.around)
-    most = max(len(local.places) for local in share.around)
+    """Yield what gives sigma and its calibration for the outputs of one factor."""
+    factor, local_factors = neighbourhoods.factor, neighbourhoods.local_factors
+    count = len(local_factors)
+    most = max(len(local.columns) for local in local_factors)
     padded = -(-most // PANEL) * PANEL
     number, least = np.zeros(stride, dtype=np.int32), np.full(stride, np.inf)
     columns = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
-    unsettled = np.zeros((count, share.around[0].TF.shape[1], padded))
-    for k, (row, local) in enumerate(zip(share.factor.share.rows, share.around, strict=True)):
-        size = len(local.places)
-        at_row, of_row = np.divmod(local.places, derivatives)
+    unsettled = np.zeros((count, local_factors[0].TF.shape[1], padded))
+    for k, (row, local) in enumerate(zip(factor.output_group.rows, local_factors, strict=True)):
+        size = len(local.columns)
+        at_row, of_row = np.divmod(local.columns, derivatives)
         columns[k, :size] = of_row * stride + at_row
         # A lower triangle (e, e), dimensionless, in panels of rows, columns first.
         lower = np.zeros((padded, padded))
@@ -328,12 +317,18 @@ def _share_arrays(
             [lower[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
         )
         unsettled[k, :, :size] = local.TF.T
-        number[row], least[row] = k, local.least
-    yield "outputs", np.isin(np.arange(outputs), share.factor.share.outputs).astype(np.int32)
+        number[row], least[row] = k, local.min_variance
+    is_output = np.isin(np.arange(outputs), factor.output_group.outputs)
+    yield "outputs", is_output.astype(np.int32)
     yield "number", number
     yield "places", columns
     yield "panels", panels
     yield "unsettled", unsettled
     yield "least", least
     yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
-    yield "mean_covariance", share.factor.mean_covariance
+    yield "mean_covariance", factor.mean_covariance
+    scale = np.zeros((len(calibration.sigma), outputs))
+    scale[:, factor.output_group.outputs] = calibration.factors.reshape(len(scale), -1)
+    yield "sigma", calibration.sigma
+    yield "factors", scale
+    yield "reach", np.array([calibration.max_sigma])

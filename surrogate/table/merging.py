@@ -33,8 +33,8 @@ AGREE = 1e-6  # of an output's range: what rounding in a file may do
 MAX_LISTED = 50
 
 
-class Readings(NamedTuple):
-    """Measured values of unstated uncertainty behind each row and output, shape (n, 6).
+class Observations(NamedTuple):
+    """Measured values of unknown uncertainty behind each row and output, shape (n, 6).
 
     Their scatter and the likelihood of a kriging show their noise.
 
@@ -49,9 +49,9 @@ class Readings(NamedTuple):
     number: Floats
     scatter: Floats
 
-    def take(self, which: NDArray[np.intp]) -> Readings:
+    def take(self, which: NDArray[np.intp]) -> Observations:
         """Return those of some rows, whose indices have shape (k,)."""
-        return Readings(self.number[which], self.scatter[which])
+        return Observations(self.number[which], self.scatter[which])
 
 
 class Merged(NamedTuple):
@@ -69,7 +69,7 @@ class Merged(NamedTuple):
         Which lie within the load range.
     owner : ndarray of int, shape (given rows,)
         The index, in these rows, of each row that was given.
-    readings : Readings
+    observations : Observations
         Behind each of these rows.
     """
 
@@ -77,15 +77,15 @@ class Merged(NamedTuple):
     members: tuple[tuple[int, ...], ...]
     within: NDArray[np.bool_]
     owner: NDArray[np.intp]
-    readings: Readings
+    observations: Observations
 
-    def usable(self) -> tuple[Rows, tuple[tuple[int, ...], ...], Readings]:
-        """Return the rows within the load range, their members and readings."""
+    def usable(self) -> tuple[Rows, tuple[tuple[int, ...], ...], Observations]:
+        """Return the rows within the load range, their members and observations."""
         if self.within.all():
-            return self.rows, self.members, self.readings
+            return self.rows, self.members, self.observations
         inside = np.flatnonzero(self.within)
         members = tuple(self.members[index] for index in inside)
-        return self.rows.take(inside), members, self.readings.take(inside)
+        return self.rows.take(inside), members, self.observations.take(inside)
 
 
 def merge(rows: Rows, load_range: LoadRange) -> Merged:
@@ -99,7 +99,7 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     present = np.isfinite(rows.displacement)
     solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
     is_known = present & ((rows.uncertainty > 0) | solved[:, None])
-    observations = Readings(
+    observations = Observations(
         np.where(present & ~is_known, 1.0, 0.0), np.zeros_like(rows.displacement)
     )
     if not len(several):
