@@ -100,7 +100,7 @@ class Group:
         self.linear, self.locked = linear, tuple(locked)
         self._off_axis: OffAxis = off_axis
         self.merged = merge(rows, load_range)
-        self.used, self.members, self._readings = self.merged.usable()
+        self.used, self.members, self._observations = self.merged.usable()
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
         self.too_large = "" if linear else why_too_large(self.used, load_range)
         self._earlier_axes: Axes | None = vars(before).get("axes") if before is not None else None
@@ -173,7 +173,7 @@ class Group:
         if self.linear or self.too_large:
             return None
         try:
-            return Kriging.build(self.used, self.load_range, observations=self._readings)
+            return Kriging.build(self.used, self.load_range, observations=self._observations)
         except (TooFewRowsError, SingularCovarianceError):
             return None
 

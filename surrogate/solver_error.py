@@ -8,7 +8,7 @@ errs one way at all wrenches alike, nothing of it averages out.
 A mesh that is too coarse is too stiff. With D what it adds to the stiffness at small loads, that is
 K0 dC K0 of a compliance 1/K0 that is dC short, a displacement u with the tangent T lacks T D u:
 dC w for small w, more where a part softens (a column at 0.8 of its buckling load: 25 times), and
-something in outputs of second order. Every solved row brings T and u, so rows tell by how much.
+something in outputs of second order. Every solved row brings T and u, so rows show by how much.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from .table.rows import Floats, LoadRange, Rows
 from .table.space import PER_INTERFACE
 
 _MAX_BY_SQUARE = 1.0
-"""Of the share at small loads, at the full range: up to it growth follows the load's square,
-which at most doubles a bar and needs nothing else; beyond it by each answer's own tangent."""
+"""Of the error at small loads, at the full range: up to it growth follows the load's square,
+which at most doubles a bar and needs nothing else; beyond it by each answer's tangent."""
 
 _NEGLIGIBLE = 1e-6
-"""Of a bar at full load, below which a load's share of it is left out: an estimate has 1 digit."""
+"""Of a bar at full load, below which a load's part of it is left out: an estimate has 1 digit."""
 
 UNKNOWN = (
     "nothing has told how far the solver's own mesh is off; the next solve of this component "
@@ -80,7 +80,7 @@ class SolverError:
 
     @property
     def can_grow(self) -> bool:
-        """Whether rows can tell how the discretisation error grows, or there is nothing to tell.
+        """Whether rows can show how the discretisation error grows, or need not.
 
         False of what was estimated before ``mesh_stiffness`` was stored.
         """
@@ -88,7 +88,7 @@ class SolverError:
 
     @property
     def packed(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """The arrays that the kernel computes the share of an answer from.
+        """The arrays from which the kernel computes the solver's error of an answer.
 
         Shape (6, 6), SI; (6,), m and rad; one over the largest loads (6,), 1/N and 1/(N·m); what
         the mesh adds to the stiffness (6, 6), N/m and so on; whether answers' tangents are needed
@@ -105,10 +105,10 @@ class SolverError:
         return None if values is None else cls(values)
 
     def grown(self, rows: Rows, load_range: LoadRange | None = None) -> SolverError:
-        """Return this with what solved rows tell of the discretisation error beyond small loads.
+        """Return this with the growth of the discretisation error that solved rows show.
 
         ``mesh_growth`` is the least that, growing with the square of the largest load over its
-        range, makes the share at each row T D u or more. The square is the first term that linear
+        range, makes the error at each row T D u or more. The square is the first term that linear
         answers lack. Where it more than doubles bars (`needs_tangent`) it stands only for what has
         no tangent: it would be hundreds of times the truth at loads that do not push.
 
@@ -116,14 +116,14 @@ class SolverError:
         ----------
         rows : Rows
             Of one version of a table; those without tangents or outputs, measured ones and those
-            beyond the range tell nothing.
+            beyond the range have no effect.
         load_range : LoadRange, optional
             The table's. Without it a row is beyond the range where a load is larger than the
             largest of either sign.
         """
         if self.mesh is None or self.linearity is not None or "mesh_stiffness" not in self.values:
             return self
-        # Wrenches (n, 6), displacements (n, 6) and tangents (n, 6, 6) of rows solved whole.
+        # Wrenches (n, 6), displacements (n, 6) and tangents (n, 6, 6) of complete solves.
         complete = (
             (rows.source == "fea")
             & np.isfinite(rows.displacement).all(axis=1)
@@ -151,11 +151,11 @@ class SolverError:
         return SolverError({**self.values, "mesh_growth": growth.tolist()})
 
     def total(self, wrench: Floats) -> Floats:
-        """Return the whole share of an error bar at a wrench (6,), N and N·m: (6,), m and rad."""
+        """Return the solver's error at a wrench (6,), N and N·m: (6,), m and rad."""
         return np.sum(self._components(wrench), axis=0)
 
     def parts(self, wrench: Sequence[float]) -> dict[str, list[float] | None]:
-        """Return each cause's share of a bar, (6,), m and rad, at a wrench (6,), N and N·m.
+        """Return each cause's component of a bar, (6,), m and rad, at a wrench (6,), N and N·m.
 
         Of ``mesh``, and of a linear component ``linearity``; None where it is not known.
         """
@@ -194,7 +194,7 @@ def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
 
 
 def bars_are_complete(rows: Rows, error: SolverError | None) -> bool:
-    """Tell whether bars hold all that rows may be wrong by: solved ones need their solver's share.
+    """Whether error bars have all components: those of solved rows need their solver's error.
 
     Where the solver's error was never estimated, or is lost, bars are of the table alone.
     """

@@ -103,7 +103,7 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
 def _with_stored_numbers(
     ledger: Ledger, component: Component, read: ReadResult
 ) -> Iterator[ParsedTable]:
-    """Yield the rows of a file; numbers from other units that agree with a stored row are its own.
+    """Yield the rows of a file; numbers that agree with a stored row become its numbers.
 
     Factors of units round. A row whose numbers all agree with those of a stored row to `SAME` gets
     that row's bits, so that an export in any unit comes back as known rows.
@@ -140,7 +140,7 @@ def _sums(numbers: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a weighted sum of numbers (n, k), SI, and the same sum of their sizes, (n,) each.
 
     Two rows of one sum are the same but by chance: weights are drawn, so that loads of
-    both signs differ in it, and displacements count a million times, so that repeated readings of
+    both signs differ in it, and displacements count a million times, so that repeated values of
     a wrench do.
     """
     columns = np.arange(numbers.shape[1])

@@ -50,7 +50,7 @@ START_S = 30.0  # for a start to wait for the builder: a table that comes later 
 SWITCH_S = 0.0005
 ROW = "row"  # the method of an answer by one row
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
-_ALL_PARTS = 4  # the place in the solver's flags of whether error bars have all their parts
+_ALL_PARTS = 4  # the index in the solver's flags of whether error bars have all their parts
 
 
 class TableBehindError(Exception):

@@ -54,7 +54,7 @@ def iso_time(seconds: float) -> str:
 
 
 def table_meta(component: Component, version: int, error: SolverError | None = None) -> TableMeta:
-    """Return the metadata of an HDF5 export: contract, range, and the solver's own error."""
+    """Return the metadata of an HDF5 export: contract, range, and the solver's error."""
     return TableMeta(
         component=component.name,
         last_seq=version,

@@ -243,7 +243,7 @@ class TableStore:
             named = content[1].component
             if named == component.name:
                 return content
-            # Tables without a setup have the same fingerprint: the name tells them apart.
+            # Tables without a setup have the same fingerprint: the name separates them.
             why: object = f"the file is the table of {named!r}"
         except FileNotFoundError:
             return None

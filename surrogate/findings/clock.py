@@ -22,7 +22,7 @@ ROUNDING = 1e-9  # of the displacements' variance: smaller residuals are written
 PEAKS = 5  # of the correlation that are fitted: turned by half a period, a load correlates as well
 EXPLAINED = 0.5  # of the displacements' variance: with less the logs do not belong together
 INTERPOLATED = 0.02  # of the loads' interval: exact logs of 0.1 to 4 Hz showed lags within 1.1 %
-INSIDE = 0.9  # of the reach of a search: an optimum beyond it may be the bound
+INSIDE = 0.9  # of a search's width: an optimum beyond it may be the bound
 MIN_EXPLAINED = 0.2  # of the residual's variance at the applied lag that another lag must explain
 AVERAGED = 0.5  # of the residual's variance: between two loads interpolation averages their noise
 DEVIATIONS = 4.0  # of the estimate: residuals that are near in time are not independent
@@ -258,7 +258,7 @@ class _Fit:
     def vertex(self, lag: float) -> tuple[float, float]:
         """Return the lag of the least residual near a lag, and its error, s.
 
-        Of a parabola through lags that are an interval of the loads apart: between two loads
+        Of a parabola through lags at the distance of an interval of the loads: between two loads
         interpolation averages their noise, which bends the residual at smaller steps.
         """
         step = float(np.median(np.diff(self.logs.time)))

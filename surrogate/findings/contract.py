@@ -1,4 +1,4 @@
-"""Breaks of the wrench contract that a whole file shares: signs, units, reference points."""
+"""Breaks of the wrench contract in all rows of a file: signs, units, reference points."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DEVIATIONS = 6.0  # of a fitted entry: surely not zero
 TIE = 0.1  # of a logarithm: factors of two quantities that explain the same
 SCALE = 1.5  # times: a calibration is wrong by more, finite elements by less
 FAR = 3.0  # times: units differ by more, parts of one kind by less
-AGREE = 1.6  # times: how far the entries of one wrong unit may be apart
+AGREE = 1.6  # times: how far entries may differ that have one wrong unit
 BETTER = 3.0  # times the asymmetry that a lever must explain
 ASYMMETRY = 0.05  # as `table.physics_checks`: rotations make tangents unsymmetric by as much
 UNEXPLAINED = 0.1  # of the largest energy: noise of 1 % and rotations make less
@@ -44,7 +44,7 @@ class Fit(NamedTuple):
     sure : ndarray of bool, shape (6, 6)
         Which entries surely are not zero, and are not small beside others of their kind.
     loads : ndarray of bool, shape (6,)
-        The loads that the rows tell.
+        The loads that the rows determine.
     """
 
     matrix: Floats
@@ -64,7 +64,7 @@ def linear_fit(rows: Rows, load_range: LoadRange, response: RobustFit) -> Fit:
         known = np.isfinite(response.expected[:, output])
         if not known.any():
             continue
-        # Coefficients (t,), their errors from the misfit, and which the rows tell.
+        # Coefficients (t,), their errors from the misfit, and which the rows determine.
         x = first[known]
         y = response.expected[known, output]
         _, sizes, axes = np.linalg.svd(x, full_matrices=False)
@@ -90,14 +90,14 @@ def solved_fit(compliance: Floats, load_range: LoadRange) -> Fit:
 
 
 def _is_large(moved: Floats) -> NDArray[np.bool_]:
-    """Return which displacements by full loads (6, 6) are not small beside others of their kind."""
+    """Return which displacements by loads (6, 6) are not small beside others of their kind."""
     size = np.abs(moved)
     blocks = size.reshape(2, 3, 2, 3).max(axis=(1, 3)) * SIGNIFICANT
     return np.asarray(size > np.kron(blocks, np.ones((3, 3))))
 
 
 def sign_findings(fit: Fit) -> list[RigFinding]:
-    """Return a finding where loads do negative work on their own displacements."""
+    """Return a finding where loads do negative work on their displacements."""
     diagonal = np.diag(fit.matrix)
     work = np.diag(fit.sure) & fit.loads
     wrong = np.flatnonzero(work & (diagonal < 0))
@@ -236,7 +236,7 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
 
 
 def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
-    """Return the factor between two lists of numbers if all share it and it is far from one."""
+    """Return the factor between two lists of numbers if it is the same for all and far from 1."""
     if not len(first):
         return None
     logs = np.log(np.abs(first / second))

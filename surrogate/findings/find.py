@@ -1,7 +1,7 @@
 """What rows show of the errors of their measurement: findings of an import, and `rig_error`.
 
-Hysteresis, drift and readings in two branches are hidden by their mean. More rows do not lower
-them, and a mean of both branches lies on neither. So error bars have a part of their own for them,
+Hysteresis, drift and observations in two branches are hidden by their mean. More rows do not lower
+them, and a mean of both branches lies on neither. So error bars have a separate part for them,
 and coverage does not depend on it, as for the discretisation error.
 """
 
@@ -63,7 +63,7 @@ def find(
     units = [*range_findings(good, load_range), *size_findings(good, response)]
     known = None if solved is None else solved_fit(solved, load_range)
     units = units or unit_findings(fit, known, linear=linear)
-    # A lever can make a load's own work negative; a wrong sign or unit is no lever.
+    # A lever can make a load's work negative; a wrong sign or unit is no lever.
     contract = units or turned_findings(fit, known) or lever_findings(fit, load_range)
     findings += contract or sign_findings(fit) or asymmetry_findings(fit, load_range)
     return [*findings, *sequence_findings(good, response)]
@@ -78,7 +78,7 @@ def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
     """Return how far from an answer the part may be besides, (6,), m and rad.
 
     A loop of hysteresis and a drift, as the order of the rows shows them, or the distance of two
-    branches of readings at one wrench. The whole of each: along a motion answers follow the branch
+    branches of observations at one wrench. All of each: along a motion answers follow the branch
     that was measured there, and the part may be on the other one.
 
     Parameters
@@ -106,21 +106,21 @@ def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
 
 
 def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> Floats:
-    """Return the error bars of one more reading at a wrench, (6,), m and rad.
+    """Return the error bars of one more observation at a wrench, (6,), m and rad.
 
     Parameters
     ----------
     error, interpolation, noise : ndarray, shape (6,), m and rad
-        The answer's error, its part by interpolation, and the 95 % noise of one reading.
+        The answer's error, its part by interpolation, and the 95 % noise of one observation.
     """
     return error - interpolation + np.hypot(interpolation, noise)
 
 
 def branches(rows: Rows, load_range: LoadRange) -> Floats:
-    """Return the deviation of readings of one wrench where it is no noise, (6,), m and rad.
+    """Return the deviation of observations at one wrench where it is no noise, (6,), m and rad.
 
-    Noise is normal: its kurtosis is 3, and shows to sqrt(24 / n) in n readings besides the first of
-    each wrench. Readings in two branches are all as far from their mean.
+    Noise is normal: its kurtosis is 3, and shows to sqrt(24 / n) in n values besides the first of
+    each wrench. Observations in two branches are all as far from their mean.
     """
     outputs = rows.displacement.shape[1]
     groups, half_widths = repeated(rows, load_range), np.zeros(outputs)

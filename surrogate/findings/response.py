@@ -24,11 +24,11 @@ BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and We
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
 ROWS_A_TERM = 5  # rows that a term of the polynomial needs at least
 EXACT = 1e-4  # of an output's range: residuals below it are no error worth a remark
-RANK = 1e-9  # of the largest: directions that the rows do not tell apart, and their ridge
+RANK = 1e-9  # of the largest: directions that the rows do not separate, and their ridge
 
 NEIGHBOURS = 8  # whose median residual is the local misfit of the response
 MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
-DEVIATIONS = 12.0  # of a normal error one in 1e32 lies so far out; heavy tails of real rigs reach 6
+DEVIATIONS = 12.0  # of normal errors 1 in 1e32 lies so far out; heavy tails of real rigs reach 6
 TAIL = 14.0  # times what 90 % of the rows keep: a misfit of the response has no single rows
 PART = 0.05  # of the output's range: smaller errors do not spoil a table's error bars
 SENTINEL = 3.0  # ranges off: no response jumps so far at one row
@@ -164,7 +164,7 @@ def _deviation(values: Floats) -> float:
 
 
 def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:
-    """Return which rows have a reading far from those around them, per output, (n, 6)."""
+    """Return which rows have an observation far from those around them, per output, (n, 6)."""
     if len(rows) < MIN_ROWS:
         return np.zeros((len(rows), 6), dtype=bool)
     local = local_residual(rows.wrench / load_range.scale, response.residual)
@@ -202,7 +202,7 @@ def single_row_findings(
 
 
 def _is_nines(value: float) -> bool:
-    """Whether the digits of a reading are nines, in whatever unit of length it was written."""
+    """Whether the digits of an observation are nines, in whatever unit of length it was written."""
     digits = f"{abs(value):.6e}".split("e")[0].replace(".", "").rstrip("0")
     return len(digits) >= NINES and set(digits) == {"9"}
 

@@ -102,7 +102,7 @@ def effects_of(
     """Return the coefficient of each cause (n, c) in the residuals (n,); 0 where none is sure.
 
     Each cause counts by what the loads and the other causes do not explain of it. It must explain a
-    share of the residuals' variance, and be so many of its own deviations.
+    fraction of the residuals' variance, and be so many of its standard deviations.
     """
     effects = np.zeros(causes.shape[1])
     clipped = np.clip(residual, -_limit(residual), _limit(residual))

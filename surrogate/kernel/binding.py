@@ -124,7 +124,7 @@ class _Work:
         method: str | None,
         without_rows: bool = False,
     ) -> int | None:
-        """Take the options of a request and return their address, None for the component's own.
+        """Take the options of a request and return their address, None for the component's.
 
         The tolerance has m numbers, m and rad; with `without_rows` the method alone answers.
 
@@ -161,7 +161,7 @@ class PackedTable:
     arrays : dict of str to ndarray
         Read-only views of the mapped file.
     method : str or None
-        What answers where no method is asked for; the table's own default if None.
+        What answers where no method is asked for; the table's default if None.
     """
 
     method: str | None = None
@@ -257,9 +257,9 @@ class PackedTable:
         Parameters
         ----------
         tolerance
-            The largest error of each output, m and rad; the component's own without.
+            The largest error of each output, m and rad; the component's without.
         method
-            One of `METHODS`; the component's own without.
+            A name of `METHODS`; the component's default without.
 
         Raises
         ------
@@ -280,9 +280,9 @@ class PackedTable:
         return reply
 
     def answers_by(self, method: str | None = None) -> str:
-        """Return the method that answers a query of a method or None, rows apart.
+        """Return the method that answers a query of a method or None, but for rows.
 
-        Without a kriging the table's default method answers in its place.
+        Without a kriging the table's default method answers.
         """
         default = self.meta["summary"]["method"]
         name = method or self.method or default
@@ -302,7 +302,7 @@ class PackedTable:
         """Answer many wrenches, shape (k, n), N and N·m, with the numbers of `answer`.
 
         The number of threads changes none of them. With `without_rows` the method answers also
-        where it does not cover a row's own wrench. Other parameters and errors are those of
+        where it does not cover the wrench of a row. Other parameters and errors are those of
         `answer`.
         """
         queries = self._many(wrenches)

@@ -154,7 +154,7 @@ def compile_library(
     more = ["-fPIC", "-lm", "-lpthread"] if apple or "win" not in system else []
     if apple:  # else the library holds the path that it is compiled at
         more.append(f"-Wl,-install_name,@rpath/{name}")
-    if target is not None or not apple:  # Apple's own linker strips no library
+    if target is not None or not apple:  # Apple's linker strips no library
         more.append("-s")  # symbols, lines and paths of the source are most of ziglang's library
     line += more
     try:

@@ -8,7 +8,7 @@ from typing import Any
 
 from .binding import PackedTable
 
-_USED = 5  # place among a group's ``flags``: see `packed.writer`
+_USED = 5  # index in a group's ``flags``: see `packed.writer`
 _AXES = tuple((axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3) for axis in range(3))
 
 
@@ -43,7 +43,7 @@ def explain(
 def _named(
     table: PackedTable, group: int, axis: int, values: Sequence[float]
 ) -> dict[str, float] | None:
-    """Return an axis' own outputs of a group by name; None where one is not known."""
+    """Return an axis' outputs of a group by name; None where one is not known."""
     outputs = table.meta["groups"][group]["outputs"]
     names = [output["name"] for output in table.meta["space"]["outputs"]]
     by_name = {names[output]: values[output] for output in (axis, 3, 4, 5)}

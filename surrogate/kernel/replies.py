@@ -29,7 +29,7 @@ NO_METHOD = 2  # WB_NO_METHOD
 
 
 class InverseError(ArithmeticError):
-    """A displacement for which no wrench was found; the text says why."""
+    """No wrench has such a displacement; the text says why."""
 
 
 class Reply(NamedTuple):
@@ -38,7 +38,7 @@ class Reply(NamedTuple):
     Attributes
     ----------
     outputs, error : tuple of m floats or None
-        The displacement, and its total 95 % error. None where unknown, as a whole and in one place.
+        The displacement, and its total 95 % error. None where unknown, all of it or an entry.
     interpolation, discretisation, linearity, measurement : tuple of m floats or None
         The parts whose sum the error is, likewise.
     coverage : str
@@ -183,7 +183,7 @@ class ReplyReader:
         )
 
     def _text(self, reply: Buffer, count: int) -> str:
-        """Return a reply's reasons in words; those without loads in them are kept."""
+        """Return a reply's reasons in words; those without loads in them are cached."""
         content: bytes = reply[REASONS_AT : REASONS_AT + REASON.size * count]  # pyright: ignore[reportAssignmentType]
         cached = self._texts.get(content)
         if cached is not None:
@@ -205,13 +205,13 @@ def reasons_in(content: bytes, count: int) -> list[Reason]:
 
 
 def known(values: tuple[float, ...]) -> tuple[float | None, ...] | None:
-    """Return None for each number that is none, and in the place of all where none is one."""
+    """Return numbers with None for NaN; None if all are NaN."""
     entries = tuple(None if value != value else value for value in values)
     return None if all(value is None for value in entries) else entries
 
 
 def method_code(method: str | None) -> int:
-    """Return a method's number, -1 for the component's own.
+    """Return a method's number, -1 for the component's default.
 
     Raises
     ------

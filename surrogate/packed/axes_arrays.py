@@ -31,9 +31,9 @@ Array = NDArray[np.generic]
 Indices = NDArray[np.intp]
 
 # Numbers of a simplex' map: the slopes of all barycentric coordinates but the last (3 x 3), and the
-# place of the last vertex, where those are zero.
+# position of the last vertex, where those are zero.
 MAP = 12
-# Whole numbers of an axis: dimensions (-1 without a table), first cell of its grid, cells a side.
+# Integers of an axis: dimensions (-1 without a table), first cell of its grid, cells a side.
 DIMENSION, FIRST_CELL, CELLS, INTS = 0, 1, 2, 5
 # Numbers of an axis: load scale (3), origin (3), basis (3 x 3), how far off its plane or line a
 # point may lie, corner of the grid (3), cells per length (3).
@@ -182,7 +182,7 @@ def _span(table: AxisTable | None) -> Floats:
 def _members_of(
     groups: Sequence[tuple[int, ...]], which: NDArray[np.integer]
 ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return the members of some groups (k,): the place in `which` of each, and the member."""
+    """Return the members of some groups (k,): the index in `which` of each, and the member."""
     sizes = np.fromiter(map(len, groups), np.int64, len(groups))
     members = np.fromiter(chain.from_iterable(groups), np.int64, int(sizes.sum()))
     ends, counts = np.cumsum(sizes), sizes[which]
@@ -201,7 +201,7 @@ class Numbered(NamedTuple):
     grid : ndarray of int, shape (cells,)
         For each cell a simplex close by.
     floats, ints : ndarray, shape (FLOATS,) and (INTS,)
-        See the columns above; the load scale is left at one.
+        See the columns above; the load scale stays 1.
     simplex_order, point_order : ndarray of int, shape (m,) and (n,)
         The old number of each simplex and point.
     """
@@ -216,7 +216,7 @@ class Numbered(NamedTuple):
 
 
 _KNOWN: WeakKeyDictionary[Triangulation, Numbered] = WeakKeyDictionary()
-"""Of triangulations that are in use: versions of a table share those of unchanged axes."""
+"""Of triangulations in use: versions of a table have those of unchanged axes in common."""
 
 
 def numbered_of(shape: Triangulation) -> Numbered:
@@ -280,7 +280,7 @@ def buckets_of(numbers: Floats) -> tuple[Floats, NDArray[np.int32]]:
     """Return the frame and the bounds of buckets over ascending numbers, shape (k,).
 
     A number's bucket is (number - frame[0]) frame[1], as `wb_bucket` of surrogate/kernel computes
-    it; those of bucket b have the places start[b] to start[b + 1]. Shapes (2,) and (b + 1,); the
+    it; those of bucket b have the indices start[b] to start[b + 1]. Shapes (2,) and (b + 1,); the
     frame has the numbers' unit and its inverse.
     """
     count = max(int(len(numbers) * PER_NUMBER), 1)

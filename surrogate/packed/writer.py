@@ -52,7 +52,7 @@ def pack(
     contract, interface
         Meaning of loads and displacements, in words; stored as they are.
     origin
-        Digests of what the table is built from; kept as they are.
+        Digests of what the table is built from; stored as they are.
     """
     arrays = dict(_space_arrays(table, len(table.groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
@@ -85,14 +85,14 @@ def pack(
 
 
 def packed_of(table: Table) -> PackedTable:
-    """Return the packed form of a built table, which is made at the first call and kept."""
+    """Return the packed form of a built table; cached."""
     if table.packed is None:
         table.packed = PackedTable.from_bytes(b"".join(pack(table)))
     return table.packed
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold: None in the place of numbers that are not finite."""
+    """Return what JSON can hold: None for numbers that are not finite."""
     if isinstance(value, Mapping):
         return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
@@ -124,7 +124,7 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
-    """Yield the solver's share of errors."""
+    """Yield the solver's part of errors."""
     error, shape = table.solver_error, table.groups[0].fit.matrix.shape
     matrix, square, inverse_loads = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
     stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
@@ -197,7 +197,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
         sloped = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2)))
         members = tuple(members[row] for row in sloped.tolist())
     yield "fit/rows", np.array(sorted(chain.from_iterable(members)), dtype=np.int64)
-    # The rows that answer at their own wrenches, in the order of a key.
+    # The rows that answer at their wrenches, in the order of a key.
     index, merged = group.row_index, group.merged.rows
     order = index.order
     owner = group.merged.owner[order]

@@ -143,7 +143,7 @@ def _cut_kriging(group: Arrays, name: str, need: Need) -> Arrays:
 
 
 def _cut_axes(group: Arrays, loaded: Mask) -> Arrays:
-    """Return the axes that the scene loads; the triangulation of each stays whole."""
+    """Return the axes that the scene loads; the triangulation of each stays complete."""
     axes = {key[5:]: array for key, array in group.items() if key.startswith("axes/")}
     point, simplex = axes["point_first"], axes["simplex_first"]
     points, simplices = _selected(point, loaded), _selected(simplex, loaded)
@@ -177,7 +177,7 @@ def _cut_axes(group: Arrays, loaded: Mask) -> Arrays:
 def _renumbered(
     axes: Arrays, simplices: Mask, fewer_points: NDArray[Any], fewer_simplices: NDArray[Any]
 ) -> Floats:
-    """Return the kept simplices (s, 16) with the numbers of what is left."""
+    """Return the selected simplices (s, 16) with new numbers of points and neighbours."""
     axis_of = np.repeat(np.arange(3), np.diff(axes["simplex_first"]))[simplices]
     simplex_rows = axes["simplex"][simplices]
     ints = np.ascontiguousarray(simplex_rows[:, :4]).view(np.int32)
@@ -201,7 +201,7 @@ def _first(counts: NDArray[Any]) -> NDArray[Any]:
 
 
 def _selected(first: NDArray[Any], selected: Mask) -> Mask:
-    """Return which entries belong to a kept part; part k has those from first[k] to first[k+1]."""
+    """Return which entries belong to a selected part; part k has first[k] to first[k+1]."""
     return np.repeat(selected, np.diff(first))
 
 

@@ -50,7 +50,7 @@ class Need:
     outputs : tuple of int
         The outputs it reads, ascending.
     tolerance : Tolerance or None, m and rad
-        The scene's own, else the component's.
+        The scene's, else the component's.
     idle : tuple of int
         Loads on locked freedoms: whatever they are, nothing depends on them.
     slack : ndarray, shape (n,), N and N·m
@@ -103,12 +103,12 @@ class Need:
 
 
 class NeedError(ValueError):
-    """A scene's loads that cannot be: each mistake by the place of its load.
+    """A scene's loads that cannot be: each mistake by the index of its load.
 
     Attributes
     ----------
     mistakes : list of (int, str)
-        Place of the load among the inputs, and what is wrong with its ends.
+        Index of the load among the inputs, and what is wrong with its ends.
     """
 
     def __init__(self, mistakes: list[tuple[int, str]]) -> None:
@@ -127,10 +127,10 @@ def need_of(
 
     Parameters
     ----------
-    whole : LoadRange
+    limits : LoadRange
         The component's load range, N and N·m; it is stretched to hold zero.
     bounds : ndarray, shape (n, 2), optional, N and N·m
-        Low and high end of each load; the component's own by default.
+        Low and high end of each load; the component's by default.
     outputs : sequence of int, optional
         Those that are read; all by default.
     idle : sequence of int
@@ -174,12 +174,12 @@ class ScenePlan:
         Leave it out; one compliance answers; its table does.
     reason : str
     bound : ndarray, shape (m,), m and rad
-        What the displacement does not exceed within the scene; NaN where nothing tells it.
+        What the displacement does not exceed within the scene; NaN where nothing determines it.
     compliance : ndarray, shape (m, n), SI, or None
         With ``linear``, where it is known: the displacement is it times the wrench. Zero by loads
         that cannot occur.
     solves : tuple of (int, int)
-        Of the first design, from an empty table: for the whole load range, and for the scene.
+        Of the first design, from an empty table: for the full load range, and for the scene.
     """
 
     need: Need
@@ -253,7 +253,7 @@ def design_of(
 def first_solves(table: Table, span: LoadRange) -> int:
     """Return how many solves the first design of a span has, from an empty table.
 
-    A solve of a linear component brings its whole compliance.
+    A solve of a linear component brings all of its compliance.
     """
     if table.linear:
         return 1
@@ -266,7 +266,7 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     """Return what the displacement does not exceed, (m,), m and rad, and why it is not known.
 
     The larger of two: the answers with their errors at corners and wrenches of the scene; and the
-    compliance's sum over the loads with its error, which is one for the whole load range, or what
+    compliance's sum over the loads with its error, which is one for the full load range, or what
     the steepest slopes of the scene's wrenches allow, if that is less.
     """
     count = len(need.span.space.outputs)
@@ -276,7 +276,7 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     if table.solver_error is not None:  # it is largest where the loads are
         solver = table.solver_error.total(largest_loads)
     if not table.linear and not need.span.space.is_default:
-        return bound, LOOKED_UP  # corners of many inputs are too many to look at
+        return bound, LOOKED_UP  # many inputs have too many corners
     sample = _sample(need)
     answers = None if table.linear else packed_of(table).batch(sample)
     for surrogate in table.groups:

@@ -20,7 +20,7 @@ RUNS = 5  # of which the best counts: what interrupts a run only ever makes it l
 
 @dataclass(frozen=True)
 class Savings:
-    """What the scene's table needs less than the whole's.
+    """What the scene's table needs less than the component's.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class Savings:
 
 
 def measured(table: Table, plan: ScenePlan) -> Savings:
-    """Return what the scene's table saves against the whole.
+    """Return what the scene's table saves against the component's.
 
-    A component that is rigid in the scene is left out: all of the whole is saved.
+    A component that is rigid in the scene needs no table: all is saved.
     """
     if not any(len(surrogate.used) for surrogate in table.groups):
         none = "not measured: there are no rows yet"

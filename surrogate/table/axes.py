@@ -68,14 +68,14 @@ class AxisRows:
     points : ndarray, shape (n, 3), dimensionless
         Inputs over the load range's half widths.
     displacement : ndarray, shape (n, 6), m and rad
-        All six, off-axis part removed where the row is not clean; the mean of merged rows.
+        All six, off-axis part removed where the row is multi-axis; the mean of merged rows.
     uncertainty : ndarray, shape (n, 6), m and rad
         Stored uncertainty, or half the spread of merged rows where that is more; 0 if unknown.
     members : tuple of tuple of int
-        The places, in the table's rows, of the rows behind each point.
+        The indices, in the table's rows, of the rows behind each point.
     single_axis : ndarray of bool, shape (n,)
     tangent : ndarray, shape (n, 6, 3), m and rad
-        Derivative of the displacement by the scaled inputs; NaN where unknown or not clean.
+        Derivative of the displacement by the scaled inputs; NaN where unknown or multi-axis.
     """
 
     axis: LoadAxis
@@ -106,7 +106,7 @@ class AxisRows:
         )
 
 
-# Which loads (6) are not an axis' own (3): a product with it tells whether any of them is there.
+# Which loads (6) are not an axis' inputs (3): a product with it shows whether any of them acts.
 _FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)])
 
 
@@ -130,7 +130,7 @@ def count_multi_axis(rows: Rows, load_range: LoadRange) -> int:
 
 
 def single_axis_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
-    """Return which rows are clean for which axis: no load but the axis' own.
+    """Return which rows load which axis alone: no load but the axis' inputs.
 
     Shape (n, 3), dimensionless.
     """
@@ -142,8 +142,8 @@ def axis_rows(
 ) -> AxisRows:
     """Choose the rows of one axis, take the off-axis part out of them, and merge equal points.
 
-    A row clean for this axis is used as it is; one clean for another axis never is. One clean
-    for no axis follows `off_axis`: "correct" subtracts the fitted compliance times its off-axis
+    A row that loads this axis alone is used as it is; that of another axis never is. A row
+    of several axes follows `off_axis`: "correct" subtracts the fitted compliance times its off-axis
     loads (and leaves the row out if the fit does not know those loads), "ignore" uses it as it
     is, "exclude" leaves it out.
     """
@@ -155,12 +155,12 @@ def axis_rows(
         loads = np.where(np.isin(np.arange(6), axis.others), rows.wrench, 0.0)
         joining &= ~((np.abs(loads) > CLEAN * load_range.scale) & ~fit.known).any(axis=1)
         displacement[joining] -= loads[joining] @ fit.matrix.T
-    # At the points of clean rows these alone count.
+    # At the points of single-axis rows these alone count.
     inputs, indices = list(axis.inputs), np.flatnonzero(mine | joining)
     if joining.any():
         group = close_groups((rows.wrench[indices] / load_range.scale)[:, inputs])
         indices = indices[mine[indices] | ~np.isin(group, group[mine[indices]])]
-    # Full wrenches may have one point; a row's number is its place, so that these are the members.
+    # Multi-axis rows may have one point; `seq` is a row's index, so that these are the members.
     merged = merge(
         replace(
             rows.take(indices),
@@ -176,7 +176,7 @@ def axis_rows(
     order = np.lexsort(points.T[::-1])
     ordered = merged.rows.take(order)
     tangent = ordered.compliance[:, :, inputs] * load_range.scale[inputs]
-    tangent[~mine[ordered.seq]] = np.nan  # a full wrench's is not that of its axis' loads alone
+    tangent[~mine[ordered.seq]] = np.nan  # a multi-axis row's is not that of the axis' loads alone
     return AxisRows(
         axis=axis,
         points=points[order],
@@ -191,15 +191,15 @@ def axis_rows(
 # A triangulation of n points in three dimensions has some 6.7 n tetrahedra: with what answers need
 # of each, 1.5 kB a point, and 45 µs a point to make. A table of a million rows would take gigabytes
 # and minutes, for neighbours that are closer than any response bends. So beyond a bound a half, a
-# quarter, ... of the points is triangulated, and the others tell whether its bars hold.
+# quarter, ... of the points is triangulated, and the others show whether its bars hold.
 #
 # Of one axis: three triangulations of as many stay below 300 MB and take some 10 s, and neighbours
-# are a fortieth of the range apart.
+# have a distance of a fortieth of the range.
 MAX_POINTS = 60_000
 # In each of these directions the outermost point stays, so that the hull does: 400 directions are
-# 10 degrees apart, and what a rounded hull loses between them is a part in 250.
+# at 10 degrees, and what a rounded hull loses between them is a part in 250.
 DIRECTIONS = 400
-CHUNK = 5000  # points at once: their places along all directions fit 20 MB
+CHUNK = 5000  # points at once: their coordinates along all directions fit 20 MB
 # Odd factors of Knuth's multiplicative hashing (The Art of Computer Programming 3, 6.4), one a
 # coordinate.
 _FACTORS = np.uint64(0x9E3779B97F4A7C15) * np.arange(1, 13, 2, dtype=np.uint64)

@@ -62,9 +62,9 @@ class TableFileError(ValueError):
 def write_table(
     path: str | os.PathLike[str], rows: Rows, meta: TableMeta, notes: Sequence[str] = ()
 ) -> None:
-    """Write a table and put it in the place of the one before, all or nothing.
+    """Write a table and replace the file before, all or nothing.
 
-    `notes`, one text a row, are for an export; the store's own files have none.
+    `notes`, one text a row, are for an export; the store's files have none.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def write_table(
             _write_meta(file, meta)
             _write_rows(file, rows)
             if any(notes):
-                # Of their own lengths: one long note must not make every other as long.
+                # Each of its length: a long note must not make every other as long.
                 kind = h5py.string_dtype("utf-8")
                 file.create_dataset("rows/note", data=list(notes), dtype=kind)
         write_digest(draft)
@@ -442,7 +442,7 @@ def _columns_of(name: str, dataset: h5py.Dataset) -> list[NamedColumn]:
 
 
 def _labels(dataset: h5py.Dataset, names: list[str]) -> list[str]:
-    """Return names with the units of a dataset's attribute, unless they have their own."""
+    """Return names with the units of a dataset's attribute, unless they have units."""
     units = _texts(dataset, "units", "unit")
     if len(units) != len(names):
         return names
@@ -521,9 +521,9 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
 
 
 def leads_out(path: Path) -> bool:
-    """Tell whether an HDF5 file of any kind has something of it read from another file.
+    """Whether an HDF5 file of any kind refers to data in another file.
 
-    A mesh is such a file too; one of a stranger must not have this machine's files read as its own.
+    A mesh is such a file too; one of a stranger must not have this machine's files read.
 
     Raises
     ------

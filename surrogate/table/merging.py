@@ -1,7 +1,7 @@
 """Rows at the same wrench: which they are, their mean, and whether they contradict each other.
 
-A row beyond the load range answers its own wrench and nothing else: one row at 25 times the range
-makes simplices that take most of it, and bends every fit. Two rows that are almost one tell, by the
+A row beyond the load range answers its wrench and nothing else: one row at 25 times the range
+makes simplices that take most of it, and bends every fit. Two rows that are almost one show, by the
 little they differ, slopes and curvatures that are nothing but noise: they are one row, and what
 they differ by is its uncertainty.
 """
@@ -23,7 +23,7 @@ DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
 ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
 EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured
 SOLVED = "fea"  # the source of a row that repeats exactly
-# Wrenches that are near each other are so along any direction; of those apart few are. The parts
+# Wrenches that are near each other are so along any direction; of others few are. The parts
 # are roots of primes, of which no two loads' steps cancel, and their sum is 1, so that what is
 # within `NEAR` in each load is so along it.
 _PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
@@ -104,7 +104,7 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     )
     if not len(several):
         return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, observations)
-    # The wrench is that of the row with the fewest loads, so that a clean row stays clean and the
+    # The wrench is that of the row with the fewest loads: a single-axis row stays so, and the
     # row at no load at no load; then of the outermost, so that the hull does not shrink.
     loaded = (np.abs(scaled) > CLEAN).sum(axis=1)
     order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
@@ -144,7 +144,7 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
 class RowIndex:
     """The nearest row of each wrench, if that is within 1e-6 of the range in each load.
 
-    Rows as near as that are one (`merging`): a rounding error beside a row is the row's own place.
+    Rows as near as that are one (`merging`): a rounding error beside a row is the row.
     Of several rows of one wrench the first counts.
 
     Parameters
@@ -243,9 +243,9 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     """
     if not len(points):
         return np.empty(0, dtype=np.intp)
-    # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would keep apart
+    # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would separate
     keys = np.round(points, EQUAL) + 0.0
-    # The distinct points in lexical order, and the place of each given one in them. As
+    # The distinct points in lexical order, and the index of each given point in them. As
     # `numpy.unique` along an axis does, which compares bytes and keeps all other threads waiting.
     order = np.lexsort(keys.T[::-1])
     ordered = keys[order]
@@ -255,7 +255,7 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     group[order] = np.cumsum(new) - 1
     distinct = ordered[new]
     # The points that another one may be near to, by what they are along a few directions. Points
-    # that are near each other are so along any direction; of points apart few are.
+    # that are near each other are so along any direction; of others few are.
     remaining = np.arange(len(distinct))
     directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, distinct.shape[1]))
     for direction in directions:

@@ -1,7 +1,7 @@
 """What physics asks of a table, whatever the component: rows that break it are named.
 
 Zero at zero load. A compliance that is symmetric (Maxwell and Betti) and positive. Work done by a
-load on its own displacement that is positive, and grows from row to row along a ray and between
+load on its displacement that is positive, and grows from row to row along a ray and between
 neighbours. Tangents that lead from a row to its neighbour. Of several interfaces these hold for all
 their loads together; the laws of work are for tables without further inputs, since heat works too.
 """
@@ -18,7 +18,7 @@ from .rows import CLEAN, Floats, LoadRange, Rows, Tolerance
 from .second_derivatives import symmetric_tangents
 from .space import Space
 
-# Shares of an output's largest value: what passes for zero, for equal, for linear.
+# Of an output's largest value: what passes for zero, for equal, for linear.
 ZERO, LINEAR = 1e-3, 1e-2
 ASYMMETRY = 5e-2  # turning loads make tangents unsymmetric by as much as the rotation
 # Of a solve's tangent by (F, mu): at the ends of their ranges the shipped components' are symmetric
@@ -89,7 +89,7 @@ def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
 
 
 def _energies(matrices: Floats, load_range: LoadRange) -> Floats:
-    """Return compliances (..., m, n) in units of energy: what each pair of full loads does.
+    """Return compliances (..., m, n) in units of energy: what each pair of loads does.
 
     Shape (..., m, m): loads, of which there are as many as outputs, stand before other inputs.
     """
@@ -107,7 +107,7 @@ def _solved_asymmetry(rows: Rows, load_range: LoadRange) -> Floats:
     """Return the asymmetry of solves' tangents by the loads that are an energy's, (n,).
 
     Those are (F, mu) of a nonlinear solve and (F, M) of a linear one, in which rotations are small
-    and mu is M. A row does not tell which it is; a wrong tangent is symmetric in neither.
+    and mu is M. A row does not say which it is; a wrong tangent is symmetric in neither.
     """
     turned = symmetric_tangents(rows.wrench, rows.displacement, rows.compliance, load_range.space)
     energies = (_energies(tangent, load_range) for tangent in (rows.compliance, turned))
@@ -241,7 +241,7 @@ def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, An
 
 
 def _neighbours(rows: Rows, load_range: LoadRange) -> np.ndarray:
-    """Return pairs of places (p, 2): each row with the three nearest of another wrench."""
+    """Return pairs of indices (p, 2): each row with the three nearest of another wrench."""
     if len(rows) < 2:
         return np.empty((0, 2), dtype=int)
     scaled = rows.wrench / load_range.scale

@@ -86,7 +86,7 @@ class LoadRange:
         """
         half = (self.high - self.low) / 2
         size = np.maximum(np.abs(self.low), np.abs(self.high))
-        # An array that nobody changes by mistake: it is kept and handed out again.
+        # Read-only, since it is cached and returned again.
         array = np.where(half > 0, half, np.where(size > 0, size, 1.0))
         array.flags.writeable = False
         return array
@@ -119,7 +119,7 @@ def acting(wrenches: ArrayLike, locked: Sequence[int]) -> Floats:
     Parameters
     ----------
     locked : sequence of int
-        Places, in `LOADS`, of the loads on locked freedoms.
+        Indices, in `LOADS`, of the loads on locked freedoms.
     """
     if not len(locked):
         return np.asarray(wrenches, dtype=float)

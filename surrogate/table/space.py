@@ -33,7 +33,7 @@ _UNNAMED = "the component has one interface, without a name: give its wrench as 
 
 
 class SpaceError(ValueError):
-    """Inputs that are not those of a space; `mistakes` has the place and the text of each."""
+    """Inputs that are not those of a space; `mistakes` has the field and the text of each."""
 
     def __init__(self, mistakes: Sequence[tuple[str, str]]) -> None:
         super().__init__("; ".join(f"{place}: {text}" for place, text in mistakes))

@@ -37,7 +37,7 @@ def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
 def sample_of(ends: Floats, centre: Floats, indices: NDArray[np.intp]) -> Floats:
     """Return the corners of a load range, shape (2, n), and wrenches within it, shape (m, n).
 
-    Inputs at other places are those of `centre`, shape (n,).
+    Inputs at other indices are those of `centre`, shape (n,).
     """
     (low, high), count = ends, len(indices)
     corners = np.array(list(product((0.0, 1.0), repeat=count)))
