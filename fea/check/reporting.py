@@ -354,8 +354,8 @@ def _trial(report: Mapping[str, Any]) -> Iterator[str]:
         moved, turned = _vectors(sag, ".3g")
         yield (
             f"self-weight moves {name or 'it'} by {moved} m and turns it by {turned} rad, "
-            "linearly, in the interface frame: the answer at zero load. Displacements are relative to the "
-            "part of the mesh without its weight"
+            "linearly, in the interface frame: the answer at zero load. Displacements "
+            "are relative to the part of the mesh without its weight"
         )
     for key, when in (
         ("deflection", "at full range, linearly,"),

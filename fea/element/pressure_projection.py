@@ -9,8 +9,8 @@ anisotropic and nonlinear media", 1980). The unknowns stay displacements and the
 definite.
 
 The linear functions are those of the point in space, not of the reference coordinates: that keeps
-the order of convergence on distorted cells (Boffi and Gastaldi, "On the quadrilateral Q2-P1 element for the
-Stokes problem", 2002).
+the order of convergence on distorted cells (Boffi and Gastaldi, "On the quadrilateral Q2-P1 element
+for the Stokes problem", 2002).
 """
 
 from __future__ import annotations

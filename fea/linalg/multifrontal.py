@@ -72,7 +72,7 @@ class Route(NamedTuple):
 
     indices: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
     pivots: int  # how many of them are eliminated in the parent
-    # First, last + 1 and index of the first: unknowns with indices without a gap, in one block column
+    # First, last + 1 and index of the first: unknowns with consecutive indices, in one block column
     # of the child and one of the parent, in their order.
     stretches: list[tuple[int, int, int]]
 
