@@ -17,7 +17,7 @@ import numpy as np
 
 from .kriging.correlation import Hyperparameters
 from .kriging.equations import DECIMALS, Equations
-from .kriging.factor import KrigingFactor, Share, factorise, left_out
+from .kriging.factor import KrigingFactor, OutputGroup, factorise, left_out
 from .kriging.settings import DEFAULTS, KrigingSettings
 from .table.rows import Floats, LoadRange
 
@@ -66,8 +66,8 @@ class FieldWeights:
         blank, none = np.zeros((count, 1 + loads, 1)), np.zeros((count, 1))  # no values, no noise
         x, measured = _scaled(wrenches, load_range), np.ones((count, 1), dtype=bool)
         equations = Equations(x, known, blank, measured, none, none, none, groups)
-        share = Share(np.arange(1), np.arange(count), np.zeros(count))
-        factor = factorise(equations, hyperparameters, share, settings)
+        group = OutputGroup(np.arange(1), np.arange(count), np.zeros(count))
+        factor = factorise(equations, hyperparameters, group, settings)
         return cls(np.array(wrenches, dtype=float), load_range, factor)
 
     def at(self, wrench: Floats) -> tuple[Floats, float]:

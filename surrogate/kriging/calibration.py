@@ -33,12 +33,12 @@ Labels = NDArray[np.intp]
 
 # Levels whose deviations differ by less are one: where deviations are those of the nugget, groups
 # do not change them, and the largest factor is theirs.
-APART = 1.05
+LEVEL_RATIO = 1.05
 
 QUERIES = 256  # places that stand for queries: their median is known to a tenth of its size
 # Of the distance within which rows are one: what the span leaves on both sides of a load that no
 # row varies, and rounding.
-STILL = 2.5
+FIXED_WIDTH = 2.5
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Calibration:
 
     sigma: Floats
     factors: Floats
-    reach: float
+    max_sigma: float
 
     @classmethod
     def unknown(cls, outputs: int, settings: KrigingSettings = DEFAULTS) -> Calibration:
@@ -67,7 +67,7 @@ class Calibration:
     @property
     def known(self) -> bool:
         """Whether left-out rows show how large errors are."""
-        return self.reach > 0
+        return self.max_sigma > 0
 
     def at(self, sigma: Floats) -> Floats:
         """Return the factors (m, q) of deviations (m,), process deviations, within reach or not."""
@@ -97,21 +97,21 @@ class Level(NamedTuple):
     errors: Floats
     sizes: Floats
     sigma: Floats
-    places: int = 7
+    n_derivatives: int = 7
     outputs: int = 6
 
 
-def groupings(places: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[Labels]:
+def groupings(points: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[Labels]:
     """Yield groups of places (n, 6), scaled by length scales: each alone, then fewer and larger."""
-    count = len(places)
-    tree = linkage(pdist(places), "complete") if count > 1 else np.empty((0, 4))
-    target, before = count, count + 1
-    while target >= settings.least_groups:
-        labels = fcluster(tree, target, "maxclust") if len(tree) else np.ones(count, dtype=int)
-        if labels.max() < before:
-            before = int(labels.max())
+    count = len(points)
+    tree = linkage(pdist(points), "complete") if count > 1 else np.empty((0, 4))
+    n_groups, n_before = count, count + 1
+    while n_groups >= settings.min_groups:
+        labels = fcluster(tree, n_groups, "maxclust") if len(tree) else np.ones(count, dtype=int)
+        if labels.max() < n_before:
+            n_before = int(labels.max())
             yield np.asarray(labels, dtype=np.intp)
-        target = min(int(target / settings.group_growth), target - 1)
+        n_groups = min(int(n_groups / settings.group_growth), n_groups - 1)
 
 
 def calibrate(
@@ -134,29 +134,30 @@ def calibrate(
     coefficients : float
         Of the mean, that single rows settle too.
     """
-    typical, enough = np.median(sigma_of_queries), np.quantile(sigma_of_queries, settings.enough)
-    sigma, factors, reach, resembles = [], [], 0.0, False
-    most, least = np.zeros(1), settings.half_width
+    typical_sigma = np.median(sigma_of_queries)
+    far_sigma = np.quantile(sigma_of_queries, settings.query_quantile)
+    sigma, factors, max_sigma, comparable = [], [], 0.0, False
+    factors_so_far, min_factor = np.zeros(1), settings.half_width
     for level in levels:
-        middle = float(np.median(level.sigma))
-        if middle >= settings.resembling * typical:
-            least = 0.0  # these rows are as far away as queries: their errors decide
-        found = _factors(level, coefficients if not sigma else 0.0, settings, sure=not resembles)
-        if found is None:
+        median = float(np.median(level.sigma))
+        if median >= settings.comparable * typical_sigma:
+            min_factor = 0.0  # these rows are as far away as queries: their errors decide
+        new = _factors(level, coefficients if not sigma else 0.0, settings, sure=not comparable)
+        if new is None:
             break
-        resembles |= middle >= settings.resembling * typical
-        most = np.maximum(most, np.maximum(found, least))
-        reach = max(reach, float(np.quantile(level.sigma, settings.far)))
-        if sigma and middle <= APART * sigma[-1]:
-            factors[-1] = most
+        comparable |= median >= settings.comparable * typical_sigma
+        factors_so_far = np.maximum(factors_so_far, np.maximum(new, min_factor))
+        max_sigma = max(max_sigma, float(np.quantile(level.sigma, settings.max_sigma_quantile)))
+        if sigma and median <= LEVEL_RATIO * sigma[-1]:
+            factors[-1] = factors_so_far
         else:
-            sigma.append(middle)
-            factors.append(most)
-        if reach >= enough and resembles:
+            sigma.append(median)
+            factors.append(factors_so_far)
+        if max_sigma >= far_sigma and comparable:
             break
-    if not sigma or sigma[-1] < settings.barely_resembling * typical:
+    if not sigma or sigma[-1] < settings.barely_comparable * typical_sigma:
         return Calibration.unknown(outputs, settings)
-    return Calibration(np.array(sigma), np.array(factors), reach)
+    return Calibration(np.array(sigma), np.array(factors), max_sigma)
 
 
 def _factors(
@@ -185,19 +186,19 @@ def _factors(
     size = np.sqrt(np.where(square > 0, square, 1.0))
     scatter = (squares**2).mean(axis=0) / size**4 - 1
     # Values and slopes of a row are up to seven independent numbers; rows of one group are alike.
-    scatter = np.maximum(scatter, 2 / level.places if count == len(group) else 2.0)
-    least = np.maximum(count - coefficients, 1.0)
+    scatter = np.maximum(scatter, 2 / level.n_derivatives if count == len(group) else 2.0)
+    degrees = np.maximum(count - coefficients, 1.0)
     # By how much sizes may be larger than groups show, (q,), in any output of the table. The
     # degrees of freedom are those of a chi square whose variance is that of the mean square
     # (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven
     # times that where values and slopes of single rows are alike, and few where a few groups make
     # most of the size.
-    widened = widening(2 * least / scatter, level.outputs)
-    factors = tail * size * (widened if sure else 1.0)
+    widenings = widening(2 * degrees / scatter, level.outputs)
+    factors = tail * size * (widenings if sure else 1.0)
     inside = (weights[:, None] * (ratios <= factors)).sum(axis=0) / count
     # Below the deviation that the nugget allows errors are rounding, whose size means nothing.
     matter = (np.abs(level.errors) > np.sqrt(settings.nugget)).any(axis=0)
-    bad = (widened > settings.most_widened) | (inside < settings.least_inside)
+    bad = (widenings > settings.max_widening) | (inside < settings.min_inside)
     return None if (matter & bad).any() else factors
 
 
@@ -211,48 +212,51 @@ def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
 
 def calibrated(
     equations: Equations,
-    spread: Neighbourhoods,
+    neighbours: Neighbourhoods,
     table: Floats,
     scaling: Scaling,
     span: Floats,
     settings: KrigingSettings,
 ) -> Calibration:
-    """Return by how much a share's deviations are multiplied for its error bars."""
-    own, outputs = spread.factor.equations, len(spread.factor.share.outputs)
-    if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
+    """Return the factors of a group's deviations for 95 % error bars."""
+    subset, outputs = (
+        neighbours.factor.equations,
+        len(neighbours.factor.output_group.outputs),
+    )
+    if not subset.known[:, 1:].any() and not has_levels(subset.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
-    full = full_rows(own, scaling)
+    full = full_rows(subset, scaling)
     # Queries load all axes too, and rows at the corners of one axis err more.
-    rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(own))
+    rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(subset))
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
     rows = rows[np.unique(chosen.round().astype(np.intp))]
-    hyperparameters = spread.factor.hyperparameters
+    hyperparameters = neighbours.factor.hyperparameters
     levels = (
         level
-        for labels in groupings(own.x * np.sqrt(hyperparameters.inverse_squares), settings)
-        if (level := _level(equations, spread, table, labels, rows)) is not None
+        for labels in groupings(subset.x * np.sqrt(hyperparameters.inverse_squares), settings)
+        if (level := _level(equations, neighbours, table, labels, rows)) is not None
     )
     # Places like those of queries: spread over the span of rows, (m, 6), half ranges. Where
     # nearly all rows load one axis each, so do these.
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
     # A load that no row varies stays as the rows have it: off that the mean is unsettled.
-    still = high - low <= STILL * NEAR
-    low, high = np.where(still, (low + high) / 2, [low, high])
+    fixed = high - low <= FIXED_WIDTH * NEAR
+    low, high = np.where(fixed, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
     if full.sum() < min(settings.full_rows, len(full) / 2):
         groups = scaling.space.kriging_groups[:-1]
         queries = queries * groups[np.arange(QUERIES) % len(groups)]
-    across = block(queries, equations.x, hyperparameters, 1, equations.places)
-    sigma = spread.deviations(queries, across.reshape(len(queries), -1))
+    across = block(queries, equations.x, hyperparameters, 1, equations.n_derivatives)
+    sigma = neighbours.deviations(queries, across.reshape(len(queries), -1))
     # The mean's coefficients, which all rows settle: these in proportion.
-    coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
+    coefficients = (1 + scaling.active.sum()) * len(rows) / len(subset)
     return calibrate(levels, outputs, sigma, coefficients, settings)
 
 
 def _level(
     equations: Equations,
-    spread: Neighbourhoods,
+    neighbours: Neighbourhoods,
     table: Floats,
     labels: NDArray[np.intp],
     rows: NDArray[np.intp],
@@ -261,25 +265,31 @@ def _level(
 
     Errors are of the whole factor; sigma, as in answers, of the nearest row's neighbourhood.
     """
-    factor, own = spread.factor, spread.factor.equations
+    factor, subset = neighbours.factor, neighbours.factor.equations
     if len(np.unique(labels)) < 2:
         return None
     out = left_out(factor, labels)
-    anchors = spread.nearest_others(rows, labels)
-    squared, number = np.full(len(rows), np.nan), numbers(equations.known)[factor.share.rows, 0]
-    lists = spread.members(own.x[anchors], labels, labels[rows])
-    for place, (row, near) in enumerate(zip(rows, lists, strict=True)):
-        local = spread.local_factor(near, table)
-        across, terms = table[number[row], local.numbers], np.append(1.0, own.x[row])
-        found = local.squared_deviation(across[None], terms[None], out.mean_covariances[row])
-        squared[place] = found[0] + factor.least
+    anchors = neighbours.nearest_others(rows, labels)
+    squared, value_numbers = (
+        np.full(len(rows), np.nan),
+        numbers(equations.known)[factor.output_group.rows, 0],
+    )
+    lists = neighbours.members(subset.x[anchors], labels, labels[rows])
+    for index, (row, near) in enumerate(zip(rows, lists, strict=True)):
+        local = neighbours.local_factor(near, table)
+        across, terms = (
+            table[value_numbers[row], local.numbers],
+            np.append(1.0, subset.x[row]),
+        )
+        variance = local.squared_deviation(across[None], terms[None], out.mean_covariances[row])
+        squared[index] = variance[0] + factor.min_variance
     # With hardly more rows than the mean has terms, rounding leaves no variance to speak of.
     finite = np.isfinite(out.errors[rows]).all(axis=1)
     known = np.flatnonzero((squared > 0) & finite)
     if not len(known):
         return None
     sigma, known_rows = np.sqrt(squared[known]), rows[known]
-    own_noise = factor.share.noise[known_rows]
+    own_noise = factor.output_group.noise[known_rows]
     errors = out.errors[known_rows] / np.sqrt(factor.variance)
     # A reading misses its answer by its own noise besides the error of the mean, and both
     # variances add up to that of its error: variances and noise have shape (k,), process

@@ -84,9 +84,9 @@ class Hyperparameters:
         weights[-len(self.weights) :] = self.weights
         return self.groups * self.inverse_squares, weights
 
-    def prior(self, places: int) -> Floats:
+    def prior(self, count: int) -> Floats:
         """Return the variances of one row's readings, shape (places,), dimensionless."""
-        return self._prior[:places]
+        return self._prior[:count]
 
     @cached_property
     def _prior(self) -> Floats:
@@ -98,14 +98,14 @@ class Hyperparameters:
         return np.concatenate(([value * weights.sum()], slopes, pairs[np.triu_indices(loads)]))
 
 
-def places_of(loads: int, order: int) -> int:
+def derivative_count(loads: int, order: int) -> int:
     """Return how many readings a row has: its value, slopes and so on up to an order."""
     return sum(1 for _ in indices(loads, order))
 
 
-def order_of(places: int, loads: int) -> int:
+def order_of(count: int, loads: int) -> int:
     """Return the order of the derivatives that so many readings of a row are."""
-    return 0 if places == 1 else 1 if places == 1 + loads else 2
+    return 0 if count == 1 else 1 if count == 1 + loads else 2
 
 
 @cache
@@ -243,9 +243,9 @@ def covariance(
     """
     out = np.empty((int(known_x.sum()), int(known_v.sum())))
     first_x, first_v = numbers(known_x), numbers(known_v)
-    for there, columns in _by_places(known_v, x.shape[1]):
+    for there, columns in _rows_by_order(known_v, x.shape[1]):
         told = known_v[columns, :there]
-        for here, every in _by_places(known_x, x.shape[1]):
+        for here, every in _rows_by_order(known_x, x.shape[1]):
             size = len(every) * len(columns) * here * there
             for rows in np.array_split(every, 1 + size // NUMBERS):
                 own = known_x[rows, :here]
@@ -256,12 +256,12 @@ def covariance(
     return out
 
 
-def _by_places(known: Mask, loads: int) -> list[tuple[int, NDArray[np.intp]]]:
+def _rows_by_order(known: Mask, loads: int) -> list[tuple[int, NDArray[np.intp]]]:
     """Return the rows that bring readings of each order, with the number of these."""
     counts = np.full(len(known), 1)
     for order in (1, 2):
-        places = places_of(loads, order)
-        counts[known[:, places_of(loads, order - 1) : places].any(axis=1)] = places
+        count = derivative_count(loads, order)
+        counts[known[:, derivative_count(loads, order - 1) : count].any(axis=1)] = count
     return [(int(count), np.flatnonzero(counts == count)) for count in np.unique(counts)]
 
 

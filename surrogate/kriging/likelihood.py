@@ -27,7 +27,7 @@ from .correlation import (
     seen_by,
 )
 from .equations import Equations, Scaling
-from .factor import KrigingFactor, Share, SingularCovarianceError, factorise, shares_of
+from .factor import KrigingFactor, OutputGroup, SingularCovarianceError, factorise, output_groups
 from .settings import DEFAULTS, KrigingSettings
 
 REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
@@ -37,12 +37,12 @@ DECIMALS = 9  # to which two distances are a tie, settled by the rows' own order
 def profile(
     equations: Equations,
     hyperparameters: Hyperparameters,
-    share: Share,
+    group: OutputGroup,
     ratio: float = 0.0,
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
 ) -> tuple[KrigingFactor, Floats, Floats, float]:
-    """Return the likelihood of a share's outputs, their process variances and means settled.
+    """Return the likelihood of a group's outputs, with process variances and means profiled.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ def profile(
     by_noise : float
         Its derivative by the logarithm of a reading's noise, but for what inv(K) tells.
     """
-    noise = share.noise + ratio * reading_parts(equations, share)
-    made = share._replace(noise=noise)
+    noise = group.noise + ratio * observation_noise_parts(equations, group)
+    made = group._replace(noise=noise)
     factor = factorise(equations, hyperparameters, made, settings, table)
-    count, more, scatter = len(factor.T), 0.0, np.zeros(len(share.outputs))
+    count, more, scatter = len(factor.T), 0.0, np.zeros(len(group.outputs))
     if ratio > 0:
-        chosen = np.ix_(share.rows, share.outputs)
-        more = np.maximum(equations.readings[chosen] - 1, 0.0).sum(axis=0).mean()
+        chosen = np.ix_(group.rows, group.outputs)
+        more = np.maximum(equations.observations[chosen] - 1, 0.0).sum(axis=0).mean()
         scatter = equations.scatter[chosen].sum(axis=0) / ratio
     variance = (count * factor.variance + scatter) / (count + more)
     values = 0.5 * (count + more) * np.log(variance) - np.log(np.diag(factor.T)).sum()
@@ -76,12 +76,12 @@ def profile(
     return factor, variance, values, 0.5 * (more - float((scatter / variance).mean()))
 
 
-def reading_parts(equations: Equations, share: Share) -> Floats:
-    """Return the variance of a share's values over that of one reading; 0 where noise is stated.
+def observation_noise_parts(equations: Equations, group: OutputGroup) -> Floats:
+    """Return the variance of a group's values over that of one reading; 0 where noise is stated.
 
-    Shape (r,), dimensionless, the mean over the share's outputs.
+    Shape (r,), dimensionless, the mean over the group's outputs.
     """
-    readings = equations.readings[np.ix_(share.rows, share.outputs)]
+    readings = equations.observations[np.ix_(group.rows, group.outputs)]
     parts = np.zeros_like(readings)
     np.divide(1.0, readings, out=parts, where=readings > 0)
     return parts.mean(axis=1)
@@ -90,7 +90,7 @@ def reading_parts(equations: Equations, share: Share) -> Floats:
 def negative_log_likelihood(
     logarithms: Floats,
     equations: Equations,
-    shares: list[Share],
+    groups: list[OutputGroup],
     settings: KrigingSettings = DEFAULTS,
 ) -> tuple[float, Floats]:
     """Return half the negative log likelihood, mean over the outputs, and its gradient.
@@ -101,20 +101,20 @@ def negative_log_likelihood(
     places = equations.loads + equations.weights
     hyperparameters = _hyperparameters(logarithms, equations)
     ratio = float(np.exp(logarithms[places])) if len(logarithms) > places else 0.0
-    outputs = sum(len(share.outputs) for share in shares)
+    outputs = sum(len(group.outputs) for group in groups)
     value, gradient = 0.0, np.zeros(places + 1)
-    for share in shares:
+    for group in groups:
         try:
-            found = profile(equations, hyperparameters, share, ratio, settings)
+            found = profile(equations, hyperparameters, group, ratio, settings)
         except SingularCovarianceError:
             return REFUSED, np.zeros(len(logarithms))
-        (factor, variance, likely, by_noise), part = found, len(share.outputs) / outputs
+        (factor, variance, likely, by_noise), part = found, len(group.outputs) / outputs
         value += part * float(likely.mean())
-        unit = factor.weights / np.sqrt(variance * len(share.outputs))
+        unit = factor.weights / np.sqrt(variance * len(group.outputs))
         sensitivity = factor.T.T @ factor.T - unit @ unit.T
         gradient[:places] += 0.5 * part * _contracted(sensitivity, factor)
         values = numbers(factor.equations.known)[:, 0]
-        by_ratio = ratio * reading_parts(equations, share) @ np.diag(sensitivity)[values]
+        by_ratio = ratio * observation_noise_parts(equations, group) @ np.diag(sensitivity)[values]
         gradient[places] += part * (0.5 * by_ratio + by_noise)
     return value, gradient[: len(logarithms)]
 
@@ -123,7 +123,7 @@ def _contracted(sensitivity: Floats, factor: KrigingFactor) -> Floats:
     """Return the sum of a symmetric matrix (e, e) times the covariance's seven derivatives."""
     own, hyperparameters = factor.equations, factor.hyperparameters
     # A symmetric matrix's sums by the derivatives that its entries stand with.
-    n, places = len(own), own.places
+    n, places = len(own), own.n_derivatives
     whole = np.zeros((n, places, n, places))
     known = np.flatnonzero(own.known)
     whole.reshape(n * places, n * places)[np.ix_(known, known)] = sensitivity
@@ -136,7 +136,7 @@ def _contracted(sensitivity: Floats, factor: KrigingFactor) -> Floats:
     gather = csr_array((sign.ravel(), (joined.ravel(), np.arange(joined.size))), shape=shape)
     apart = np.concatenate((own.x[one] - own.x[other], np.zeros((1, own.loads))))
     parts, apart = gather @ pairs.reshape(len(pairs), -1).T, np.ascontiguousarray(apart.T)
-    order, loads = 2 * order_of(own.places, own.loads), own.loads
+    order, loads = 2 * order_of(own.n_derivatives, own.loads), own.loads
     by_rate, by_weight = np.zeros(loads), []
     for rates, weight in zip(*hyperparameters.terms, strict=True):
         chosen = np.flatnonzero(rates)
@@ -171,7 +171,7 @@ def _by_rates(parts: Floats, apart: Floats, rates: Floats, order: int, smoothnes
 
 def maximise(
     equations: Equations,
-    shares: list[Share],
+    groups: list[OutputGroup],
     before: Hyperparameters | None = None,
     settings: KrigingSettings = DEFAULTS,
     *,
@@ -200,7 +200,7 @@ def maximise(
         minimize(
             negative_log_likelihood,
             start,
-            args=(equations, shares, settings),
+            args=(equations, groups, settings),
             jac=True,
             method="L-BFGS-B",
             bounds=bounds,
@@ -218,7 +218,7 @@ def _hyperparameters(logarithms: Floats, equations: Equations) -> Hyperparameter
     return Hyperparameters.of_logarithms(own, equations.groups, equations.smoothness)
 
 
-def reading_noise(
+def observation_noise(
     equations: Equations,
     scaling: Scaling,
     hyperparameters: Hyperparameters,
@@ -257,17 +257,17 @@ def reading_noise(
         table = covariance(x, known, x, known, kernel)
         if rough:
             table = table + rough * sum(np.exp(-np.abs(one[:, None] - one)) for one in x.T)
-        for share in shares_of(chosen, before, settings):
-            for place, ratio in enumerate(np.exp(ratios).tolist() if len(share.rows) else ()):
+        for group in output_groups(chosen, before, settings):
+            for place, ratio in enumerate(np.exp(ratios).tolist() if len(group.rows) else ()):
                 try:
-                    found = profile(chosen, kernel, share, ratio, settings, table)
+                    found = profile(chosen, kernel, group, ratio, settings, table)
                 except SingularCovarianceError:
                     continue
-                variances[number, place, share.outputs] = np.log(found[1])
-                values[number, place, share.outputs] = found[2]
+                variances[number, place, group.outputs] = np.log(found[1])
+                values[number, place, group.outputs] = found[2]
     variance, reading = before.copy(), np.zeros_like(before)
     fine = np.arange(ratios[0], ratios[-1], settings.ratio_accuracy)
-    for output in np.flatnonzero(~scaling.silent):
+    for output in np.flatnonzero(~scaling.constant):
         readings, usable = ratios + variances[:, :, output], values[:, :, output] < REFUSED
         usable = usable.all(axis=1)
         smooth = np.array([CubicSpline(ratios, one)(fine) for one in values[usable, :, output]])
@@ -299,26 +299,26 @@ def estimated(
     """
     chosen = equations.take(spread_rows(equations, settings.likelihood_equations))
     variance, reading = np.ones_like(scaling.spread), np.zeros_like(scaling.spread)
-    unstated = bool((chosen.readings > 0).any())
+    unstated = bool((chosen.observations > 0).any())
     if unstated:
-        bounds = settings.theta_bounds[0], settings.noise_theta_most
+        bounds = settings.theta_bounds[0], settings.noise_theta_max
         settings = replace(settings, theta_bounds=bounds)
     before: Hyperparameters | None = None
     noisy = unstated or bool((chosen.noise > settings.nugget).any())
     for stage in range(1 + noisy):
-        current = chosen.with_reading_noise(reading)
-        # The shares without the outputs that vary by rounding only, and with enough rows.
+        current = chosen.with_observation_noise(reading)
+        # The groups without the outputs that vary by rounding only, and with enough rows.
         varying = [
-            share._replace(outputs=share.outputs[~scaling.silent[share.outputs]])
-            for share in shares_of(current, variance, settings)
+            group._replace(outputs=group.outputs[~scaling.constant[group.outputs]])
+            for group in output_groups(current, variance, settings)
         ]
-        shares = [share for share in varying if len(share.outputs) and len(share.rows)]
-        before = maximise(current, shares, before, settings, with_noise=unstated and not stage)
+        groups = [group for group in varying if len(group.outputs) and len(group.rows)]
+        before = maximise(current, groups, before, settings, with_noise=unstated and not stage)
         if unstated:
-            variance, reading = reading_noise(equations, scaling, before, variance, settings)
+            variance, reading = observation_noise(equations, scaling, before, variance, settings)
             continue
-        for share in shares:
-            variance[share.outputs] = factorise(chosen, before, share, settings).variance
+        for group in groups:
+            variance[group.outputs] = factorise(chosen, before, group, settings).variance
     assert before is not None
     return before, variance, reading
 

@@ -19,7 +19,7 @@ class KrigingSettings:
     # the nugget, and again, up to a deviation of 1 % of the spread: beyond that it is a mistake.
     nugget_limit: float = 1e-4
     # Fewer rows than this leave nothing to calibrate a bar on once one is left out.
-    least_rows: int = 4
+    min_rows: int = 4
     # The mean's coefficients have this variance: so wide that rows decide, but finite, so that
     # a load that no row varies gives a wide bar in place of a singular matrix.
     mean_variance: float = 1e6
@@ -56,7 +56,7 @@ class KrigingSettings:
     noise_rough: tuple[float, ...] = (0.003, 0.03, 0.3)
     # Most of `theta_bounds` where noise is to be found: below half a half range a kernel of six
     # loads is noise itself, and bars of a straight response were up to 47 times its errors.
-    noise_theta_most: float = 1.4
+    noise_theta_max: float = 1.4
     # The likelihood costs the cube of its equations some fifty times over, and is flat: 420
     # equations of six outputs (60 solved rows, or as many measured ones) settle seven numbers, in
     # half a second; with 210 errors were up to twice as large, measured over made-up responses. Of
@@ -76,7 +76,7 @@ class KrigingSettings:
     # So many of these bring their second derivatives too: 2 of 12 rows (126 equations) give bars of
     # 60 solves that are 1.1 times as wide as those of 20 rows with all (560 equations); 5 of 5
     # (140) are 1.6 times as wide.
-    deviation_bent: int = 2
+    deviation_curved: int = 2
     # Answers at once, so that their covariances with 400 solved rows stay within 25 MB.
     chunk: int = 1000
     # Decimals of the logarithms that the estimate ends at: a length to 0.05 %, and the same one
@@ -90,19 +90,19 @@ class KrigingSettings:
     # Groups of left-out rows: from one level to the next so many times fewer, down to three, whose
     # spread still tells something. Twice as few hold as well, with wider bars for twins.
     group_growth: float = 1.5
-    least_groups: int = 3
+    min_groups: int = 3
     # A level resembles queries if the median deviation of its left-out rows is 0.6 of that at
     # random wrenches: left-out rows are the others' distance apart, wrenches lie between. Where no
     # level has half of it, errors are not known. Below the first level that resembles it, factors
     # are at least the normal 1.96: rows along a motion predict each other far better than what lies
     # beside the motion (with 60 of `plate_thin` 31 to 48 % of the covered were outside). From it on
     # left-out rows are like queries, and their errors decide.
-    resembling: float = 0.6
-    barely_resembling: float = 0.5
+    comparable: float = 0.6
+    barely_comparable: float = 0.5
     # The quantile of left-out deviations beyond which errors are not known, and that of the
     # deviations at random wrenches up to which groups grow.
-    far: float = 0.95
-    enough: float = 0.8
+    max_sigma_quantile: float = 0.95
+    query_quantile: float = 0.8
     # How likely rows that are spread evenly leave more beyond the outermost ones than is counted as
     # theirs: of six loads with two ends each one end in nine tables.
     beyond_rows: float = 0.01
@@ -113,8 +113,8 @@ class KrigingSettings:
     # Where errors may be more than three times what rows tell (of all rows some four make the
     # size, or fewer), or where bars miss more than 15 % of the left-out rows themselves, nothing
     # is `covered`. Of 200 made-up tables that cover more than 5 % of answers that takes 8.
-    most_widened: float = 3.0
-    least_inside: float = 0.85
+    max_widening: float = 3.0
+    min_inside: float = 0.85
     # What the sums over the rows lose to rounding, of an output's spread and of the value itself:
     # weights are up to 1e5 times what they sum to.
     error_floor: float = 1e-11
