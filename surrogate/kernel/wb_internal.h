@@ -80,16 +80,16 @@ typedef struct {
     int64_t count, levels;
     const int32_t *outputs, *number, *places;
     const double *panels, *unsettled, *least, *penalty, *mean_covariance;
-    const double *sigma, *factors, *reach; /* of the calibration: (levels), (levels, m), (1) */
-} wb_share;
+    const double *sigma, *scale, *reach; /* of the calibration: (levels), (levels, m), (1) */
+} wb_factor;
 
 typedef struct {
-    int stride, terms, shares; /* stride: rows, a multiple of WB_LANES */
+    int stride, terms, factors; /* stride: rows, a multiple of WB_LANES */
     int bent, readings; /* whether rows bring second derivatives; how many numbers one brings */
     const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
     const double *deviation, *lost, *floor, *tangent, *span;
-    const int32_t *smoothness, *factors; /* NULL without second derivatives; how many shares */
-    wb_share *share;
+    const int32_t *smoothness, *factor_count; /* smoothness: NULL without second derivatives */
+    wb_factor *factor;
 } wb_kriging;
 
 typedef struct {
@@ -133,7 +133,7 @@ struct wb_table {
     const int32_t *scene_varying, *scene_slopes;
     wb_solver solver;
     wb_group *group;
-    wb_share *share;
+    wb_factor *factor;
 };
 
 /* Where one answer works; pointers into a scratch. */

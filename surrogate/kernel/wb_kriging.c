@@ -82,10 +82,10 @@ static void add_distances(const double *rates, int inputs, const double *restric
 }
 
 /* The nearest row over all loads that has a neighbourhood; of equally near ones the first. */
-WB_VECTORS static int nearest(const wb_kriging *k, const wb_share *share, int inputs, const double *apart,
+WB_VECTORS static int nearest(const wb_kriging *k, const wb_factor *factor, int inputs, const double *apart,
                    double *restrict distance) {
     double closest = INFINITY;
-    memcpy(distance, share->penalty, (size_t)k->stride * sizeof(double));
+    memcpy(distance, factor->penalty, (size_t)k->stride * sizeof(double));
     add_distances(k->rates, inputs, apart, k->stride, distance);
     for (int row = 0; row < k->stride; row++)
         closest = distance[row] < closest ? distance[row] : closest;
@@ -164,39 +164,39 @@ WB_VECTORS static void reduce(const double *restrict panel, const double *restri
 }
 
 /* sigma squared over the process variance, from the neighbourhood of a row. */
-static double squared_deviation(const wb_kriging *k, const wb_share *share, int inputs, int anchor,
+static double squared_deviation(const wb_kriging *k, const wb_factor *factor, int inputs, int anchor,
                                 const double *at, const wb_work *work) {
-    int padded = share->padded, terms = inputs + 1;
-    int64_t number = share->number[anchor], triangle = (int64_t)padded * (padded + WB_PANEL) / 2;
-    const int32_t *places = share->places + number * padded;
-    const double *unsettled = share->unsettled + number * terms * padded;
+    int padded = factor->padded, terms = inputs + 1;
+    int64_t number = factor->number[anchor], triangle = (int64_t)padded * (padded + WB_PANEL) / 2;
+    const int32_t *places = factor->places + number * padded;
+    const double *unsettled = factor->unsettled + number * terms * padded;
     double left[WB_MOST + 1], loose = 0.0, prior = 0.0;
     for (int i = 0; i < padded; i++) work->chosen[i] = work->flat[places[i]];
-    reduce(share->panels + number * triangle, work->chosen, padded, work->reduced);
+    reduce(factor->panels + number * triangle, work->chosen, padded, work->reduced);
     for (int a = 0; a < terms; a++)
         left[a] = (a == 0 ? 1.0 : at[a - 1])
                   - product(work->reduced, unsettled + (int64_t)a * padded, padded);
     for (int a = 0; a < terms; a++)
         for (int b = 0; b < terms; b++)
-            loose += left[a] * share->mean_covariance[terms * a + b] * left[b];
+            loose += left[a] * factor->mean_covariance[terms * a + b] * left[b];
     for (int term = 0; term < k->terms; term++) prior += k->term[terms * term + inputs];
     double spent = product(work->reduced, work->reduced, padded);
-    return fmax(prior - spent, share->least[anchor]) + loose;
+    return fmax(prior - spent, factor->least[anchor]) + loose;
 }
 
 /* The row whose neighbourhood gives sigma: wrenches of one anchor read the same memory. */
 int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work) {
     double at[WB_MOST];
     scale_loads(k, t->inputs, wrench, at, work->apart);
-    return nearest(k, k->share, t->inputs, work->apart, work->first);
+    return nearest(k, k->factor, t->inputs, work->apart, work->first);
 }
 
 /* What a deviation is multiplied by for a 95 % error; NaN where rows left out do
  * not show how large errors are. */
-static double factor_of(const wb_share *share, double sigma, int q, int outputs) {
-    int64_t last = share->levels - 1, n = 0;
-    const double *f = share->factors + q, *s = share->sigma;
-    if (!(sigma <= *share->reach) || last < 0) return NAN;
+static double scale_of(const wb_factor *factor, double sigma, int q, int outputs) {
+    int64_t last = factor->levels - 1, n = 0;
+    const double *f = factor->scale + q, *s = factor->sigma;
+    if (!(sigma <= *factor->reach) || last < 0) return NAN;
     if (sigma >= s[last]) return f[outputs * last];
     if (sigma <= s[0] || last < 1) return f[0];
     while (n < last - 1 && s[n + 1] <= sigma) n++;
@@ -234,20 +234,20 @@ static double value_of(const wb_table *t, const wb_kriging *k, const wb_work *wo
     return value;
 }
 
-/* The scaled loads, values over their spreads, and sigma of each share over its process deviation;
+/* The scaled loads, values over their spreads, and sigma of each factor over its process deviation;
  * `values` or `sigma` may be NULL. */
 static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
                     double *at, double *values, double *sigma) {
     int n = t->inputs;
     scale_loads(k, n, wrench, at, work->apart);
     covary(k, n, work);
-    for (int s = 0; s < k->shares; s++) {
-        const wb_share *share = &k->share[s];
+    for (int s = 0; s < k->factors; s++) {
+        const wb_factor *factor = &k->factor[s];
         for (int q = 0; values && q < t->outputs; q++)
-            if (share->outputs[q]) values[q] = value_of(t, k, work, at, q);
+            if (factor->outputs[q]) values[q] = value_of(t, k, work, at, q);
         if (!sigma) continue;
-        int anchor = nearest(k, share, n, work->apart, work->first);
-        sigma[s] = sqrt(squared_deviation(k, share, n, anchor, at, work));
+        int anchor = nearest(k, factor, n, work->apart, work->first);
+        sigma[s] = sqrt(squared_deviation(k, factor, n, anchor, at, work));
     }
 }
 
@@ -256,14 +256,14 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
                         wb_found *a) {
     double at[WB_MOST], sigma[WB_MOST];
     int before = a->reasons, far = -1;
-    for (int s = 0; s < k->shares; s++)
-        if (!(*k->share[s].reach > 0)) {
+    for (int s = 0; s < k->factors; s++)
+        if (!(*k->factor[s].reach > 0)) {
             wb_add_reason(a, WB_REASON_ERRORS_UNKNOWN);
             return;
         }
     explore(t, k, work, w, at, NULL, sigma);
-    for (int s = 0; s < k->shares; s++)
-        if (!(sigma[s] <= *k->share[s].reach)) far = s;
+    for (int s = 0; s < k->factors; s++)
+        if (!(sigma[s] <= *k->factor[s].reach)) far = s;
     for (int load = 0; load < t->inputs; load++) {
         if (k->span[load] <= at[load] && at[load] <= k->span[t->inputs + load]) continue;
         wb_reason *reason = wb_add_reason(a, WB_REASON_BEYOND_SPAN);
@@ -271,7 +271,7 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
     }
     if (a->reasons > before || far < 0) return;
     wb_reason *reason = wb_add_reason(a, WB_REASON_TOO_FAR);
-    reason->value = sigma[far], reason->limit = *k->share[far].reach;
+    reason->value = sigma[far], reason->limit = *k->factor[far].reach;
 }
 
 /* Outputs alone, m and rad. */
@@ -290,10 +290,10 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
     double at[WB_MOST], sigma[WB_MOST], values[WB_MOST] = {0}, wide[WB_MOST] = {0};
     explore(t, k, work, wrench, at, values, sigma);
     int spanned = is_spanned(k, n, at);
-    for (int s = 0; s < k->shares; s++)
+    for (int s = 0; s < k->factors; s++)
         for (int q = 0; q < m; q++)
-            if (k->share[s].outputs[q])
-                wide[q] = spanned ? sigma[s] * factor_of(&k->share[s], sigma[s], q, m) : NAN;
+            if (k->factor[s].outputs[q])
+                wide[q] = spanned ? sigma[s] * scale_of(&k->factor[s], sigma[s], q, m) : NAN;
     for (int q = 0; q < m; q++) {
         double value = values[q];
         outputs[q] = value * k->spread[q] + k->offset[q];
@@ -386,10 +386,10 @@ WB_VECTORS static void add_bent_slope(const double *term, int inputs, const doub
     }
 }
 
-/* Whether a share answers output q: a scene's table has those of the outputs that it reads. */
+/* Whether a factor answers output q: a scene's table has those of the outputs that it reads. */
 static int answers(const wb_kriging *k, int q) {
-    for (int s = 0; s < k->shares; s++)
-        if (k->share[s].outputs[q]) return 1;
+    for (int s = 0; s < k->factors; s++)
+        if (k->factor[s].outputs[q]) return 1;
     return 0;
 }
 

@@ -199,20 +199,20 @@ static void read_composition(reader *r, wb_composition *c, const char *group) {
     }
 }
 
-static void read_share(reader *r, const wb_kriging *k, wb_share *share) {
-    if (!READ(r, SHARE, WB_FACTOR, share)) return;
+static void read_factor(reader *r, const wb_kriging *k, wb_factor *factor) {
+    if (!READ(r, FACTOR, WB_FACTOR, factor)) return;
     int64_t e = r->size[WB_OF_E], panels = e / WB_PANEL;
-    share->count = r->size[WB_OF_K], share->levels = r->size[WB_OF_L], share->padded = (int)e;
+    factor->count = r->size[WB_OF_K], factor->levels = r->size[WB_OF_L], factor->padded = (int)e;
     require(r, "places", e % WB_PANEL == 0 && e <= MOST_EQUATIONS);
     require(r, "panels", r->size[WB_OF_D] == WB_PANEL * WB_PANEL * panels * (panels + 1) / 2);
-    within(r, "number", share->number, k->stride, 0, share->count);
-    within(r, "places", share->places, share->count * e, 0, (int64_t)k->readings * k->stride);
-    if (!*r->bad && share->padded > r->t->most_padded) r->t->most_padded = share->padded;
+    within(r, "number", factor->number, k->stride, 0, factor->count);
+    within(r, "places", factor->places, factor->count * e, 0, (int64_t)k->readings * k->stride);
+    if (!*r->bad && factor->padded > r->t->most_padded) r->t->most_padded = factor->padded;
 }
 
 /* A kriging, and the next of the table's factors; whether there is one. */
 static int read_kriging(reader *r, const char *group, const char *which, wb_kriging *k,
-                        wb_share **share) {
+                        wb_factor **factor) {
     wb_table *t = r->t;
     int n = t->inputs;
     snprintf(r->block, sizeof r->block, "%s%s/", group, which);
@@ -224,12 +224,12 @@ static int read_kriging(reader *r, const char *group, const char *which, wb_krig
     require(r, "x", k->stride > 0 && k->stride % WB_LANES == 0);
     require(r, "weights", r->size[WB_OF_W] == (int64_t)k->readings * k->stride);
     if (k->bent) within(r, "smoothness", k->smoothness, 1, BENT_SMOOTHNESS, BENT_SMOOTHNESS + 1);
-    within(r, "shares", k->factors, 1, 1, t->outputs + 1);
+    within(r, "factor_count", k->factor_count, 1, 1, t->outputs + 1);
     if (*r->bad) return 1;
-    k->shares = *k->factors, k->share = *share, *share += k->shares;
-    for (int s = 0; s < k->shares && !*r->bad; s++) {
-        snprintf(r->block, sizeof r->block, "%s%s/share%d/", group, which, s);
-        read_share(r, k, &k->share[s]);
+    k->factors = *k->factor_count, k->factor = *factor, *factor += k->factors;
+    for (int s = 0; s < k->factors && !*r->bad; s++) {
+        snprintf(r->block, sizeof r->block, "%s%s/factor%d/", group, which, s);
+        read_factor(r, k, &k->factor[s]);
     }
     int flat = k->readings * k->stride; /* a dimension of `weights` */
     if (k->stride > t->most_stride) t->most_stride = k->stride;
@@ -238,16 +238,16 @@ static int read_kriging(reader *r, const char *group, const char *which, wb_krig
     return 1;
 }
 
-/* Each output of a group is answered by one share: by none it would have no value and no error. */
+/* Each output of a group is answered by one factor: by none it would have no value and no error. */
 static void each_by_one(reader *r, const wb_group *g, const wb_kriging *k) {
     for (int q = 0; !*r->bad && q < r->t->outputs; q++) {
         int count = 0;
-        for (int s = 0; s < k->shares; s++) count += k->share[s].outputs[q] != 0;
-        if (g->outputs[q] && count != 1) fail(r, "share/outputs");
+        for (int s = 0; s < k->factors; s++) count += k->factor[s].outputs[q] != 0;
+        if (g->outputs[q] && count != 1) fail(r, "factor/outputs");
     }
 }
 
-static void read_group(reader *r, int number, wb_group *g, wb_share **share) {
+static void read_group(reader *r, int number, wb_group *g, wb_factor **factor) {
     char group[16];
     snprintf(group, sizeof group, "g%d/", number);
     snprintf(r->block, sizeof r->block, "%s", group);
@@ -264,8 +264,8 @@ static void read_group(reader *r, int number, wb_group *g, wb_share **share) {
     g->composition.fit = &g->fit;
     g->has_composition = find(r, "vertex") != NULL;
     if (!*r->bad && g->has_composition) read_composition(r, &g->composition, group);
-    g->has_kriging = read_kriging(r, group, "kriging", &g->kriging, share);
-    g->has_missed = read_kriging(r, group, "missed", &g->missed, share);
+    g->has_kriging = read_kriging(r, group, "kriging", &g->kriging, factor);
+    g->has_missed = read_kriging(r, group, "missed", &g->missed, factor);
     if (g->has_kriging) each_by_one(r, g, &g->kriging);
     if (g->has_missed) each_by_one(r, g, &g->missed);
     within(r, "flags", flags, 1, 0, WB_METHODS);
@@ -299,11 +299,11 @@ static int read_all(wb_table *t, char *why, size_t most) {
     if (!*r.bad) {
         size_t groups = (size_t)t->groups;
         t->group = calloc(groups, sizeof *t->group);
-        t->share = calloc(2 * groups * (size_t)t->outputs, sizeof *t->share);
-        if (!t->group || !t->share) return snprintf(why, most, "no memory"), 0;
+        t->factor = calloc(2 * groups * (size_t)t->outputs, sizeof *t->factor);
+        if (!t->group || !t->factor) return snprintf(why, most, "no memory"), 0;
     }
-    wb_share *share = t->share;
-    for (int i = 0; !*r.bad && i < t->groups; i++) read_group(&r, i, &t->group[i], &share);
+    wb_factor *factor = t->factor;
+    for (int i = 0; !*r.bad && i < t->groups; i++) read_group(&r, i, &t->group[i], &factor);
     if (!*r.bad) return 1;
     return snprintf(why, most, "the table's array %s is missing or of another shape", r.bad), 0;
 }
@@ -337,7 +337,7 @@ wb_table *wb_open_checked(const void *bytes, size_t count, char *why, size_t mos
 void wb_close(wb_table *t) {
     if (!t) return;
     wb_unmap(t);
-    free(t->share);
+    free(t->factor);
     free(t->group);
     free(t);
 }

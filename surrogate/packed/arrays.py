@@ -189,9 +189,9 @@ BLOCKS = {
         Array("tangent", "f8", "m n", "added to the derivative: by loads that take no part"),
         Array("span", "f8", "2 n", "scaled loads between which errors are known"),
         Array("span_loads", "f8", "2 n", "the same in N and N·m", member="-"),
-        Array("shares", "i4", "1", "number of factors", member="factors"),
+        Array("factor_count", "i4", "1", "number of factors"),
     )),
-    "share": Block(r"g\d+/(?:kriging|missed)/share\d+/", "wb_share", (
+    "factor": Block(r"g\d+/(?:kriging|missed)/factor\d+/", "wb_factor", (
         Array("outputs", "i4", "m", "outputs of the factor"),
         Array("number", "i4", "s", "neighbourhood of each row"),
         Array("places", "i4", "k e", "where its equations stand among the w numbers"),
@@ -202,7 +202,7 @@ BLOCKS = {
         Array("penalty", "f8", "s", "0; infinite for a row without a neighbourhood"),
         Array("mean_covariance", "f8", "n1 n1", "of the mean's coefficients"),
         Array("sigma", "f8", "l", "levels of the calibration"),
-        Array("factors", "f8", "l m", "by which sigma is multiplied at each level"),
+        Array("scale", "f8", "l m", "by which sigma is multiplied at each level"),
         Array("reach", "f8", "1", "largest sigma with known errors"),
     )),
 }  # fmt: skip
@@ -240,7 +240,7 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
             if not same:
                 raise PackedTableError(f"array {start}{name}: {own.dtype} of shape {own.shape}")
         # Factors have the rows of their kriging.
-        kriging = re.sub(r"share\d+/$", "", start)
+        kriging = re.sub(r"factor\d+/$", "", start)
         if "s" in sizes and rows.setdefault(kriging, sizes["s"]) != sizes["s"]:
             raise PackedTableError(f"{start}: of {sizes['s']} rows")
     return arrays

@@ -282,12 +282,12 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "span_loads", scaling.wrenches(kriging.span)
-    yield "shares", np.array([len(kriging.shares)], dtype=np.int32)
+    yield "factor_count", np.array([len(kriging.shares)], dtype=np.int32)
     for number, (share, found) in enumerate(zip(kriging.shares, kriging.calibrations, strict=True)):
         outputs, places = len(kriging.deviation), kriging.equations.places
         arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
         for name, array in chain(*arrays):
-            yield f"share{number}/{name}", array
+            yield f"factor{number}/{name}", array
 
 
 def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
@@ -295,7 +295,7 @@ def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator
     factors = np.zeros((len(found.sigma), outputs))
     factors[:, share.factor.share.outputs] = found.factors.reshape(len(found.sigma), -1)
     yield "sigma", found.sigma
-    yield "factors", factors
+    yield "scale", factors
     yield "reach", np.array([found.reach])
 
 

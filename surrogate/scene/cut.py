@@ -125,17 +125,17 @@ def _cut_rows(own: Arrays, need: Need) -> Arrays:
 def _cut_kriging(own: Arrays, name: str, need: Need) -> Arrays:
     """Return a kriging without the factors of outputs that the scene does not read."""
     found = {
-        key: array for key, array in own.items() if key.startswith(name) and "/share" not in key
+        key: array for key, array in own.items() if key.startswith(name) and "/factor" not in key
     }
     factors = [
-        f"{name}share{number}/"
-        for number in range(int(own[f"{name}shares"][0]))
-        if own[f"{name}share{number}/outputs"][list(need.outputs)].any()
-    ] or [f"{name}share0/"]
-    found[f"{name}shares"] = np.array([len(factors)], dtype=np.int32)
+        f"{name}factor{number}/"
+        for number in range(int(own[f"{name}factor_count"][0]))
+        if own[f"{name}factor{number}/outputs"][list(need.outputs)].any()
+    ] or [f"{name}factor0/"]
+    found[f"{name}factor_count"] = np.array([len(factors)], dtype=np.int32)
     for number, factor in enumerate(factors):
         arrays = {key: array for key, array in own.items() if key.startswith(factor)}
-        found |= {f"{name}share{number}/{key[len(factor) :]}": one for key, one in arrays.items()}
+        found |= {f"{name}factor{number}/{key[len(factor) :]}": one for key, one in arrays.items()}
     return found
 
 
