@@ -8,8 +8,8 @@ static void inputs_of(int axis, int inputs[3]) {
     inputs[0] = axis, inputs[1] = 3 + (axis + 1) % 3, inputs[2] = 3 + (axis + 2) % 3;
 }
 
-/* The place in `shares` of a simplex' corner: that of the last one is 3. */
-static int share_at(int corner, int dimension) { return corner < dimension ? corner : 3; }
+/* The place in `weights` of a simplex' corner: that of the last one is 3. */
+static int weight_at(int corner, int dimension) { return corner < dimension ? corner : 3; }
 
 /* A corner's point; the first point in place of an index that leads out of the table. */
 static int64_t point_of(const wb_composition *c, int simplex, int corner) {
@@ -18,19 +18,19 @@ static int64_t point_of(const wb_composition *c, int simplex, int corner) {
 }
 
 /* Outputs and errors at a point of a simplex. Linear interpolation of |x|^2 / 2 errs by
- * S = 1/2 sum of shares |x - x_v|^2, of a response by sqrt(A + C S^2) */
+ * S = 1/2 sum of weights |x - x_v|^2, of a response by sqrt(A + C S^2) */
 static void read_values(const wb_composition *c, int axis, int simplex, const double at[3],
-                        const double shares[4], wb_part *part) {
+                        const double weights[4], wb_part *part) {
     const double *error = c->error + 12 * axis;
     int dimension = c->ints[axis].dimension;
     double unit = 0.0;
     for (int corner = 0; corner <= dimension; corner++) {
         const wb_vertex *v = c->vertex + point_of(c, simplex, corner);
-        double share = shares[share_at(corner, dimension)];
-        for (int q = 0; q < 6; q++) part->outputs[q] += share * v->value[q];
-        for (int q = 0; q < 6; q++) part->rest[q] += share * v->uncertainty[q];
+        double weight = weights[weight_at(corner, dimension)];
+        for (int q = 0; q < 6; q++) part->outputs[q] += weight * v->value[q];
+        for (int q = 0; q < 6; q++) part->rest[q] += weight * v->uncertainty[q];
         double a = at[0] - v->place[0], b = at[1] - v->place[1], d = at[2] - v->place[2];
-        unit += share * (a * a + b * b + d * d);
+        unit += weight * (a * a + b * b + d * d);
     }
     unit = unit > 0.0 ? 0.5 * unit : 0.0;
     for (int q = 0; q < 6; q++) part->rest[q] += sqrt(error[q] + error[6 + q] * (unit * unit));
@@ -84,7 +84,7 @@ static void add_off_span(const wb_composition *c, int axis, wb_part *part) {
 }
 
 /* Slopes blended from the vertices: those along the hull's outside. */
-static void blend_slopes(const wb_composition *c, int axis, int simplex, const double shares[4],
+static void blend_slopes(const wb_composition *c, int axis, int simplex, const double weights[4],
                          wb_part *part) {
     int dimension = c->ints[axis].dimension;
     memset(part->slopes, 0, sizeof part->slopes);
@@ -92,7 +92,7 @@ static void blend_slopes(const wb_composition *c, int axis, int simplex, const d
         const double *slope = c->slopes + 18 * point_of(c, simplex, corner);
         for (int q = 0; q < 6; q++)
             for (int i = 0; i < 3; i++)
-                part->slopes[q][i] += shares[share_at(corner, dimension)] * slope[3 * q + i];
+                part->slopes[q][i] += weights[weight_at(corner, dimension)] * slope[3 * q + i];
     }
     keep_along(c, axis, part->slopes);
 }
@@ -166,10 +166,10 @@ void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], w
     const double *scale = c->floats[axis].scale;
     inputs_of(axis, inputs);
     for (int i = 0; i < 3; i++) place->at[i] = place->x[i] = wrench[inputs[i]] / scale[i];
-    place->simplex = wb_locate(c, axis, place->x, place->shares);
+    place->simplex = wb_locate(c, axis, place->x, place->weights);
     place->inside = place->simplex >= 0;
     if (!place->inside)
-        place->simplex = wb_nearest_on_hull(c, axis, place->x, place->at, place->shares);
+        place->simplex = wb_nearest_on_hull(c, axis, place->x, place->at, place->weights);
 }
 
 /* Whether several loads act where no rows show what several do at once. */
@@ -191,10 +191,10 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
     }
     part->state = place->inside ? c->state[found] : WB_OFF_HULL, part->simplex = found;
     if (part->state < WB_WEAK && is_untold_together(c, axis, place->x)) part->state = WB_WEAK;
-    read_values(c, axis, found, place->at, place->shares, part);
+    read_values(c, axis, found, place->at, place->weights, part);
     if (!place->inside) {
         for (int i = 0; i < 3; i++) step[i] = place->x[i] - place->at[i];
-        blend_slopes(c, axis, found, place->shares, part);
+        blend_slopes(c, axis, found, place->weights, part);
         step_off(c, axis, step, part);
     } else if (with_slopes) {
         read_slopes(c, axis, found, part);

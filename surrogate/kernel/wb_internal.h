@@ -1,4 +1,4 @@
-/* What the files of the kernel share. MIT license, as all of wrenchbook.
+/* What the files of the kernel weight. MIT license, as all of wrenchbook.
  *
  * Arrays point into the mapped file; surrogate/packed/arrays.py names their shapes and units. The
  * order of all sums is fixed, so that one wrench, a batch and any number of threads give the same
@@ -141,7 +141,7 @@ typedef struct {
     double *apart, *flat, *first, *second, *chosen, *reduced, *wide;
 } wb_work;
 
-/* One group's answer, before the solver's share of the error. */
+/* One group's answer, before the solver's part of the error. */
 typedef struct {
     double outputs[WB_MOST], error[WB_MOST];
     int coverage, method, exact, reasons, by_row;
@@ -156,9 +156,9 @@ typedef struct {
     int state, simplex;
 } wb_part;
 
-/* Where an axis is read for a wrench: scaled loads, the point that is read, its shares. */
+/* Where an axis is read for a wrench: scaled loads, the point that is read, its barycentric weights. */
 typedef struct {
-    double x[3], at[3], shares[4];
+    double x[3], at[3], weights[4];
     int simplex, inside;
 } wb_place;
 
@@ -190,12 +190,12 @@ void wb_unmap(wb_table *t);
 wb_work wb_work_of(const wb_table *t, void *scratch);
 
 /* wb_walk.c */
-int wb_locate(const wb_composition *c, int axis, const double x[3], double shares[4]);
+int wb_locate(const wb_composition *c, int axis, const double x[3], double weights[4]);
 int wb_hint(const wb_composition *c, int axis, const double x[3]);
 void wb_flat(const wb_composition *c, int axis, const double x[3], double flat[3]);
-void wb_shares(const wb_composition *c, int simplex, const double flat[3], double shares[4]);
+void wb_barycentric(const wb_composition *c, int simplex, const double flat[3], double weights[4]);
 int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], double at[3],
-                       double shares[4]);
+                       double weights[4]);
 
 /* wb_axes.c */
 void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,

@@ -139,15 +139,15 @@ static double step_by(const solver *s, const double *stiffness, const double *mi
     return most;
 }
 
-/* Try a share of a step: where it leads to, what is missed there, and the next step from there by
+/* Try a fraction of a step: where it leads to, what is missed there, and the next step from there by
  * the same matrix; returns its largest, infinite if the method has no answer there. */
-static double try_step(solver *s, const double *target, const double *stiffness, double share,
+static double try_step(solver *s, const double *target, const double *stiffness, double fraction,
                        const double *w, const double *step, double *there, double *next) {
     double outputs[WB_MOST], missed[WB_MOST];
     memcpy(there, w, (size_t)s->t->inputs * sizeof(double));
     for (int i = 0; i < s->count; i++) {
         int load = s->free[i];
-        there[load] += share * step[i] * s->t->scale[load];
+        there[load] += fraction * step[i] * s->t->scale[load];
     }
     if (!outputs_at(s, there, outputs)) return INFINITY;
     for (int i = 0; i < s->count; i++) missed[i] = target[s->free[i]] - outputs[s->free[i]];
@@ -182,7 +182,7 @@ static int iterate(solver *s, const double *target, double *w, double *stiffness
     for (int count = 0; count < MOST_STEPS; count++) {
         if (!isfinite(most)) return WB_SINGULAR;
         double floor = step_of_rounding(s, stiffness);
-        double share = 1.0, after = try_step(s, target, stiffness, share, w, step, there, next);
+        double fraction = 1.0, after = try_step(s, target, stiffness, fraction, w, step, there, next);
         if (most <= SMALL_STEP || (most <= floor && !(after <= GAIN * most))) {
             if (after <= most) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
             return WB_OK;
@@ -194,7 +194,7 @@ static int iterate(solver *s, const double *target, double *w, double *stiffness
             continue;
         }
         for (int half = 0; half < MOST_HALVINGS && !(after < most); half++)
-            after = try_step(s, target, stiffness, share *= 0.5, w, step, there, next);
+            after = try_step(s, target, stiffness, fraction *= 0.5, w, step, there, next);
         if (!(after < most)) return most <= floor ? WB_OK : WB_NO_CONVERGENCE;
         memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
         memcpy(step, next, sizeof step);

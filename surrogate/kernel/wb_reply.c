@@ -1,4 +1,4 @@
-/* From the answers of groups of outputs to a reply: the solver's share, limits. MIT license. */
+/* From the answers of groups of outputs to a reply: the solver's error, limits. MIT license. */
 #include "wb_internal.h"
 
 #include <math.h>
@@ -110,7 +110,7 @@ static int lacking_of(const wb_table *t, const wb_options *o, wb_work *work,
     return 1;
 }
 
-/* No share of the solver's: measured rows, or rows whose solver's error is not known. */
+/* No error of a solver: measured rows, or rows whose solver's error is not known. */
 static void keep(const wb_table *t, wb_reply *reply) {
     const wb_solver *s = &t->solver;
     for (int q = 0; q < t->outputs; q++) {
@@ -191,7 +191,7 @@ static void judge_scene(const wb_table *t, wb_reply *reply) {
     }
 }
 
-/* Add the solver's and the rig's shares; take an estimate away that no table could hold. */
+/* Add the errors of solver and rig; take an estimate away that no table could hold. */
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     if (t->scene_ends) judge_scene(t, reply);
     if (t->solver.none) keep(t, reply);

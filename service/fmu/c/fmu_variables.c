@@ -7,7 +7,7 @@
 
 static const int ANY = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
 static const int SETTING = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP;
-static const double STEP_SHARE = 1e-6; /* of the load range: between its rounding and its kinks */
+static const double STEP_FRACTION = 1e-6; /* of the load range: between its rounding and its kinks */
 
 static fmi2Status no_variable(fmu_instance *m, const char *call, fmi2ValueReference vr) {
     char text[160];
@@ -118,7 +118,7 @@ static void bar_slopes(fmu_instance *m, const double *along, double *slopes) {
     for (int k = 0; k < m->inputs; k++) size = fmax(size, fabs(along[k]) / scale[k]);
     for (int q = 0; q < m->outputs; q++) slopes[q] = 0.0;
     if (!(size > 0)) return;
-    double step = STEP_SHARE / size;
+    double step = STEP_FRACTION / size;
     for (int k = 0; k < m->inputs; k++) {
         to[k] = m->state.wrench[k] + step * along[k];
         from[k] = m->state.wrench[k] - step * along[k];
