@@ -28,12 +28,12 @@ static void read_values(const wb_composition *c, int axis, int simplex, const do
         const wb_vertex *v = c->vertex + point_of(c, simplex, corner);
         double weight = weights[weight_at(corner, dimension)];
         for (int q = 0; q < 6; q++) part->outputs[q] += weight * v->value[q];
-        for (int q = 0; q < 6; q++) part->rest[q] += weight * v->uncertainty[q];
+        for (int q = 0; q < 6; q++) part->error[q] += weight * v->uncertainty[q];
         double a = at[0] - v->place[0], b = at[1] - v->place[1], d = at[2] - v->place[2];
         unit += weight * (a * a + b * b + d * d);
     }
     unit = unit > 0.0 ? 0.5 * unit : 0.0;
-    for (int q = 0; q < 6; q++) part->rest[q] += sqrt(error[q] + error[6 + q] * (unit * unit));
+    for (int q = 0; q < 6; q++) part->error[q] += sqrt(error[q] + error[6 + q] * (unit * unit));
 }
 
 /* Slopes by the scaled loads, within a simplex. */
@@ -124,7 +124,7 @@ static void step_off_plane(const wb_composition *c, int axis, const double step[
             size += fabs(load) * fabs(row[inputs[i]]);
         }
         part->outputs[q] += more;
-        part->rest[q] = unknown ? NAN : part->rest[q] + (size + c->fit->bar[q]);
+        part->error[q] = unknown ? NAN : part->error[q] + (size + c->fit->bar[q]);
     }
 }
 
@@ -134,7 +134,7 @@ static void step_off(const wb_composition *c, int axis, const double step[3], wb
         double moved = 0.0;
         for (int i = 0; i < 3; i++) moved += part->slopes[q][i] * step[i];
         part->outputs[q] += moved;
-        part->rest[q] += fabs(moved);
+        part->error[q] += fabs(moved);
     }
     step_off_plane(c, axis, step, part);
 }
@@ -153,7 +153,7 @@ static void guess(const wb_composition *c, int axis, const double wrench[6], wb_
             part->slopes[q][i] = row[inputs[i]];
         }
         part->outputs[q] = c->rest_point[q] + moved;
-        part->rest[q] = unknown ? NAN : size + c->fit->bar[q];
+        part->error[q] = unknown ? NAN : size + c->fit->bar[q];
     }
     part->state = WB_NO_ROWS, part->simplex = -1;
 }

@@ -11,7 +11,7 @@
 
 /* The answer to one moment alone: all six outputs. */
 typedef struct {
-    double outputs[6], rest[6], slopes[6];
+    double outputs[6], error[6], slopes[6];
     int state;
 } alone_part;
 
@@ -48,8 +48,8 @@ static void read_cut(const wb_cut *cut, double along, int found, int with_slopes
     unit = unit > 0.0 ? unit : 0.0;
     for (int q = 0; q < 6; q++) out->outputs[q] = o[q] + y * o[6 + q];
     for (int q = 0; q < 6; q++) {
-        out->rest[q] = r[q] + y * r[6 + q];
-        out->rest[q] += sqrt(cut->error[q] + cut->error[6 + q] * (unit * unit));
+        out->error[q] = r[q] + y * r[6 + q];
+        out->error[q] += sqrt(cut->error[q] + cut->error[6 + q] * (unit * unit));
     }
     for (int q = 0; with_slopes && q < 6; q++) out->slopes[q] = o[6 + q] / cut->scale;
 }
@@ -60,7 +60,7 @@ static void guess(const wb_composition *c, int load, double amount, alone_part *
     for (int q = 0; q < 6; q++) {
         double slope = c->fit->matrix[6 * q + load];
         out->outputs[q] = c->rest_point[q] + amount * slope;
-        out->rest[q] = unknown ? NAN : fabs(amount) * fabs(slope) + c->fit->bar[q];
+        out->error[q] = unknown ? NAN : fabs(amount) * fabs(slope) + c->fit->bar[q];
         out->slopes[q] = slope;
     }
 }
@@ -90,10 +90,10 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
 static int worse(int a, int b) { return a > b ? a : b; }
 
 /* Add an answer so many times. */
-static void add_part(const double outputs[6], const double rest[6], double times,
+static void add_part(const double outputs[6], const double error[6], double times,
                      wb_composed *out) {
     for (int q = 0; q < 6; q++) {
-        double wide = times * rest[q];
+        double wide = times * error[q];
         out->moved[q] += times * outputs[q];
         out->squares[q] += wide * wide;
     }
@@ -125,7 +125,7 @@ int wb_needs_axis(const double small[6], const double wrench[6], int axis) {
 
 void wb_add_axis(const wb_part *part, int axis, wb_composed *out) {
     out->own[axis] = part->outputs[axis];
-    add_part(part->outputs, part->rest, 1.0, out);
+    add_part(part->outputs, part->error, 1.0, out);
     out->states[axis] = part->state;
 }
 
@@ -147,7 +147,7 @@ void wb_add_moments(const wb_composition *c, const double small[6], const double
             out->states[axis] = worse(out->states[axis], alone.state);
         }
         if (times == 0.0) continue;
-        add_part(alone.outputs, alone.rest, times, out);
+        add_part(alone.outputs, alone.error, times, out);
         out->states[base] = worse(out->states[base], alone.state);
     }
     add_rest(c, out);

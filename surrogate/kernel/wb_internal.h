@@ -20,7 +20,7 @@
 #define WB_STEEPER 2.0
 
 enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
-/* What an axis' part of an answer rests on, from the best to the worst. */
+/* What an axis' part of an answer depends on, from the best to the worst. */
 enum { WB_SOUND = 0, WB_WEAK = 1, WB_DEGENERATE = 2, WB_OFF_HULL = 9, WB_NO_ROWS = 10 };
 /* The best estimate, from which the errors of other methods follow. */
 enum { WB_REF_ADDITIVE = 1, WB_REF_MISSED = 2, WB_REF_KRIGING = 4 };
@@ -152,7 +152,7 @@ typedef struct {
 
 /* One axis' answer, all six outputs, its slopes by its own three loads (N and N·m). */
 typedef struct {
-    double outputs[6], rest[6], slopes[6][3];
+    double outputs[6], error[6], slopes[6][3];
     int state, simplex;
 } wb_part;
 
