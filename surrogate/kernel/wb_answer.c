@@ -102,7 +102,7 @@ static int loads_several(const wb_table *t, const double *w) {
     return 1;
 }
 
-static int is_at_rest(const wb_table *t, const double *w) {
+static int is_zero_load(const wb_table *t, const double *w) {
     for (int k = 0; k < t->inputs; k++)
         if (!(fabs(w[k]) <= t->small[k])) return 0;
     return 1;
@@ -111,9 +111,9 @@ static int is_at_rest(const wb_table *t, const double *w) {
 /* Lower the coverage where rows do not show what is asked. */
 static void judge_interaction(const wb_table *t, const wb_group *g, const double *w, wb_found *a) {
     if (a->coverage != WB_COVERED) return;
-    if (g->rest_unknown && is_at_rest(t, w)) {
+    if (g->zero_unknown && is_zero_load(t, w)) {
         a->coverage = WB_OUTSIDE;
-        wb_add_reason(a, WB_REASON_REST_UNKNOWN);
+        wb_add_reason(a, WB_REASON_ZERO_UNKNOWN);
     } else if (!g->knows_interaction && loads_several(t, w)) {
         a->coverage = WB_THIN;
         wb_reason *reason = wb_add_reason(a, WB_REASON_INTERACTION);

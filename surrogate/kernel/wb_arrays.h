@@ -111,7 +111,7 @@ static const wb_array WB_AXES_ARRAYS[] = {
     {"fewest", WB_I4, 0, 1, {-3}, offsetof(wb_composition, fewest)},
     {"left_out", WB_I4, 0, 1, {-4}, offsetof(wb_composition, left_out)},
     {"largest", WB_F8, 0, 1, {-4}, offsetof(wb_composition, largest)},
-    {"rest_point", WB_F8, 0, 2, {-2, -6}, offsetof(wb_composition, rest_point)},
+    {"zero_load", WB_F8, 0, 2, {-2, -6}, offsetof(wb_composition, zero_load)},
     {"error", WB_F8, 0, 3, {-3, -2, -6}, offsetof(wb_composition, error)},
 };
 

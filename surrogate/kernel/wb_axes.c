@@ -152,7 +152,7 @@ static void guess(const wb_composition *c, int axis, const double wrench[6], wb_
             size += fabs(wrench[inputs[i]]) * fabs(row[inputs[i]]);
             part->slopes[q][i] = row[inputs[i]];
         }
-        part->outputs[q] = c->rest_point[q] + moved;
+        part->outputs[q] = c->zero_load[q] + moved;
         part->error[q] = unknown ? NAN : size + c->fit->bar[q];
     }
     part->state = WB_NO_ROWS, part->simplex = -1;

@@ -59,7 +59,7 @@ static void guess(const wb_composition *c, int load, double amount, alone_part *
     int unknown = amount != 0 && !c->fit->known[load];
     for (int q = 0; q < 6; q++) {
         double slope = c->fit->matrix[6 * q + load];
-        out->outputs[q] = c->rest_point[q] + amount * slope;
+        out->outputs[q] = c->zero_load[q] + amount * slope;
         out->error[q] = unknown ? NAN : fabs(amount) * fabs(slope) + c->fit->bar[q];
         out->slopes[q] = slope;
     }
@@ -102,16 +102,16 @@ static void add_part(const double outputs[6], const double error[6], double time
 
 void wb_compose_start(const wb_composition *c, wb_composed *out) {
     memset(out, 0, sizeof *out);
-    memcpy(out->own, c->rest_point, sizeof out->own);
+    memcpy(out->own, c->zero_load, sizeof out->own);
 }
 
 /* Add the answer at no load as often as the parts leave room for it. */
-static void add_rest(const wb_composition *c, wb_composed *out) {
+static void add_zero_load(const wb_composition *c, wb_composed *out) {
     double left = 1.0 - out->times;
     if (left == 0.0) return;
     for (int q = 0; q < 6; q++) {
-        double wide = left * c->rest_point[6 + q];
-        out->moved[q] += left * c->rest_point[q];
+        double wide = left * c->zero_load[6 + q];
+        out->moved[q] += left * c->zero_load[q];
         out->squares[q] += wide * wide;
     }
 }
@@ -150,7 +150,7 @@ void wb_add_moments(const wb_composition *c, const double small[6], const double
         add_part(alone.outputs, alone.error, times, out);
         out->states[base] = worse(out->states[base], alone.state);
     }
-    add_rest(c, out);
+    add_zero_load(c, out);
     out->state = worse(worse(out->states[0], out->states[1]), out->states[2]);
 }
 

@@ -63,7 +63,7 @@ typedef struct {
     int64_t points, simplices, cells;
     const wb_simplex *simplex;
     const wb_vertex *vertex;
-    const double *slopes, *rest_point, *error;
+    const double *slopes, *zero_load, *error;
     const unsigned char *state;
     const wb_axis_ints *ints;
     const wb_axis_floats *floats;
@@ -101,7 +101,7 @@ typedef struct {
 
 /* The outputs that the same rows hold. */
 typedef struct {
-    int method, reference, knows_interaction, rest_unknown, exact_fit, used;
+    int method, reference, knows_interaction, zero_unknown, exact_fit, used;
     int full, needed, has_rows, has_composition, has_kriging, has_missed;
     const int32_t *flags, *outputs;
     const double *allowed;

@@ -258,7 +258,7 @@ static void read_group(reader *r, int number, wb_group *g, wb_factor **factor) {
     snprintf(r->block, sizeof r->block, "%srow/", group);
     read_rows(r, &g->rows);
     g->method = flags[0], g->reference = flags[1], g->knows_interaction = flags[2];
-    g->rest_unknown = flags[3], g->exact_fit = flags[4], g->used = flags[5];
+    g->zero_unknown = flags[3], g->exact_fit = flags[4], g->used = flags[5];
     g->full = flags[6], g->needed = flags[7], g->has_rows = flags[8];
     snprintf(r->block, sizeof r->block, "%saxes/", group);
     g->composition.fit = &g->fit;

@@ -66,7 +66,7 @@ enum {
     WB_REASON_AXIS_DEGENERATE = 8,  /* axis */
     WB_REASON_AXIS_FAR_APART = 9,   /* axis; value: part of the load range; limit: most */
     WB_REASON_MOMENT_ALONE = 10,    /* axis; index: input; value: the moment */
-    WB_REASON_REST_UNKNOWN = 11,    /* what the component does without load */
+    WB_REASON_ZERO_UNKNOWN = 11,    /* what the component does without load */
     WB_REASON_INTERACTION = 12,     /* value: full wrenches; limit: full wrenches needed */
     WB_REASON_BEYOND_SPAN = 13,     /* index: input; value: the load; rows do not span it */
     WB_REASON_OVER_TOLERANCE = 14,  /* index: output; value: interpolation error; limit */

@@ -156,7 +156,7 @@ BLOCKS = {
         Array("left_out", "i4", "4", "points left out of each axis, and how many are needed"),
         Array("largest", "f8", "4", f"largest part {_REACH} of a simplex, by dimension"),
         Array("span", "f8", "3 3 2", "smallest and largest of an axis' loads", member="-"),
-        Array("rest_point", "f8", "2 6", "answer at no load and its error"),
+        Array("zero_load", "f8", "2 6", "answer at no load and its error"),
         Array("error", "f8", "3 2 6", "A and C of the interpolation error, sqrt(A + C S^2)"),
         Array("member_first", "i4", "p1", "first of `members` of each point", member="-"),
         Array("members", "i8", "x", "numbers of the rows behind each point", member="-"),
