@@ -85,7 +85,7 @@ typedef struct {
 
 typedef struct {
     int stride, terms, factors; /* stride: rows, a multiple of WB_LANES */
-    int bent, readings; /* whether rows bring second derivatives; how many numbers one brings */
+    int has_second, readings; /* whether rows bring second derivatives; how many numbers one brings */
     const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
     const double *deviation, *lost, *floor, *tangent, *span;
     const int32_t *smoothness, *factor_count; /* smoothness: NULL without second derivatives */

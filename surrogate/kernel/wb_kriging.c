@@ -123,7 +123,7 @@ WB_VECTORS static void add_covariances(const double *term, int inputs, const dou
 
 /* The same with the rows' second derivatives, by 9/2: the correlation is
  * (1 + a + 3/7 a^2 + 2/21 a^3 + a^4/105) exp(-a), a^2 = 9 q. `third` is 4 times its second derivative by q. */
-WB_VECTORS static void add_bent_covariances(const double *term, int inputs, const double *restrict apart,
+WB_VECTORS static void add_second_covariances(const double *term, int inputs, const double *restrict apart,
                                  int stride, double *restrict first, double *restrict second,
                                  double *restrict third, double *restrict flat) {
     double weight = term[inputs], *restrict out = flat + (int64_t)(1 + inputs) * stride;
@@ -216,8 +216,8 @@ static void covary(const wb_kriging *k, int n, wb_work *work) {
     memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
         const double *own = k->term + (n + 1) * term;
-        if (k->bent)
-            add_bent_covariances(own, n, work->apart, k->stride, work->first, work->second,
+        if (k->has_second)
+            add_second_covariances(own, n, work->apart, k->stride, work->first, work->second,
                                  work->wide, work->flat);
         else
             add_covariances(own, n, work->apart, k->stride, work->first, work->second, work->flat);
@@ -304,7 +304,7 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
 }
 
 /* One term's correlation: its two derivatives by the squared distance. */
-WB_VECTORS static void bend(const double *term, int inputs, const double *restrict apart, int stride,
+WB_VECTORS static void differentiate(const double *term, int inputs, const double *restrict apart, int stride,
                  double *restrict first, double *restrict second) {
     double weight = term[inputs];
     memset(first, 0, (size_t)stride * sizeof(double));
@@ -317,7 +317,7 @@ WB_VECTORS static void bend(const double *term, int inputs, const double *restri
 }
 
 /* The same of 9/2, with the third one. */
-WB_VECTORS static void bend_bent(const double *term, int inputs, const double *restrict apart, int stride,
+WB_VECTORS static void differentiate_second(const double *term, int inputs, const double *restrict apart, int stride,
                       double *restrict first, double *restrict second, double *restrict third) {
     double weight = term[inputs];
     memset(first, 0, (size_t)stride * sizeof(double));
@@ -364,7 +364,7 @@ static inline void add_product(double factor, const double *restrict from, const
 /* Add one term's covariances of the slope by load c with the rows' second derivatives. With s_a =
  * t_a d_a that by loads a and b is 8 third s_a s_b s_c, and 4 second t_a times the s of the load
  * that is left for each two of the three loads that are one. */
-WB_VECTORS static void add_bent_slope(const double *term, int inputs, const double *restrict apart, int stride,
+WB_VECTORS static void add_second_slope(const double *term, int inputs, const double *restrict apart, int stride,
                            const double *second, const double *restrict third, int c,
                            double *restrict spare, double *flat) {
     const double *from = apart + (int64_t)c * stride;
@@ -394,27 +394,27 @@ static int answers(const wb_kriging *k, int q) {
 }
 
 /* The derivatives of the covariance's terms by the squared distance, to work->wide. */
-static void bend_terms(const wb_kriging *k, int n, const wb_work *work) {
-    int wide = k->bent ? 3 : 2;
+static void differentiate_terms(const wb_kriging *k, int n, const wb_work *work) {
+    int wide = k->has_second ? 3 : 2;
     for (int term = 0; term < k->terms; term++) {
         const double *own = k->term + (n + 1) * term;
         double *first = work->wide + (int64_t)wide * term * k->stride, *second = first + k->stride;
-        if (k->bent) bend_bent(own, n, work->apart, k->stride, first, second, second + k->stride);
-        else bend(own, n, work->apart, k->stride, first, second);
+        if (k->has_second) differentiate_second(own, n, work->apart, k->stride, first, second, second + k->stride);
+        else differentiate(own, n, work->apart, k->stride, first, second);
     }
 }
 
 /* The covariances of the slope by load a with all rows. */
 static void covary_slope(const wb_kriging *k, int n, int a, const wb_work *work) {
-    int wide = k->bent ? 3 : 2;
+    int wide = k->has_second ? 3 : 2;
     memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
         const double *own = k->term + (n + 1) * term;
         const double *first = work->wide + (int64_t)wide * term * k->stride;
         const double *second = first + k->stride;
         add_slope(own, n, work->apart, k->stride, first, second, a, work->flat);
-        if (k->bent)
-            add_bent_slope(own, n, work->apart, k->stride, second, second + k->stride, a,
+        if (k->has_second)
+            add_second_slope(own, n, work->apart, k->stride, second, second + k->stride, a,
                            work->first, work->flat);
     }
 }
@@ -426,7 +426,7 @@ void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work
     double at[WB_MOST];
     memset(derivative, 0, (size_t)(n * m) * sizeof(double));
     scale_loads(k, n, wrench, at, work->apart);
-    bend_terms(k, n, work);
+    differentiate_terms(k, n, work);
     for (int a = 0; a < n; a++) {
         covary_slope(k, n, a, work);
         for (int q = 0; q < m; q++) {

@@ -20,7 +20,7 @@ typedef struct {
 } reader;
 
 enum {
-    BENT_SMOOTHNESS = 4, /* p of Matern p + 1/2 that wb_kriging.c has for second derivatives */
+    SECOND_SMOOTHNESS = 4, /* p of Matern p + 1/2 that wb_kriging.c has for second derivatives */
     MOST_EQUATIONS = 100000
 };
 
@@ -219,11 +219,11 @@ static int read_kriging(reader *r, const char *group, const char *which, wb_krig
     if (*r->bad || !find(r, "x")) return 0;
     if (!READ(r, KRIGING, WB_BLOCK, k)) return 1;
     k->stride = (int)r->size[WB_OF_S], k->terms = (int)r->size[WB_OF_C];
-    k->bent = k->smoothness != NULL;
-    k->readings = n + 1 + (k->bent ? n * (n + 1) / 2 : 0);
+    k->has_second = k->smoothness != NULL;
+    k->readings = n + 1 + (k->has_second ? n * (n + 1) / 2 : 0);
     require(r, "x", k->stride > 0 && k->stride % WB_LANES == 0);
     require(r, "weights", r->size[WB_OF_W] == (int64_t)k->readings * k->stride);
-    if (k->bent) within(r, "smoothness", k->smoothness, 1, BENT_SMOOTHNESS, BENT_SMOOTHNESS + 1);
+    if (k->has_second) within(r, "smoothness", k->smoothness, 1, SECOND_SMOOTHNESS, SECOND_SMOOTHNESS + 1);
     within(r, "factor_count", k->factor_count, 1, 1, t->outputs + 1);
     if (*r->bad) return 1;
     k->factors = *k->factor_count, k->factor = *factor, *factor += k->factors;
