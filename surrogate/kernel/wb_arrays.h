@@ -147,7 +147,7 @@ static const wb_array WB_KRIGING_ARRAYS[] = {
 static const wb_array WB_FACTOR_ARRAYS[] = {
     {"outputs", WB_I4, 0, 1, {WB_OF_M}, offsetof(wb_factor, outputs)},
     {"number", WB_I4, 0, 1, {WB_OF_S}, offsetof(wb_factor, number)},
-    {"places", WB_I4, 0, 2, {WB_OF_K, WB_OF_E}, offsetof(wb_factor, places)},
+    {"equations", WB_I4, 0, 2, {WB_OF_K, WB_OF_E}, offsetof(wb_factor, equations)},
     {"panels", WB_F8, 0, 2, {WB_OF_K, WB_OF_D}, offsetof(wb_factor, panels)},
     {"unsettled", WB_F8, 0, 3, {WB_OF_K, WB_OF_N1, WB_OF_E}, offsetof(wb_factor, unsettled)},
     {"least", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, least)},

@@ -78,7 +78,7 @@ typedef struct {
 typedef struct {
     int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
     int64_t count, levels;
-    const int32_t *outputs, *number, *places;
+    const int32_t *outputs, *number, *equations;
     const double *panels, *unsettled, *least, *penalty, *mean_covariance;
     const double *sigma, *scale, *reach; /* of the calibration: (levels), (levels, m), (1) */
 } wb_factor;

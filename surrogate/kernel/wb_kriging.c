@@ -168,10 +168,10 @@ static double squared_deviation(const wb_kriging *k, const wb_factor *factor, in
                                 const double *at, const wb_work *work) {
     int padded = factor->padded, terms = inputs + 1;
     int64_t number = factor->number[anchor], triangle = (int64_t)padded * (padded + WB_PANEL) / 2;
-    const int32_t *places = factor->places + number * padded;
+    const int32_t *equations = factor->equations + number * padded;
     const double *unsettled = factor->unsettled + number * terms * padded;
     double left[WB_MOST + 1], loose = 0.0, prior = 0.0;
-    for (int i = 0; i < padded; i++) work->chosen[i] = work->flat[places[i]];
+    for (int i = 0; i < padded; i++) work->chosen[i] = work->flat[equations[i]];
     reduce(factor->panels + number * triangle, work->chosen, padded, work->reduced);
     for (int a = 0; a < terms; a++)
         left[a] = (a == 0 ? 1.0 : at[a - 1])

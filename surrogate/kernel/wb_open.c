@@ -203,10 +203,10 @@ static void read_factor(reader *r, const wb_kriging *k, wb_factor *factor) {
     if (!READ(r, FACTOR, WB_FACTOR, factor)) return;
     int64_t e = r->size[WB_OF_E], panels = e / WB_PANEL;
     factor->count = r->size[WB_OF_K], factor->levels = r->size[WB_OF_L], factor->padded = (int)e;
-    require(r, "places", e % WB_PANEL == 0 && e <= MOST_EQUATIONS);
+    require(r, "equations", e % WB_PANEL == 0 && e <= MOST_EQUATIONS);
     require(r, "panels", r->size[WB_OF_D] == WB_PANEL * WB_PANEL * panels * (panels + 1) / 2);
     within(r, "number", factor->number, k->stride, 0, factor->count);
-    within(r, "places", factor->places, factor->count * e, 0, (int64_t)k->readings * k->stride);
+    within(r, "equations", factor->equations, factor->count * e, 0, (int64_t)k->readings * k->stride);
     if (!*r->bad && factor->padded > r->t->most_padded) r->t->most_padded = factor->padded;
 }
 

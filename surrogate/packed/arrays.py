@@ -2,7 +2,7 @@
 
 `check` compares what is written with it. `python -m wrenchbook.surrogate.packed.arrays` writes
 surrogate/kernel/wb_arrays.h from it, by which wb_open.c checks what it opens. Numbers are SI: N,
-N·m, m and rad; scaled loads, flags and places have no unit. n inputs and m outputs are data.
+N·m, m and rad; scaled loads, flags and indices have no unit. n inputs and m outputs are data.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ BLOCKS = {
     "factor": Block(r"g\d+/(?:kriging|missed)/factor\d+/", "wb_factor", (
         Array("outputs", "i4", "m", "outputs of the factor"),
         Array("number", "i4", "s", "neighbourhood of each row"),
-        Array("places", "i4", "k e", "where its equations stand among the w numbers"),
+        Array("equations", "i4", "k e", "where its equations stand among the w numbers"),
         Array("panels", "f8", "k d", "inverse factor T of each neighbourhood in panels of rows, "
               "columns first"),
         Array("unsettled", "f8", "k n1 e", "T times the mean's terms"),

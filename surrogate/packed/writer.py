@@ -324,7 +324,7 @@ def _share_arrays(
         number[row], least[row] = place, local.least
     yield "outputs", np.isin(np.arange(outputs), share.factor.share.outputs).astype(np.int32)
     yield "number", number
-    yield "places", places
+    yield "equations", places
     yield "panels", panels
     yield "unsettled", unsettled
     yield "least", least
