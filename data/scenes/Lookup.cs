@@ -41,7 +41,7 @@ internal static unsafe class Native
         public int unknown;
         public int unused;
         public long row;
-        public long place;
+        public long index;
         public ulong missing;
         public fixed double inputs[Most];
         public fixed double outputs[Most];

@@ -8,7 +8,7 @@ static void inputs_of(int axis, int inputs[3]) {
     inputs[0] = axis, inputs[1] = 3 + (axis + 1) % 3, inputs[2] = 3 + (axis + 2) % 3;
 }
 
-/* The place in `weights` of a simplex' corner: that of the last one is 3. */
+/* The index in `weights` of a simplex' corner: that of the last corner is 3. */
 static int weight_at(int corner, int dimension) { return corner < dimension ? corner : 3; }
 
 /* A corner's point; the first point in place of an index that leads out of the table. */
@@ -29,7 +29,7 @@ static void read_values(const wb_composition *c, int axis, int simplex, const do
         double weight = weights[weight_at(corner, dimension)];
         for (int q = 0; q < 6; q++) part->outputs[q] += weight * v->value[q];
         for (int q = 0; q < 6; q++) part->error[q] += weight * v->uncertainty[q];
-        double a = at[0] - v->place[0], b = at[1] - v->place[1], d = at[2] - v->place[2];
+        double a = at[0] - v->position[0], b = at[1] - v->position[1], d = at[2] - v->position[2];
         unit += weight * (a * a + b * b + d * d);
     }
     unit = unit > 0.0 ? 0.5 * unit : 0.0;
@@ -159,17 +159,17 @@ static void guess(const wb_composition *c, int axis, const double wrench[6], wb_
 }
 
 /* Where an axis is read for a wrench: the simplex, or the nearest point of the hull. */
-void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_place *place) {
+void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_location *location) {
     int inputs[3];
-    place->simplex = -1, place->inside = 1;
+    location->simplex = -1, location->inside = 1;
     if (c->ints[axis].dimension < 0) return;
     const double *scale = c->floats[axis].scale;
     inputs_of(axis, inputs);
-    for (int i = 0; i < 3; i++) place->at[i] = place->x[i] = wrench[inputs[i]] / scale[i];
-    place->simplex = wb_locate(c, axis, place->x, place->weights);
-    place->inside = place->simplex >= 0;
-    if (!place->inside)
-        place->simplex = wb_nearest_on_hull(c, axis, place->x, place->at, place->weights);
+    for (int i = 0; i < 3; i++) location->at[i] = location->x[i] = wrench[inputs[i]] / scale[i];
+    location->simplex = wb_locate(c, axis, location->x, location->weights);
+    location->inside = location->simplex >= 0;
+    if (!location->inside)
+        location->simplex = wb_nearest_on_hull(c, axis, location->x, location->at, location->weights);
 }
 
 /* Whether several loads act where no rows show what several do at once. */
@@ -179,22 +179,22 @@ static int is_untold_together(const wb_composition *c, int axis, const double x[
 }
 
 /* All six outputs; slopes by the axis' loads, N and N·m. */
-void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
+void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_location *location,
                   int with_slopes, wb_part *part) {
     double step[3];
-    int found = place->simplex;
-    memset(part, 0, with_slopes || !place->inside || found < 0 ? sizeof *part
+    int found = location->simplex;
+    memset(part, 0, with_slopes || !location->inside || found < 0 ? sizeof *part
                                                                : offsetof(wb_part, slopes));
     if (found < 0) {
         guess(c, axis, wrench, part);
         return;
     }
-    part->state = place->inside ? c->state[found] : WB_OFF_HULL, part->simplex = found;
-    if (part->state < WB_WEAK && is_untold_together(c, axis, place->x)) part->state = WB_WEAK;
-    read_values(c, axis, found, place->at, place->weights, part);
-    if (!place->inside) {
-        for (int i = 0; i < 3; i++) step[i] = place->x[i] - place->at[i];
-        blend_slopes(c, axis, found, place->weights, part);
+    part->state = location->inside ? c->state[found] : WB_OFF_HULL, part->simplex = found;
+    if (part->state < WB_WEAK && is_untold_together(c, axis, location->x)) part->state = WB_WEAK;
+    read_values(c, axis, found, location->at, location->weights, part);
+    if (!location->inside) {
+        for (int i = 0; i < 3; i++) step[i] = location->x[i] - location->at[i];
+        blend_slopes(c, axis, found, location->weights, part);
         step_off(c, axis, step, part);
     } else if (with_slopes) {
         read_slopes(c, axis, found, part);
@@ -207,7 +207,7 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
 
 void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,
                   wb_part *part) {
-    wb_place place;
-    wb_axis_locate(c, axis, wrench, &place);
-    wb_axis_read(c, axis, wrench, &place, with_slopes, part);
+    wb_location location;
+    wb_axis_locate(c, axis, wrench, &location);
+    wb_axis_read(c, axis, wrench, &location, with_slopes, part);
 }

@@ -29,12 +29,12 @@ enum { WB_PANEL = 16, WB_LANES = 8 }; /* rows of a triangle at once; partial sum
 /* 128 bytes, two cache lines: all that a step of a walk reads. */
 typedef struct {
     int32_t vertex[4], neighbour[4];
-    double map[9], anchor[3]; /* slopes of the barycentric coordinates, the last vertex' place */
+    double map[9], anchor[3]; /* slopes of the barycentric coordinates, position of the last vertex */
 } wb_simplex;
 
 /* 128 bytes: all that an answer reads of a point. */
 typedef struct {
-    double place[3], unused, value[6], uncertainty[6];
+    double position[3], unused, value[6], uncertainty[6];
 } wb_vertex;
 
 typedef struct {
@@ -145,7 +145,7 @@ typedef struct {
 typedef struct {
     double outputs[WB_MOST], error[WB_MOST];
     int coverage, method, exact, reasons, by_row;
-    int64_t row; /* place among the group's rows, or -1 */
+    int64_t row; /* index among the group's rows, or -1 */
     uint64_t solved; /* as in wb_reply */
     wb_reason reason[WB_MOST_REASONS];
 } wb_found;
@@ -160,7 +160,7 @@ typedef struct {
 typedef struct {
     double x[3], at[3], weights[4];
     int simplex, inside;
-} wb_place;
+} wb_location;
 
 /* Three axes together: `moved` adds all axes up, with the squared errors; `own` has each
  * translation of its own axis. `times`: how many parts there are, less those taken away. */
@@ -172,12 +172,12 @@ typedef struct {
 /* numpy's maximum: what is not a number wins. */
 static inline double wb_larger(double a, double b) { return isnan(a) || a > b ? a : b; }
 
-/* The bucket of a number among ascending ones: start[bucket] to start[bucket + 1] bound its place.
+/* The bucket of a number among ascending ones: start[bucket] to start[bucket + 1] bound its index.
  * `buckets_of` in surrogate/packed/axes_arrays.py makes the starts. */
 static inline int64_t wb_bucket(double value, const double *bucket, int64_t buckets) {
-    double place = (value - bucket[0]) * bucket[1];
-    if (!(place > 0.0)) return 0;
-    return place >= (double)(buckets - 1) ? buckets - 1 : (int64_t)place;
+    double index = (value - bucket[0]) * bucket[1];
+    if (!(index > 0.0)) return 0;
+    return index >= (double)(buckets - 1) ? buckets - 1 : (int64_t)index;
 }
 
 /* Each file calls those above it alone (tests/surrogate/kernel/test_layers.py); wb_many.c,
@@ -200,8 +200,8 @@ int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], dou
 /* wb_axes.c */
 void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,
                   wb_part *part);
-void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_place *place);
-void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
+void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_location *location);
+void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_location *location,
                   int with_slopes, wb_part *part);
 
 /* wb_compose.c */

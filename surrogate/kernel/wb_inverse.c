@@ -8,7 +8,7 @@ enum { MOST_STEPS = 40, MOST_HALVINGS = 12 };
 /* Of the load range: a step that no displacement of a table shows, and one below which rounding can
  * always keep the next from being shorter. */
 static const double SMALL_STEP = 1e-12, ROUNDING_STEP = 1e-9;
-/* How much shorter each step is while the matrix of another place is good enough. */
+/* How much shorter each step is while the matrix of another wrench is good enough. */
 static const double GAIN = 0.1;
 
 /* What the iteration works with: the free loads and the outputs of the same numbers. */
@@ -187,7 +187,7 @@ static int iterate(solver *s, const double *target, double *w, double *stiffness
             if (after <= most) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
             return WB_OK;
         }
-        if (!fresh && !(after <= GAIN * most)) { /* a matrix of another place */
+        if (!fresh && !(after <= GAIN * most)) { /* a matrix of another wrench */
             int wrong = invert(s, w, stiffness);
             if (wrong) return wrong;
             most = try_step(s, target, stiffness, 0.0, w, none, there, step), fresh = 1;

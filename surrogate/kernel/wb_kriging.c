@@ -91,7 +91,7 @@ WB_VECTORS static int nearest(const wb_kriging *k, const wb_factor *factor, int 
         closest = distance[row] < closest ? distance[row] : closest;
     for (int row = 0; row < k->stride; row++)
         if (distance[row] <= closest + TIE) return row;
-    return 0; /* a place that is not a number */
+    return 0; /* a wrench that is not a number */
 }
 
 /* Add slopes' part of one term's covariances: `second` is -2 times its derivative by q. */

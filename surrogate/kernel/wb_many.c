@@ -34,7 +34,7 @@ static inline void wb_fetch(const void *at, size_t bytes) {
 static const wb_options OWN = {WB_DEFAULT, NULL, 0};
 
 typedef struct {
-    uint32_t key, place;
+    uint32_t key, index;
 } entry;
 
 typedef struct {
@@ -93,19 +93,19 @@ static void sort(entry **order, entry **spare, size_t count) {
 
 /* Read an axis for RUN wrenches: what is found is fetched while others are still looked up. */
 static void compose_run(const wb_composition *c, int axis, size_t first, size_t used, bench *b) {
-    wb_place place[RUN];
+    wb_location location[RUN];
     size_t count = used - first < RUN ? used - first : RUN;
     for (size_t i = 0; i < count; i++) {
         const entry *own = &b->order[first + i];
         if (first + i + RUN < used) wb_fetch(&c->simplex[own[RUN].key], sizeof *c->simplex);
-        wb_axis_locate(c, axis, b->inputs + 6 * (size_t)own->place, &place[i]);
-        for (int corner = 0; corner < 4 && place[i].simplex >= 0; corner++)
-            wb_fetch(&c->vertex[c->simplex[place[i].simplex].vertex[corner]], sizeof *c->vertex);
+        wb_axis_locate(c, axis, b->inputs + 6 * (size_t)own->index, &location[i]);
+        for (int corner = 0; corner < 4 && location[i].simplex >= 0; corner++)
+            wb_fetch(&c->vertex[c->simplex[location[i].simplex].vertex[corner]], sizeof *c->vertex);
     }
     for (size_t i = 0; i < count; i++) {
         wb_part part;
-        size_t at = b->order[first + i].place;
-        wb_axis_read(c, axis, b->inputs + 6 * at, &place[i], 0, &part);
+        size_t at = b->order[first + i].index;
+        wb_axis_read(c, axis, b->inputs + 6 * at, &location[i], 0, &part);
         wb_add_axis(&part, axis, &b->composed[at]);
     }
 }
@@ -122,7 +122,7 @@ static void compose_block(const wb_table *t, const wb_group *g, size_t count, be
             double x[3] = {w[axis] / scale[0], w[3 + (axis + 1) % 3] / scale[1],
                            w[3 + (axis + 2) % 3] / scale[2]};
             uint32_t key = c->ints[axis].dimension < 1 ? 0 : (uint32_t)wb_hint(c, axis, x);
-            b->order[used].key = key, b->order[used++].place = (uint32_t)i;
+            b->order[used].key = key, b->order[used++].index = (uint32_t)i;
         }
         if (used) sort(&b->order, &b->spare, used);
         for (size_t i = 0; i < used; i += RUN) compose_run(c, axis, i, used, b);
@@ -135,7 +135,7 @@ static void compose_block(const wb_table *t, const wb_group *g, size_t count, be
 static void order_block(const wb_table *t, const wb_kriging *k, size_t count, bench *b) {
     for (size_t i = 0; i < count; i++) {
         const double *w = b->inputs + (size_t)t->inputs * i;
-        b->order[i].place = (uint32_t)i;
+        b->order[i].index = (uint32_t)i;
         b->order[i].key = k ? (uint32_t)wb_anchor(t, k, w, &b->work) : 0;
     }
     if (k) sort(&b->order, &b->spare, count);
@@ -154,14 +154,14 @@ static void answer_block(const task *own, size_t start, size_t count, bench *b) 
     if (axes) compose_block(t, g, count, b);
     order_block(t, k, count, b);
     for (size_t i = 0; i < count; i++) {
-        size_t within = b->order[i].place, place = start + within;
+        size_t within = b->order[i].index, index = start + within;
         wb_reply reply;
-        wb_reply_of(t, own->o, &b->work, own->inputs + place * n,
+        wb_reply_of(t, own->o, &b->work, own->inputs + index * n,
                     axes ? &b->composed[within] : NULL, 0, &reply);
         wb_conclude(t, own->o, &b->work, &reply);
-        memcpy(own->outputs + m * place, reply.outputs, m * sizeof(double));
-        memcpy(own->errors + m * place, reply.error, m * sizeof(double));
-        own->coverage[place] = (unsigned char)reply.coverage;
+        memcpy(own->outputs + m * index, reply.outputs, m * sizeof(double));
+        memcpy(own->errors + m * index, reply.error, m * sizeof(double));
+        own->coverage[index] = (unsigned char)reply.coverage;
     }
 }
 

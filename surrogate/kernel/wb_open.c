@@ -278,7 +278,7 @@ static void read_group(reader *r, int number, wb_group *g, wb_factor **factor) {
     require(r, "flags", !(mode & WB_REF_ADDITIVE) || g->has_composition);
 }
 
-/* The directory's and the JSON block's own place; 0 if they are not in the file. */
+/* The directory's and the JSON block's position; 0 if they are not in the file. */
 static int read_frame(wb_table *t) {
     wb_header head;
     memcpy(&head, t->bytes, sizeof head);

@@ -11,7 +11,7 @@ static const wb_options OWN = {WB_DEFAULT, NULL, 0};
 static void begin(const wb_table *t, const double *inputs, wb_reply *reply) {
     reply->coverage = WB_COVERED, reply->within = -1, reply->method = WB_ESTIMATE;
     reply->exact = reply->reasons = reply->group = 0;
-    reply->row = reply->place = -1, reply->missing = 0, reply->solved = 0;
+    reply->row = reply->index = -1, reply->missing = 0, reply->solved = 0;
     reply->unknown = reply->unused = 0;
     for (int k = 0; k < t->inputs; k++) /* no negative zeros; no loads on locked freedoms */
         reply->inputs[k] = t->locked[k] ? 0.0 : inputs[k] + 0.0;
@@ -58,8 +58,8 @@ static void merge(const wb_table *t, const wb_group *g, const wb_found *found, w
     if (rank <= *worst) return;
     *worst = rank;
     reply->coverage = found->coverage, reply->method = found->method, reply->group = number;
-    reply->place = found->method == WB_ROW ? found->row : -1;
-    reply->row = reply->place < 0 ? -1 : g->rows.seq[reply->place];
+    reply->index = found->method == WB_ROW ? found->row : -1;
+    reply->row = reply->index < 0 ? -1 : g->rows.seq[reply->index];
     reply->exact = found->exact;
 }
 
@@ -74,9 +74,9 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
         const double *slopes = own;
         if (reply->method == WB_ROW) {
             int64_t row = wb_find_row(t, g, reply->inputs);
-            int64_t place = row < 0 ? -1 : g->rows.tangent_of[row];
-            if (place < 0) continue;
-            slopes = g->rows.tangent + (int64_t)n * m * place;
+            int64_t index = row < 0 ? -1 : g->rows.tangent_of[row];
+            if (index < 0) continue;
+            slopes = g->rows.tangent + (int64_t)n * m * index;
         } else {
             wb_group_slopes(t, g, work, reply->inputs, wb_method_of(g, o), own);
         }
@@ -207,10 +207,10 @@ void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply
             reply->outputs[q] = reply->error[q] = reply->interpolation[q] = NAN;
             reply->discretisation[q] = reply->linearity[q] = reply->measurement[q] = NAN;
         }
-        int place = reply->reasons < WB_MOST_REASONS ? reply->reasons++ : WB_MOST_REASONS - 1;
-        memset(&reply->reason[place], 0, sizeof reply->reason[place]);
-        reply->reason[place].code = WB_REASON_BEYOND_LIMITS;
-        reply->reason[place].axis = reply->reason[place].index = -1;
+        int index = reply->reasons < WB_MOST_REASONS ? reply->reasons++ : WB_MOST_REASONS - 1;
+        memset(&reply->reason[index], 0, sizeof reply->reason[index]);
+        reply->reason[index].code = WB_REASON_BEYOND_LIMITS;
+        reply->reason[index].axis = reply->reason[index].index = -1;
     }
 }
 

@@ -96,8 +96,8 @@ int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, 
     int64_t row = wb_find_row(t, g, w);
     if (row < 0) return 0;
     const double *own = g->rows.wrench + n * row, *moved = g->rows.moved + m * row;
-    int64_t place = g->rows.tangent_of[row];
-    const double *tangent = place < 0 ? NULL : g->rows.tangent + n * m * place;
+    int64_t index = g->rows.tangent_of[row];
+    const double *tangent = index < 0 ? NULL : g->rows.tangent + n * m * index;
     double step[WB_MOST], slope[WB_MOST], outputs[WB_MOST], error[WB_MOST], reach = 0;
     a->exact = 1;
     for (int k = 0; k < n; k++) {

@@ -14,10 +14,10 @@ static const double INSIDE = -1e-13; /* rounding may have put a point outside by
 static const double ON_HULL = 1e-9;  /* a point that far beyond the hull counts as on it */
 static const int MOST_STEPS = 100000; /* a longer walk goes in circles between flat simplices */
 
-static int cell(double place, int cells) {
+static int cell(double position, int cells) {
     /* Compared before it is made whole: a huge number has no int. */
-    if (!(place > 0.0)) return 0;
-    return place >= cells - 1 ? cells - 1 : (int)place;
+    if (!(position > 0.0)) return 0;
+    return position >= cells - 1 ? cells - 1 : (int)position;
 }
 
 static int hint(const wb_composition *c, int axis, const double flat[3]) {
@@ -157,17 +157,17 @@ static void on_triangle(const double *const corner[3], const double x[3], double
         return;
     }
     for (int edge = 0; edge < 3; edge++) {
-        double place[3];
-        on_stretch(corner[edge], corner[(edge + 1) % 3], x, place);
-        double away = squared(place, x);
-        if (away < best) { best = away; memcpy(at, place, sizeof place); }
+        double position[3];
+        on_stretch(corner[edge], corner[(edge + 1) % 3], x, position);
+        double away = squared(position, x);
+        if (away < best) { best = away; memcpy(at, position, sizeof position); }
     }
 }
 
 static void on_facet(const wb_composition *c, const int32_t *facet, int corners, const double x[3],
                      double at[3]) {
     const double *corner[3] = {0, 0, 0};
-    for (int k = 0; k < corners; k++) corner[k] = c->vertex[facet[k]].place;
+    for (int k = 0; k < corners; k++) corner[k] = c->vertex[facet[k]].position;
     if (corners == 1) memcpy(at, corner[0], 3 * sizeof(double));
     else if (corners == 2) on_stretch(corner[0], corner[1], x, at);
     else on_triangle(corner, x, at);
@@ -178,25 +178,25 @@ int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], dou
                        double weights[4]) {
     const wb_axis_floats *f = &c->floats[axis];
     int dimension = c->ints[axis].dimension, found = -1;
-    double flat[3], place[3], near[3], best = INFINITY;
-    memcpy(place, x, sizeof place);
+    double flat[3], position[3], near[3], best = INFINITY;
+    memcpy(position, x, sizeof position);
     if (dimension < 3) { /* the foot in the plane or line of the points, if the hull holds that */
         wb_flat(c, axis, x, flat);
         for (int k = 0; k < 3; k++)
-            place[k] = f->origin[k] + flat[0] * f->basis[k] + flat[1] * f->basis[3 + k];
-        memcpy(at, place, sizeof place);
-        found = wb_locate(c, axis, place, weights);
+            position[k] = f->origin[k] + flat[0] * f->basis[k] + flat[1] * f->basis[3 + k];
+        memcpy(at, position, sizeof position);
+        found = wb_locate(c, axis, position, weights);
         if (found >= 0) return found;
     }
     for (int facet = c->facet_first[axis]; facet < c->facet_first[axis + 1]; facet++) {
         const int32_t *one = c->facets + 4 * (int64_t)facet;
-        on_facet(c, one, dimension, place, near);
-        double away = squared(near, place);
+        on_facet(c, one, dimension, position, near);
+        double away = squared(near, position);
         if (away < best || found < 0) { best = away, found = one[3]; memcpy(at, near, sizeof near); }
     }
-    if (found < 0) { /* a point alone, and a place that is not a number */
+    if (found < 0) { /* a point alone, and a position that is not a number */
         found = c->simplex_first[axis];
-        memcpy(at, c->vertex[c->point_first[axis]].place, 3 * sizeof(double));
+        memcpy(at, c->vertex[c->point_first[axis]].position, 3 * sizeof(double));
     }
     wb_flat(c, axis, at, flat);
     wb_barycentric(c, found, flat, weights);

@@ -105,7 +105,7 @@ typedef struct {
     int32_t unknown;  /* how many of outputs and errors below are NaN */
     int32_t unused;
     int64_t row;      /* number (seq) of the row that answered, or -1 */
-    int64_t place;    /* its place among the group's rows, or -1 */
+    int64_t index;    /* its index among the group's rows, or -1 */
     uint64_t missing; /* bit q: no row of the table holds output q */
     double inputs[WB_MOST]; /* as they were used: locked inputs are zero */
     double outputs[WB_MOST];
