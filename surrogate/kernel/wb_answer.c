@@ -23,7 +23,7 @@ static void refer(const wb_table *t, const wb_group *g, wb_work *work, const dou
 
 /* |answer - reference| + error of the reference; off the hull at least the step's size. */
 static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                    int method, const wb_composed *c, wb_found *a) {
+                    int method, const wb_composed *c, wb_result *a) {
     double best[WB_MOST], error[WB_MOST];
     int off = c->state >= WB_OFF_HULL;
     refer(t, g, work, w, c, best, error);
@@ -36,7 +36,7 @@ static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const d
     }
 }
 
-static void reason_beyond(const wb_table *t, const double *w, wb_found *a) {
+static void reason_beyond(const wb_table *t, const double *w, wb_result *a) {
     for (int k = 0; k < t->inputs; k++) {
         double low = t->ends[k], high = t->ends[t->inputs + k];
         if (!(w[k] < low || w[k] > high)) continue;
@@ -47,7 +47,7 @@ static void reason_beyond(const wb_table *t, const double *w, wb_found *a) {
 
 /* Where the kriging is the reference its own error holds. */
 static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                       const wb_composed *c, wb_found *a) {
+                       const wb_composed *c, wb_result *a) {
     double best[WB_MOST], bars[WB_MOST];
     wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
     a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
@@ -58,7 +58,7 @@ static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, cons
 }
 
 static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                      const wb_composed *c, wb_found *a) {
+                      const wb_composed *c, wb_result *a) {
     double best[WB_MOST], bars[WB_MOST];
     int n = t->inputs, m = t->outputs, unknown = -1;
     for (int k = n - 1; k >= 0; k--)
@@ -109,7 +109,7 @@ static int is_zero_load(const wb_table *t, const double *w) {
 }
 
 /* Lower the coverage where rows do not show what is asked. */
-static void judge_interaction(const wb_table *t, const wb_group *g, const double *w, wb_found *a) {
+static void judge_interaction(const wb_table *t, const wb_group *g, const double *w, wb_result *a) {
     if (a->coverage != WB_COVERED) return;
     if (g->zero_unknown && is_zero_load(t, w)) {
         a->coverage = WB_OUTSIDE;
@@ -122,7 +122,7 @@ static void judge_interaction(const wb_table *t, const wb_group *g, const double
 }
 
 /* Lower the coverage where an error is over what is allowed, or not known. */
-static void judge_error(const wb_table *t, const wb_group *g, const wb_options *o, wb_found *a) {
+static void judge_error(const wb_table *t, const wb_group *g, const wb_options *o, wb_result *a) {
     int over = 0, known = 1, output = -1, m = t->outputs;
     double worst = 1.0;
     for (int q = 0; q < m; q++) {
@@ -146,7 +146,7 @@ static void judge_error(const wb_table *t, const wb_group *g, const wb_options *
 
 /* Judge what a method answered; take the row at the wrench where that is not covered. */
 static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-                   const double *w, int with_reasons, wb_found *a) {
+                   const double *w, int with_reasons, wb_result *a) {
     a->row = -1, a->exact = 0;
     if (g->used) {
         judge_interaction(t, g, w, a);
@@ -168,7 +168,7 @@ static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb
 /* Answer one group of outputs. The axes may have been composed before, by the same calls as
  * `wb_compose`. */
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-                     const double *w, const wb_composed *composed, int with_reasons, wb_found *a) {
+                     const double *w, const wb_composed *composed, int with_reasons, wb_result *a) {
     wb_composed c;
     a->method = wb_method_of(g, o), a->reasons = 0, a->solved = 0;
     if (!g->used) {

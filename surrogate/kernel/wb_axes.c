@@ -182,22 +182,22 @@ static int is_untold_together(const wb_composition *c, int axis, const double x[
 void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_location *location,
                   int with_slopes, wb_part *part) {
     double step[3];
-    int found = location->simplex;
-    memset(part, 0, with_slopes || !location->inside || found < 0 ? sizeof *part
+    int simplex = location->simplex;
+    memset(part, 0, with_slopes || !location->inside || simplex < 0 ? sizeof *part
                                                                : offsetof(wb_part, slopes));
-    if (found < 0) {
+    if (simplex < 0) {
         guess(c, axis, wrench, part);
         return;
     }
-    part->state = location->inside ? c->state[found] : WB_OFF_HULL, part->simplex = found;
+    part->state = location->inside ? c->state[simplex] : WB_OFF_HULL, part->simplex = simplex;
     if (part->state < WB_WEAK && is_untold_together(c, axis, location->x)) part->state = WB_WEAK;
-    read_values(c, axis, found, location->at, location->weights, part);
+    read_values(c, axis, simplex, location->at, location->weights, part);
     if (!location->inside) {
         for (int i = 0; i < 3; i++) step[i] = location->x[i] - location->at[i];
-        blend_slopes(c, axis, found, location->weights, part);
+        blend_slopes(c, axis, simplex, location->weights, part);
         step_off(c, axis, step, part);
     } else if (with_slopes) {
-        read_slopes(c, axis, found, part);
+        read_slopes(c, axis, simplex, part);
     }
     if (with_slopes) add_off_span(c, axis, part);
     const double *scale = c->floats[axis].scale;

@@ -27,10 +27,10 @@ static int stretch_of(const wb_cut *cut, double along) {
     return low < 1 ? 0 : low > cut->stretches ? cut->stretches - 1 : low - 1;
 }
 
-static int state_at(const wb_cut *cut, double along, int found) {
+static int state_at(const wb_cut *cut, double along, int stretch) {
     if (along < cut->stations[0] - WB_CLEAN) return WB_OFF_HULL;
     if (along > cut->stations[cut->stretches] + WB_CLEAN) return WB_OFF_HULL;
-    return cut->state[found];
+    return cut->state[stretch];
 }
 
 int wb_cut_state(const wb_cut *cut, double moment) {
@@ -39,11 +39,11 @@ int wb_cut_state(const wb_cut *cut, double moment) {
 }
 
 /* The answer in a stretch of a cut. */
-static void read_cut(const wb_cut *cut, double along, int found, int with_slopes,
+static void read_cut(const wb_cut *cut, double along, int stretch, int with_slopes,
                      alone_part *out) {
-    const double *o = cut->outputs + 12 * (int64_t)found;
-    const double *r = cut->stated + 12 * (int64_t)found, *s = cut->unit + 3 * (int64_t)found;
-    double y = along - cut->stations[found];
+    const double *o = cut->outputs + 12 * (int64_t)stretch;
+    const double *r = cut->stated + 12 * (int64_t)stretch, *s = cut->unit + 3 * (int64_t)stretch;
+    double y = along - cut->stations[stretch];
     double unit = s[0] + y * (s[1] + y * s[2]);
     unit = unit > 0.0 ? unit : 0.0;
     for (int q = 0; q < 6; q++) out->outputs[q] = o[q] + y * o[6 + q];
@@ -70,7 +70,7 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
                        alone_part *out) {
     const wb_cut *best = NULL;
     double along = 0.0;
-    int found = 0;
+    int best_stretch = 0;
     out->state = WB_NO_ROWS;
     for (int k = 0; k < 2 && out->state >= WB_OFF_HULL; k++) {
         const wb_cut *cut = &c->cuts[moment][k];
@@ -81,10 +81,10 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
         }
         double own = amount / cut->scale;
         int stretch = stretch_of(cut, own), state = state_at(cut, own, stretch);
-        if (state < out->state) out->state = state, best = cut, along = own, found = stretch;
+        if (state < out->state) out->state = state, best = cut, along = own, best_stretch = stretch;
     }
     if (!best) guess(c, moment + 3, amount, out);
-    else read_cut(best, along, found, with_slopes, out);
+    else read_cut(best, along, best_stretch, with_slopes, out);
 }
 
 static int worse(int a, int b) { return a > b ? a : b; }

@@ -79,8 +79,8 @@ static uint32_t crc_of_header(uint32_t table[SLICES][256], const wb_header *head
     return crc_of(table, crc_of(table, 0, bytes, before), bytes + after, sizeof *head - after);
 }
 
-static int check_sum(uint64_t found, const wb_header *head, char *why, size_t most) {
-    if (found == head->checksum) return 1;
+static int check_sum(uint64_t sum, const wb_header *head, char *why, size_t most) {
+    if (sum == head->checksum) return 1;
     return snprintf(why, most, "the table is damaged: its checksum is wrong"), 0;
 }
 

@@ -148,7 +148,7 @@ typedef struct {
     int64_t row; /* index among the group's rows, or -1 */
     uint64_t solved; /* as in wb_reply */
     wb_reason reason[WB_MOST_REASONS];
-} wb_found;
+} wb_result;
 
 /* One axis' answer, all six outputs, its slopes by its own three loads (N and N·m). */
 typedef struct {
@@ -217,14 +217,14 @@ void wb_compose_derivative(const wb_composition *c, const double wrench[6], int 
                            double derivative[36]);
 
 /* wb_rows.c */
-wb_reason *wb_add_reason(wb_found *a, int code);
+wb_reason *wb_add_reason(wb_result *a, int code);
 int wb_method_of(const wb_group *g, const wb_options *o);
 double wb_allowed(const wb_group *g, const wb_options *o, int q);
 int wb_is_beyond(const wb_table *t, const double *w);
 int wb_leaves_scene(const wb_table *t, const double *w);
 int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w);
 int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
-                     wb_found *a);
+                     wb_result *a);
 
 /* wb_kriging.c */
 int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work);
@@ -233,16 +233,16 @@ void wb_kriging_outputs(const wb_table *t, const wb_kriging *k, wb_work *work,
 void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
                        const double *wrench, double *outputs, double *error);
 void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
-                        wb_found *a);
+                        wb_result *a);
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative);
 
 /* wb_reason.c */
-void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_found *a);
+void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_result *a);
 
 /* wb_answer.c */
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-                     const double *w, const wb_composed *composed, int with_reasons, wb_found *a);
+                     const double *w, const wb_composed *composed, int with_reasons, wb_result *a);
 void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                      int method, double *derivative);
 

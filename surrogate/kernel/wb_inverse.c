@@ -29,15 +29,15 @@ static int all_finite(const solver *s, const double *numbers, int stride) {
 
 /* The method's displacement, with no row and no limit in its place; 0 if it is not known. */
 static int outputs_at(solver *s, const double *w, double *outputs) {
-    wb_found found;
+    wb_result result;
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
         if (g->used && wb_method_of(g, &s->o) == WB_KRIGING)
-            wb_kriging_outputs(s->t, &g->kriging, &s->work, w, found.outputs);
+            wb_kriging_outputs(s->t, &g->kriging, &s->work, w, result.outputs);
         else
-            wb_group_answer(s->t, g, &s->o, &s->work, w, NULL, 0, &found);
+            wb_group_answer(s->t, g, &s->o, &s->work, w, NULL, 0, &result);
         for (int q = 0; q < s->t->outputs; q++)
-            if (g->outputs[q]) outputs[q] = found.outputs[q];
+            if (g->outputs[q]) outputs[q] = result.outputs[q];
     }
     return all_finite(s, outputs, 1);
 }
@@ -219,8 +219,8 @@ int wb_inverse(const wb_table *t, const wb_options *options, const double *outpu
     int known = 0;
     for (int k = 0; k < t->inputs * t->outputs; k++) known |= stiffness[k] != 0.0;
     if (!known && (wrong = invert(&s, inputs, stiffness))) return wrong;
-    int found = iterate(&s, outputs, inputs, stiffness, !known);
-    if (found == WB_SINGULAR) return found;
+    int result = iterate(&s, outputs, inputs, stiffness, !known);
+    if (result == WB_SINGULAR) return result;
     wrong = invert(&s, inputs, stiffness);
-    return found ? found : wrong;
+    return result ? result : wrong;
 }

@@ -253,7 +253,7 @@ static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const
 
 /* Why the errors of an answer are not known. */
 void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
-                        wb_found *a) {
+                        wb_result *a) {
     double at[WB_MOST], sigma[WB_MOST];
     int before = a->reasons, far = -1;
     for (int s = 0; s < k->factors; s++)

@@ -82,8 +82,8 @@ static const void *take(reader *r, const wb_array *array) {
 static int read_arrays(reader *r, const wb_array *arrays, size_t count, int first, void *target) {
     for (int k = first; k < WB_SIZES; k++) r->size[k] = -1;
     for (size_t k = 0; k < count && !*r->bad; k++) {
-        const void *found = take(r, &arrays[k]);
-        memcpy((char *)target + arrays[k].member, &found, sizeof found);
+        const void *bytes = take(r, &arrays[k]);
+        memcpy((char *)target + arrays[k].member, &bytes, sizeof bytes);
     }
     return !*r->bad;
 }

@@ -6,7 +6,7 @@
 
 /* One axis' answer to its own three loads, and where its rows were read. */
 typedef struct {
-    wb_composed found;
+    wb_composed answer;
     int origin, simplex; /* the axis whose rows answered, or -1 */
 } look;
 
@@ -25,13 +25,13 @@ static double volume_part(const wb_composition *c, int axis, int simplex) {
 
 /* The axis and input of a moment that acts alone: that of the better cut. */
 static int axis_of_moment(const wb_composition *c, int moment, double amount) {
-    int found = -1, best = 0;
+    int axis = -1, best = 0;
     for (int k = 0; k < 2; k++) {
         if (!c->cuts[moment][k].present) continue;
         int state = wb_cut_state(&c->cuts[moment][k], amount);
-        if (found < 0 || state < best) best = state, found = (moment + (k ? 1 : 2)) % 3;
+        if (axis < 0 || state < best) best = state, axis = (moment + (k ? 1 : 2)) % 3;
     }
-    return found;
+    return axis;
 }
 
 static look look_at(const wb_table *t, const wb_group *g, int axis, const double *w) {
@@ -44,7 +44,7 @@ static look look_at(const wb_table *t, const wb_group *g, int axis, const double
         loads[k] = w[k];
         if (fabs(w[k]) > t->small[k]) loaded++, last = k;
     }
-    wb_compose(c, t->small, loads, &seen.found);
+    wb_compose(c, t->small, loads, &seen.answer);
     seen.origin = c->ints[axis].dimension < 0 ? -1 : axis, seen.simplex = -1;
     if (loaded == 1 && last >= 3) seen.origin = axis_of_moment(c, last - 3, loads[last]);
     if (seen.origin >= 0 && loaded) {
@@ -79,7 +79,7 @@ static void why_weak(const wb_composition *c, int axis, int simplex, wb_reason *
 /* `why_axis`; the reason's code is 0 if the axis covers its part. `state` is of the whole wrench. */
 static void why_axis(const wb_composition *c, const look *seen, int axis, int state,
                      const double *w, wb_reason *reason) {
-    int own = seen->found.states[axis];
+    int own = seen->answer.states[axis];
     memset(reason, 0, sizeof *reason);
     reason->axis = axis, reason->index = -1;
     if (own >= WB_OFF_HULL) {
@@ -94,7 +94,7 @@ static void why_axis(const wb_composition *c, const look *seen, int axis, int st
 }
 
 /* Add a reason of each axis that is as badly off as the worst. */
-void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_found *a) {
+void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_result *a) {
     wb_composed all;
     if (!g->has_composition) return;
     wb_compose(&g->composition, t->small, w, &all);
@@ -138,8 +138,8 @@ int wb_axis(const wb_table *t, const wb_options *o, int group, int axis, const d
     look seen = look_at(t, g, axis, w);
     int state = all.states[axis];
     for (int q = 0; q < 6; q++) {
-        reply->outputs[q] = seen.found.moved[q];
-        reply->error[q] = sqrt(seen.found.squares[q]);
+        reply->outputs[q] = seen.answer.moved[q];
+        reply->error[q] = sqrt(seen.answer.squares[q]);
     }
     reply->coverage = state >= WB_OFF_HULL ? WB_OUTSIDE : state > WB_SOUND ? WB_THIN : WB_COVERED;
     if (reply->coverage != WB_COVERED) why_axis(c, &seen, axis, state, w, &reply->reason);

@@ -39,28 +39,28 @@ static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int grou
 }
 
 /* Take a group's outputs. The worst group decides; an answer is a row's only if all are. */
-static void merge(const wb_table *t, const wb_group *g, const wb_found *found, wb_reply *reply,
+static void merge(const wb_table *t, const wb_group *g, const wb_result *result, wb_reply *reply,
                   int *worst) {
     int number = (int)(g - t->group);
     for (int q = 0; q < t->outputs; q++) {
         if (!g->outputs[q]) continue;
-        reply->outputs[q] = found->outputs[q], reply->interpolation[q] = found->error[q];
+        reply->outputs[q] = result->outputs[q], reply->interpolation[q] = result->error[q];
         reply->missing &= ~((uint64_t)1 << q);
-        reply->solved |= found->solved & (uint64_t)1 << q;
+        reply->solved |= result->solved & (uint64_t)1 << q;
     }
-    for (int i = 0; i < found->reasons; i++) {
-        if (reply->reasons == WB_MOST_REASONS || is_reason_of(reply, &found->reason[i], number))
+    for (int i = 0; i < result->reasons; i++) {
+        if (reply->reasons == WB_MOST_REASONS || is_reason_of(reply, &result->reason[i], number))
             continue;
-        reply->reason[reply->reasons] = found->reason[i];
+        reply->reason[reply->reasons] = result->reason[i];
         reply->reason[reply->reasons++].group = number;
     }
-    int rank = 2 * found->coverage + (found->method != WB_ROW);
+    int rank = 2 * result->coverage + (result->method != WB_ROW);
     if (rank <= *worst) return;
     *worst = rank;
-    reply->coverage = found->coverage, reply->method = found->method, reply->group = number;
-    reply->index = found->method == WB_ROW ? found->row : -1;
+    reply->coverage = result->coverage, reply->method = result->method, reply->group = number;
+    reply->index = result->method == WB_ROW ? result->row : -1;
     reply->row = reply->index < 0 ? -1 : g->rows.seq[reply->index];
-    reply->exact = found->exact;
+    reply->exact = result->exact;
 }
 
 /* du/dw of a reply: the interpolants', or the tangents of the rows that answer. */
@@ -144,16 +144,16 @@ static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_repl
 
 /* Whether the total error is within the tolerance; outputs without an error are left out. */
 static int within(const wb_table *t, const wb_options *o, const wb_reply *reply) {
-    int found = -1;
+    int known = -1;
     if (!t->solver.whole) return -1; /* a part of the error is not known */
     for (int q = 0; q < t->outputs; q++) {
         double most = o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : t->tolerance[q];
         if (isnan(most)) return -1; /* no tolerance */
         if (isnan(reply->error[q])) continue;
         if (!(reply->error[q] <= most)) return 0;
-        found = 1;
+        known = 1;
     }
-    return found;
+    return known;
 }
 
 /* Whether no table may hold such a displacement: 20 degrees, 10 m. */
@@ -245,9 +245,9 @@ void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const do
     int worst = -1;
     begin(t, inputs, reply);
     for (int i = 0; i < t->groups; i++) {
-        wb_found found;
-        wb_group_answer(t, &t->group[i], o, work, reply->inputs, composed, with_reasons, &found);
-        merge(t, &t->group[i], &found, reply, &worst);
+        wb_result result;
+        wb_group_answer(t, &t->group[i], o, work, reply->inputs, composed, with_reasons, &result);
+        merge(t, &t->group[i], &result, reply, &worst);
     }
 }
 

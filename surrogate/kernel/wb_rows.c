@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-wb_reason *wb_add_reason(wb_found *a, int code) {
+wb_reason *wb_add_reason(wb_result *a, int code) {
     wb_reason *reason = &a->reason[a->reasons < WB_MOST_REASONS ? a->reasons++ : WB_MOST_REASONS - 1];
     memset(reason, 0, sizeof *reason);
     reason->code = code, reason->axis = reason->index = -1;
@@ -34,11 +34,11 @@ int wb_is_beyond(const wb_table *t, const double *w) {
 /* Whether a table cut to a scene lacks a wrench: 1 beyond the range of a load that varies, 2 by a
  * load that the scene holds at another value. */
 int wb_leaves_scene(const wb_table *t, const double *w) {
-    int found = 0;
+    int leaves = 0;
     for (int k = 0; t->scene_ends && k < t->inputs; k++)
         if (w[k] < t->scene_ends[k] || w[k] > t->scene_ends[t->inputs + k])
-            found = found > 1 || !t->scene_varying[k] ? 2 : 1;
-    return found;
+            leaves = leaves > 1 || !t->scene_varying[k] ? 2 : 1;
+    return leaves;
 }
 
 /* The nearest row within WB_NEAR in each load, of equally near ones the first, or -1. */
@@ -48,7 +48,7 @@ int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w) {
     int n = t->inputs;
     if (!r->count || wb_leaves_scene(t, w)) return -1;
     for (int k = 0; k < n; k++) key += w[k] * r->rates[k];
-    int64_t bucket = wb_bucket(key - window, r->bucket, r->buckets), found = -1;
+    int64_t bucket = wb_bucket(key - window, r->bucket, r->buckets), row = -1;
     int64_t low = r->start[bucket], high = r->start[bucket + 1];
     while (low < high) {
         int64_t middle = low + (high - low) / 2;
@@ -60,10 +60,10 @@ int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w) {
         for (int k = 0; k < n; k++)
             apart = wb_larger(fabs(r->wrench[n * low + k] - w[k]) / t->scale[k], apart);
         if (!(apart <= closest)) continue;
-        if (apart == closest && found >= 0 && r->number[low] > r->number[found]) continue;
-        closest = apart, found = low;
+        if (apart == closest && row >= 0 && r->number[low] > r->number[row]) continue;
+        closest = apart, row = low;
     }
-    return found;
+    return row;
 }
 
 /* The largest of an output's kind, translations or rotations of one interface. */
@@ -91,7 +91,7 @@ static double slopes_without_tangent(const wb_table *t, const wb_group *g, int64
 
 /* Take what the row at or near a wrench says, unless it is too far off. */
 int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
-                     wb_found *a) {
+                     wb_result *a) {
     int n = t->inputs, m = t->outputs;
     int64_t row = wb_find_row(t, g, w);
     if (row < 0) return 0;

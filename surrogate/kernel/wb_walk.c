@@ -26,9 +26,9 @@ static int hint(const wb_composition *c, int axis, const double flat[3]) {
     int64_t at = 0;
     for (int k = 0; k < 3; k++)
         at = at * own->cells[k] + cell((flat[k] - f->corner[k]) * f->density[k], own->cells[k]);
-    int found = c->grid[own->first_cell + at];
-    return found >= c->simplex_first[axis] && found < c->simplex_first[axis + 1]
-               ? found : c->simplex_first[axis];
+    int simplex = c->grid[own->first_cell + at];
+    return simplex >= c->simplex_first[axis] && simplex < c->simplex_first[axis + 1]
+               ? simplex : c->simplex_first[axis];
 }
 
 /* Where the walk to a scaled point starts: points with equal hints are close to each other. */
@@ -177,7 +177,7 @@ static void on_facet(const wb_composition *c, const int32_t *facet, int corners,
 int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], double at[3],
                        double weights[4]) {
     const wb_axis_floats *f = &c->floats[axis];
-    int dimension = c->ints[axis].dimension, found = -1;
+    int dimension = c->ints[axis].dimension, simplex = -1;
     double flat[3], position[3], near[3], best = INFINITY;
     memcpy(position, x, sizeof position);
     if (dimension < 3) { /* the foot in the plane or line of the points, if the hull holds that */
@@ -185,20 +185,20 @@ int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], dou
         for (int k = 0; k < 3; k++)
             position[k] = f->origin[k] + flat[0] * f->basis[k] + flat[1] * f->basis[3 + k];
         memcpy(at, position, sizeof position);
-        found = wb_locate(c, axis, position, weights);
-        if (found >= 0) return found;
+        simplex = wb_locate(c, axis, position, weights);
+        if (simplex >= 0) return simplex;
     }
     for (int facet = c->facet_first[axis]; facet < c->facet_first[axis + 1]; facet++) {
         const int32_t *one = c->facets + 4 * (int64_t)facet;
         on_facet(c, one, dimension, position, near);
         double away = squared(near, position);
-        if (away < best || found < 0) { best = away, found = one[3]; memcpy(at, near, sizeof near); }
+        if (away < best || simplex < 0) { best = away, simplex = one[3]; memcpy(at, near, sizeof near); }
     }
-    if (found < 0) { /* a point alone, and a position that is not a number */
-        found = c->simplex_first[axis];
+    if (simplex < 0) { /* a point alone, and a position that is not a number */
+        simplex = c->simplex_first[axis];
         memcpy(at, c->vertex[c->point_first[axis]].position, 3 * sizeof(double));
     }
     wb_flat(c, axis, at, flat);
-    wb_barycentric(c, found, flat, weights);
-    return found;
+    wb_barycentric(c, simplex, flat, weights);
+    return simplex;
 }

@@ -37,7 +37,7 @@ enum {
     WB_NO_MEMORY = 3,
     WB_NOT_SQUARE = 4,   /* wb_inverse: a load an output is needed */
     WB_SINGULAR = 5,     /* wb_inverse: du/dw has no inverse, or is not known */
-    WB_NO_CONVERGENCE = 6 /* wb_inverse: `inputs` is the best that was found */
+    WB_NO_CONVERGENCE = 6 /* wb_inverse: `inputs` is the best wrench reached */
 };
 
 enum { WB_COVERED = 0, WB_THIN = 1, WB_OUTSIDE = 2 };

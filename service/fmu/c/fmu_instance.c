@@ -103,11 +103,11 @@ static int path_of(const char *uri, const char *file, char *path) {
  * there. */
 static int read_model(fmu_instance *m, const char *path) {
     FILE *file = fopen(path, "rb");
-    int found = file && fscanf(file, "%39s %d", m->guid, &m->method) == 2;
-    for (int k = 0; found && k < WB_MOST; k++)
+    int read = file && fscanf(file, "%39s %d", m->guid, &m->method) == 2;
+    for (int k = 0; read && k < WB_MOST; k++)
         if (fscanf(file, "%lf", m->start + k) != 1) break;
     if (file) fclose(file);
-    return found;
+    return read;
 }
 
 /* Take the numbers of inputs and outputs from the table, and the value references from them. */
