@@ -7,7 +7,7 @@
 /* The best estimate there is and its 95 % error. */
 static void refer(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                   const wb_composed *c, double *best, double *error) {
-    double missed[WB_MOST], own[WB_MOST];
+    double missed[WB_MOST], residual_error[WB_MOST];
     if (g->reference & WB_REF_KRIGING) {
         wb_kriging_values(t, &g->kriging, work, w, best, error);
         return;
@@ -15,8 +15,8 @@ static void refer(const wb_table *t, const wb_group *g, wb_work *work, const dou
     memcpy(best, c->moved, sizeof c->moved);
     memcpy(error, c->squares, sizeof c->squares);
     if (g->reference & WB_REF_MISSED) {
-        wb_kriging_values(t, &g->missed, work, w, missed, own);
-        for (int q = 0; q < 6; q++) best[q] += missed[q], error[q] += own[q] * own[q];
+        wb_kriging_values(t, &g->missed, work, w, missed, residual_error);
+        for (int q = 0; q < 6; q++) best[q] += missed[q], error[q] += residual_error[q] * residual_error[q];
     }
     for (int q = 0; q < 6; q++) error[q] = sqrt(error[q]);
 }
@@ -29,7 +29,7 @@ static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const d
     refer(t, g, work, w, c, best, error);
     a->coverage = off ? WB_OUTSIDE : c->state > 0 ? WB_THIN : WB_COVERED;
     for (int q = 0; q < 6; q++) {
-        double value = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->own[q];
+        double value = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->griddata[q];
         a->outputs[q] = value;
         a->error[q] = fabs(value - best[q]) + error[q];
         if (off) a->error[q] = wb_larger(sqrt(c->squares[q]), a->error[q]);
@@ -45,7 +45,7 @@ static void reason_beyond(const wb_table *t, const double *w, wb_result *a) {
     }
 }
 
-/* Where the kriging is the reference its own error holds. */
+/* Where the kriging is the reference, its error holds. */
 static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                        const wb_composed *c, wb_result *a) {
     double best[WB_MOST], bars[WB_MOST];

@@ -1,8 +1,8 @@
 /* Three axes to one answer. MIT license.
  *
  * All six outputs are composed, u = u(0) + sum over axes of (axis - u(0)) - sum over moments of
- * (that moment alone - u(0)), their errors in quadrature; `own` keeps each translation of its own
- * axis alone, which is griddata's.
+ * (that moment alone - u(0)), their errors in quadrature; `griddata` has each translation of its
+ * axis alone, as that method answers.
  */
 #include "wb_internal.h"
 
@@ -79,9 +79,9 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
             if (WB_OFF_HULL < out->state) out->state = WB_OFF_HULL;
             continue;
         }
-        double own = amount / cut->scale;
-        int stretch = stretch_of(cut, own), state = state_at(cut, own, stretch);
-        if (state < out->state) out->state = state, best = cut, along = own, best_stretch = stretch;
+        double scaled = amount / cut->scale;
+        int stretch = stretch_of(cut, scaled), state = state_at(cut, scaled, stretch);
+        if (state < out->state) out->state = state, best = cut, along = scaled, best_stretch = stretch;
     }
     if (!best) guess(c, moment + 3, amount, out);
     else read_cut(best, along, best_stretch, with_slopes, out);
@@ -102,7 +102,7 @@ static void add_part(const double outputs[6], const double error[6], double time
 
 void wb_compose_start(const wb_composition *c, wb_composed *out) {
     memset(out, 0, sizeof *out);
-    memcpy(out->own, c->zero_load, sizeof out->own);
+    memcpy(out->griddata, c->zero_load, sizeof out->griddata);
 }
 
 /* Add the answer at no load as often as the parts leave room for it. */
@@ -124,7 +124,7 @@ int wb_needs_axis(const double small[6], const double wrench[6], int axis) {
 }
 
 void wb_add_axis(const wb_part *part, int axis, wb_composed *out) {
-    out->own[axis] = part->outputs[axis];
+    out->griddata[axis] = part->outputs[axis];
     add_part(part->outputs, part->error, 1.0, out);
     out->states[axis] = part->state;
 }
@@ -143,7 +143,7 @@ void wb_add_moments(const wb_composition *c, const double small[6], const double
             int other = 3 + (axis + 1 + !k) % 3; /* the axis' other moment */
             if (fabs(wrench[axis]) > small[axis] || fabs(wrench[other]) > small[other]) continue;
             times += 1.0;
-            out->own[axis] = alone.outputs[axis];
+            out->griddata[axis] = alone.outputs[axis];
             out->states[axis] = worse(out->states[axis], alone.state);
         }
         if (times == 0.0) continue;

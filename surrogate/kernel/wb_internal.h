@@ -150,7 +150,7 @@ typedef struct {
     wb_reason reason[WB_MOST_REASONS];
 } wb_result;
 
-/* One axis' answer, all six outputs, its slopes by its own three loads (N and N·m). */
+/* One axis' answer, all six outputs, its slopes by its three loads (N and N·m). */
 typedef struct {
     double outputs[6], error[6], slopes[6][3];
     int state, simplex;
@@ -162,10 +162,10 @@ typedef struct {
     int simplex, inside;
 } wb_location;
 
-/* Three axes together: `moved` adds all axes up, with the squared errors; `own` has each
- * translation of its own axis. `times`: how many parts there are, less those taken away. */
+/* Three axes together: `moved` adds all axes up, with the squared errors; `griddata` has
+ * each translation of its axis alone. `times`: how many parts there are, less those taken away. */
 typedef struct {
-    double moved[6], squares[6], own[3], times;
+    double moved[6], squares[6], griddata[3], times;
     int states[3], state;
 } wb_composed;
 

@@ -45,12 +45,12 @@ static int outputs_at(solver *s, const double *w, double *outputs) {
 /* Its slopes (m, n); 0 if they are not known. */
 static int slopes_at(solver *s, const double *w, double *slopes) {
     int n = s->t->inputs;
-    double own[WB_MOST * WB_MOST];
+    double group_slopes[WB_MOST * WB_MOST];
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
-        wb_group_slopes(s->t, g, &s->work, w, wb_method_of(g, &s->o), own);
+        wb_group_slopes(s->t, g, &s->work, w, wb_method_of(g, &s->o), group_slopes);
         for (int q = 0; q < s->t->outputs; q++)
-            if (g->outputs[q]) memcpy(slopes + n * q, own + n * q, (size_t)n * sizeof(double));
+            if (g->outputs[q]) memcpy(slopes + n * q, group_slopes + n * q, (size_t)n * sizeof(double));
     }
     return all_finite(s, slopes, n);
 }

@@ -103,10 +103,10 @@ int wb_joint_rate(int n, const double *stiffness, const double *inverse_mass, do
         double square = fmax(b[n * mode + mode], 0.0); /* rounding, or a part that buckles */
         double step = square * dt * dt;
         double implicit = step > EXPLICIT ? 1 - EXPLICIT / step : 0.0;
-        double own = dt * implicit * square + 2 * damping * sqrt(square);
+        double rate_of_mode = dt * implicit * square + 2 * damping * sqrt(square);
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
-                rate[n * i + j] += own * modes[n * i + mode] * modes[n * j + mode];
+                rate[n * i + j] += rate_of_mode * modes[n * i + mode] * modes[n * j + mode];
     }
     return WB_OK;
 }

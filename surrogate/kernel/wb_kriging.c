@@ -215,12 +215,12 @@ static int is_spanned(const wb_kriging *k, int inputs, const double *at) {
 static void covary(const wb_kriging *k, int n, wb_work *work) {
     memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
-        const double *own = k->term + (n + 1) * term;
+        const double *parameters = k->term + (n + 1) * term;
         if (k->has_second)
-            add_second_covariances(own, n, work->apart, k->stride, work->first, work->second,
+            add_second_covariances(parameters, n, work->apart, k->stride, work->first, work->second,
                                  work->wide, work->flat);
         else
-            add_covariances(own, n, work->apart, k->stride, work->first, work->second, work->flat);
+            add_covariances(parameters, n, work->apart, k->stride, work->first, work->second, work->flat);
     }
 }
 
@@ -298,8 +298,8 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
         double value = values[q];
         outputs[q] = value * k->spread[q] + k->offset[q];
         double size = (fabs(value) + 1.0) * k->spread[q] + fabs(k->offset[q]);
-        double least = fmax(*k->floor * size, k->lost[q]), own = wide[q] * k->deviation[q];
-        error[q] = own < least ? least : own; /* what is not a number stays none */
+        double least = fmax(*k->floor * size, k->lost[q]), bar = wide[q] * k->deviation[q];
+        error[q] = bar < least ? least : bar; /* what is not a number stays none */
     }
 }
 
@@ -335,11 +335,11 @@ WB_VECTORS static void add_slope(const double *term, int inputs, const double *r
                       const double *restrict first, const double *restrict second, int a,
                       double *restrict flat) {
     const double *restrict from = apart + (int64_t)a * stride;
-    double *restrict own = flat + (int64_t)(1 + a) * stride, twice = 2 * term[a];
+    double *restrict by_slope = flat + (int64_t)(1 + a) * stride, twice = 2 * term[a];
     if (!(term[a] > 0)) return;
     for (int row = 0; row < stride; row++) {
         flat[row] += twice * first[row] * from[row];
-        own[row] -= twice * first[row];
+        by_slope[row] -= twice * first[row];
     }
     for (int b = 0; b < inputs; b++) {
         const double *restrict other = apart + (int64_t)b * stride;
@@ -397,10 +397,10 @@ static int answers(const wb_kriging *k, int q) {
 static void differentiate_terms(const wb_kriging *k, int n, const wb_work *work) {
     int wide = k->has_second ? 3 : 2;
     for (int term = 0; term < k->terms; term++) {
-        const double *own = k->term + (n + 1) * term;
+        const double *parameters = k->term + (n + 1) * term;
         double *first = work->wide + (int64_t)wide * term * k->stride, *second = first + k->stride;
-        if (k->has_second) differentiate_second(own, n, work->apart, k->stride, first, second, second + k->stride);
-        else differentiate(own, n, work->apart, k->stride, first, second);
+        if (k->has_second) differentiate_second(parameters, n, work->apart, k->stride, first, second, second + k->stride);
+        else differentiate(parameters, n, work->apart, k->stride, first, second);
     }
 }
 
@@ -409,12 +409,12 @@ static void covary_slope(const wb_kriging *k, int n, int a, const wb_work *work)
     int wide = k->has_second ? 3 : 2;
     memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
-        const double *own = k->term + (n + 1) * term;
+        const double *parameters = k->term + (n + 1) * term;
         const double *first = work->wide + (int64_t)wide * term * k->stride;
         const double *second = first + k->stride;
-        add_slope(own, n, work->apart, k->stride, first, second, a, work->flat);
+        add_slope(parameters, n, work->apart, k->stride, first, second, a, work->flat);
         if (k->has_second)
-            add_second_slope(own, n, work->apart, k->stride, second, second + k->stride, a,
+            add_second_slope(parameters, n, work->apart, k->stride, second, second + k->stride, a,
                            work->first, work->flat);
     }
 }

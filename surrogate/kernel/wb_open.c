@@ -155,19 +155,19 @@ static void read_cut(reader *r, wb_composition *c, int moment, int which) {
 
 /* Check one axis' frame: the sizes of its grid and its part of the points and simplices. */
 static void check_axis(reader *r, const wb_composition *c, int axis) {
-    const wb_axis_ints *own = &c->ints[axis];
+    const wb_axis_ints *ints = &c->ints[axis];
     int64_t size = 1;
     int32_t facets = c->facet_first[axis + 1] - c->facet_first[axis];
-    within(r, "ints", &own->dimension, 1, -1, 4);
-    if (*r->bad || own->dimension < 0) return;
+    within(r, "ints", &ints->dimension, 1, -1, 4);
+    if (*r->bad || ints->dimension < 0) return;
     if (c->simplex_first[axis + 1] <= c->simplex_first[axis]) fail(r, "simplex_first");
-    if (c->point_first[axis + 1] - c->point_first[axis] <= own->dimension)
+    if (c->point_first[axis + 1] - c->point_first[axis] <= ints->dimension)
         fail(r, "point_first");
-    if (own->first_cell < 0 || (own->dimension ? facets < 1 : facets > 0)) fail(r, "ints");
+    if (ints->first_cell < 0 || (ints->dimension ? facets < 1 : facets > 0)) fail(r, "ints");
     for (int k = 0; k < 3; k++) {
-        if (own->cells[k] < 1 || own->cells[k] > c->cells) fail(r, "ints");
-        size *= *r->bad ? 1 : own->cells[k];
-        if (own->first_cell + size > c->cells) fail(r, "ints");
+        if (ints->cells[k] < 1 || ints->cells[k] > c->cells) fail(r, "ints");
+        size *= *r->bad ? 1 : ints->cells[k];
+        if (ints->first_cell + size > c->cells) fail(r, "ints");
         if (*r->bad) return;
     }
 }

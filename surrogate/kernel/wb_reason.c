@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-/* One axis' answer to its own three loads, and where its rows were read. */
+/* One axis' answer to its three loads alone, and where its rows were read. */
 typedef struct {
     wb_composed answer;
     int origin, simplex; /* the axis whose rows answered, or -1 */
@@ -79,13 +79,13 @@ static void why_weak(const wb_composition *c, int axis, int simplex, wb_reason *
 /* `why_axis`; the reason's code is 0 if the axis covers its part. `state` is of the whole wrench. */
 static void why_axis(const wb_composition *c, const look *seen, int axis, int state,
                      const double *w, wb_reason *reason) {
-    int own = seen->answer.states[axis];
+    int alone = seen->answer.states[axis];
     memset(reason, 0, sizeof *reason);
     reason->axis = axis, reason->index = -1;
-    if (own >= WB_OFF_HULL) {
+    if (alone >= WB_OFF_HULL) {
         int none = c->ints[axis].dimension < 0;
         reason->code = none ? WB_REASON_AXIS_NO_ROWS : WB_REASON_AXIS_OFF_HULL;
-    } else if (seen->simplex >= 0 && own > WB_SOUND) {
+    } else if (seen->simplex >= 0 && alone > WB_SOUND) {
         why_weak(c, seen->origin, seen->simplex, reason);
     } else if (state >= WB_OFF_HULL) {
         reason->code = WB_REASON_MOMENT_ALONE;

@@ -6,7 +6,7 @@
 
 static double larger(double a, double b) { return a > b ? a : b; }
 
-static const wb_options OWN = {WB_DEFAULT, NULL, 0};
+static const wb_options DEFAULTS = {WB_DEFAULT, NULL, 0};
 
 static void begin(const wb_table *t, const double *inputs, wb_reply *reply) {
     reply->coverage = WB_COVERED, reply->within = -1, reply->method = WB_ESTIMATE;
@@ -67,18 +67,18 @@ static void merge(const wb_table *t, const wb_group *g, const wb_result *result,
 void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
                          const wb_reply *reply, double *derivative) {
     int n = t->inputs, m = t->outputs;
-    double own[WB_MOST * WB_MOST];
+    double group_slopes[WB_MOST * WB_MOST];
     for (int k = 0; k < n * m; k++) derivative[k] = NAN;
     for (int i = 0; i < t->groups; i++) {
         const wb_group *g = &t->group[i];
-        const double *slopes = own;
+        const double *slopes = group_slopes;
         if (reply->method == WB_ROW) {
             int64_t row = wb_find_row(t, g, reply->inputs);
             int64_t index = row < 0 ? -1 : g->rows.tangent_of[row];
             if (index < 0) continue;
             slopes = g->rows.tangent + (int64_t)n * m * index;
         } else {
-            wb_group_slopes(t, g, work, reply->inputs, wb_method_of(g, o), own);
+            wb_group_slopes(t, g, work, reply->inputs, wb_method_of(g, o), group_slopes);
         }
         for (int q = 0; q < m; q++)
             if (g->outputs[q]) memcpy(derivative + n * q, slopes + n * q, (size_t)n * sizeof(double));
@@ -223,8 +223,8 @@ int wb_check(const wb_table *t, const wb_options *o, const double *inputs) {
         const wb_group *g = &t->group[i];
         int method = wb_method_of(g, o);
         int exact = method == WB_LINEAR && g->exact_fit;
-        int own = method == WB_KRIGING && g->reference & WB_REF_KRIGING;
-        if (!g->used || own || exact) continue;
+        int reference = method == WB_KRIGING && g->reference & WB_REF_KRIGING;
+        if (!g->used || reference || exact) continue;
         if (!g->reference || (method <= WB_ADDITIVE && !g->has_composition)) return WB_NO_METHOD;
     }
     return WB_OK;
@@ -253,7 +253,7 @@ void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const do
 
 int wb_answer(const wb_table *t, const wb_options *options, const double *inputs, wb_reply *reply,
               void *scratch) {
-    const wb_options *o = options ? options : &OWN;
+    const wb_options *o = options ? options : &DEFAULTS;
     wb_work work = wb_work_of(t, scratch);
     int wrong = wb_check(t, o, inputs);
     if (wrong) return wrong;
@@ -279,7 +279,7 @@ void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, con
 
 int wb_derivative(const wb_table *t, const wb_options *options, const double *inputs, double *du_dw,
                   void *scratch) {
-    const wb_options *o = options ? options : &OWN;
+    const wb_options *o = options ? options : &DEFAULTS;
     wb_work work = wb_work_of(t, scratch);
     int wrong = wb_check(t, o, inputs);
     if (!wrong) wb_answer_slopes(t, o, &work, inputs, du_dw);

@@ -95,17 +95,17 @@ int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, 
     int n = t->inputs, m = t->outputs;
     int64_t row = wb_find_row(t, g, w);
     if (row < 0) return 0;
-    const double *own = g->rows.wrench + n * row, *moved = g->rows.moved + m * row;
+    const double *wrench = g->rows.wrench + n * row, *moved = g->rows.moved + m * row;
     int64_t index = g->rows.tangent_of[row];
     const double *tangent = index < 0 ? NULL : g->rows.tangent + n * m * index;
     double step[WB_MOST], slope[WB_MOST], outputs[WB_MOST], error[WB_MOST], reach = 0;
     a->exact = 1;
     for (int k = 0; k < n; k++) {
-        step[k] = w[k] - own[k];
+        step[k] = w[k] - wrench[k];
         a->exact &= step[k] == 0;
         reach = wb_larger(fabs(step[k] / t->scale[k]), reach);
     }
-    if (wb_is_beyond(t, w) != wb_is_beyond(t, own)) return 0;
+    if (wb_is_beyond(t, w) != wb_is_beyond(t, wrench)) return 0;
     double steep = slopes_without_tangent(t, g, row, slope);
     for (int q = 0; q < m; q++) {
         double more = 0, growth = steep > 0 ? slope[q] * reach : NAN;

@@ -22,11 +22,11 @@ static int cell(double position, int cells) {
 
 static int hint(const wb_composition *c, int axis, const double flat[3]) {
     const wb_axis_floats *f = &c->floats[axis];
-    const wb_axis_ints *own = &c->ints[axis];
+    const wb_axis_ints *ints = &c->ints[axis];
     int64_t at = 0;
     for (int k = 0; k < 3; k++)
-        at = at * own->cells[k] + cell((flat[k] - f->corner[k]) * f->density[k], own->cells[k]);
-    int simplex = c->grid[own->first_cell + at];
+        at = at * ints->cells[k] + cell((flat[k] - f->corner[k]) * f->density[k], ints->cells[k]);
+    int simplex = c->grid[ints->first_cell + at];
     return simplex >= c->simplex_first[axis] && simplex < c->simplex_first[axis + 1]
                ? simplex : c->simplex_first[axis];
 }

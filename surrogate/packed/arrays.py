@@ -224,21 +224,23 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
         blocks.setdefault(f"{start}/", set()).add(last)
     rows: dict[str, int] = {}
     for start, names in blocks.items():
-        block = next((own for own in BLOCKS.values() if re.fullmatch(own.names, start)), None)
+        block = next((entry for entry in BLOCKS.values() if re.fullmatch(entry.names, start)), None)
         described = {} if block is None else {array.name: array for array in block.arrays}
         lacking = {array.name for array in described.values() if not array.optional} - names
         if names - set(described) or lacking:
             raise PackedTableError(f"{start}: {sorted((names - set(described)) | lacking)}")
         sizes = dict(table)
         for name in names:
-            array, own = described[name], arrays[start + name]
+            array, values = described[name], arrays[start + name]
             dimensions = array.shape.split()
-            same = own.dtype == TYPES[array.type] and own.ndim == len(dimensions)
-            for symbol, size in zip(dimensions, own.shape, strict=False):
+            same = values.dtype == TYPES[array.type] and values.ndim == len(dimensions)
+            for symbol, size in zip(dimensions, values.shape, strict=False):
                 stated = int(symbol) if symbol.isdigit() else sizes.setdefault(symbol, size)
                 same &= symbol == "x" or stated == size
             if not same:
-                raise PackedTableError(f"array {start}{name}: {own.dtype} of shape {own.shape}")
+                raise PackedTableError(
+                    f"array {start}{name}: {values.dtype} of shape {values.shape}"
+                )
         # Factors have the rows of their kriging.
         kriging = re.sub(r"factor\d+/$", "", start)
         if "s" in sizes and rows.setdefault(kriging, sizes["s"]) != sizes["s"]:
