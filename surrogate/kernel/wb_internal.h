@@ -11,8 +11,8 @@
 
 #include <math.h>
 
-/* Of the range, in each load: a smaller load is none, and one so little beyond an end is on it;
- * wrenches closer than this are one. Of an answer's size: what its computation loses. And how much
+/* Of the range, in each load: a smaller load is none, a load so little beyond an end is on it, and
+ * closer wrenches are the same. Of an answer's size: what its computation loses. And how much
  * more than in proportion a response may move. As in Python (tests/surrogate/kernel). */
 #define WB_CLEAN 1e-9
 #define WB_NEAR 1e-6
@@ -85,7 +85,7 @@ typedef struct {
 
 typedef struct {
     int stride, terms, factors; /* stride: rows, a multiple of WB_LANES */
-    int has_second, readings; /* whether rows bring second derivatives; how many numbers one brings */
+    int has_second, readings; /* whether rows bring second derivatives; how many numbers a row brings */
     const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
     const double *deviation, *lost, *floor, *tangent, *span;
     const int32_t *smoothness, *factor_count; /* smoothness: NULL without second derivatives */

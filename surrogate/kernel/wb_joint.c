@@ -34,14 +34,14 @@ static void rotate(double *a, double *modes, int n, int p, int q) {
     double t = (theta >= 0 ? 1 : -1) / (fabs(theta) + sqrt(theta * theta + 1));
     double c = 1 / sqrt(t * t + 1), s = t * c;
     for (int k = 0; k < n; k++) {
-        double one = a[n * k + p], other = a[n * k + q];
-        a[n * k + p] = c * one - s * other, a[n * k + q] = s * one + c * other;
+        double first = a[n * k + p], second = a[n * k + q];
+        a[n * k + p] = c * first - s * second, a[n * k + q] = s * first + c * second;
     }
     for (int k = 0; k < n; k++) {
-        double one = a[n * p + k], other = a[n * q + k];
-        a[n * p + k] = c * one - s * other, a[n * q + k] = s * one + c * other;
-        one = modes[n * k + p], other = modes[n * k + q];
-        modes[n * k + p] = c * one - s * other, modes[n * k + q] = s * one + c * other;
+        double first = a[n * p + k], second = a[n * q + k];
+        a[n * p + k] = c * first - s * second, a[n * q + k] = s * first + c * second;
+        first = modes[n * k + p], second = modes[n * k + q];
+        modes[n * k + p] = c * first - s * second, modes[n * k + q] = s * first + c * second;
     }
 }
 

@@ -139,11 +139,11 @@ WB_VECTORS static void add_second_covariances(const double *term, int inputs, co
     add_slopes(term, inputs, apart, stride, second, flat);
     for (int a = 0; a < inputs; a++)
         for (int b = a; b < inputs; b++, out += stride) {
-            const double *restrict one = apart + (int64_t)a * stride;
-            const double *restrict other = apart + (int64_t)b * stride;
+            const double *restrict by_a = apart + (int64_t)a * stride;
+            const double *restrict by_b = apart + (int64_t)b * stride;
             double rate = term[a], both = term[a] * term[b];
             if (!(both > 0)) continue;
-            for (int row = 0; row < stride; row++) out[row] += both * third[row] * one[row] * other[row];
+            for (int row = 0; row < stride; row++) out[row] += both * third[row] * by_a[row] * by_b[row];
             if (a != b) continue;
             for (int row = 0; row < stride; row++) out[row] -= rate * second[row];
         }
@@ -155,9 +155,9 @@ WB_VECTORS static void reduce(const double *restrict panel, const double *restri
     for (int top = 0; top < padded; top += WB_PANEL) {
         double sum[WB_PANEL] = {0};
         for (int column = 0; column < top + WB_PANEL; column++, panel += WB_PANEL) {
-            double one = chosen[column];
+            double factor = chosen[column];
 #pragma omp simd
-            for (int lane = 0; lane < WB_PANEL; lane++) sum[lane] += panel[lane] * one;
+            for (int lane = 0; lane < WB_PANEL; lane++) sum[lane] += panel[lane] * factor;
         }
         memcpy(reduced + top, sum, sizeof sum);
     }
@@ -371,18 +371,18 @@ WB_VECTORS static void add_second_slope(const double *term, int inputs, const do
     if (!(term[c] > 0)) return;
     for (int row = 0; row < stride; row++) spare[row] = 8 * term[c] * third[row] * from[row];
     for (int a = 0; a < inputs; a++) {
-        const double *one = apart + (int64_t)a * stride;
+        const double *by_a = apart + (int64_t)a * stride;
         double *restrict out = pair_of(flat, inputs, a, a, stride);
         if (!(term[a] > 0)) continue;
         add_product(4 * term[a] * term[c], second, from, stride, out);
         for (int b = a; b < inputs; b++, out += stride) {
-            const double *restrict other = apart + (int64_t)b * stride;
+            const double *restrict by_b = apart + (int64_t)b * stride;
             double both = term[a] * term[b];
             if (!(both > 0)) continue;
-            for (int row = 0; row < stride; row++) out[row] += both * spare[row] * one[row] * other[row];
+            for (int row = 0; row < stride; row++) out[row] += both * spare[row] * by_a[row] * by_b[row];
         }
         out = pair_of(flat, inputs, a, c, stride);
-        add_product((a == c ? 8 : 4) * term[a] * term[c], second, one, stride, out);
+        add_product((a == c ? 8 : 4) * term[a] * term[c], second, by_a, stride, out);
     }
 }
 

@@ -29,10 +29,10 @@ static int is_of_group(int code) {
 
 static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int group) {
     for (int i = 0; i < reply->reasons; i++) {
-        const wb_reason *one = &reply->reason[i];
-        if (one->group != group && is_of_group(reason->code)) continue;
-        if (one->code == reason->code && one->axis == reason->axis && one->index == reason->index
-            && one->value == reason->value && one->limit == reason->limit)
+        const wb_reason *known = &reply->reason[i];
+        if (known->group != group && is_of_group(reason->code)) continue;
+        if (known->code == reason->code && known->axis == reason->axis && known->index == reason->index
+            && known->value == reason->value && known->limit == reason->limit)
             return 1;
     }
     return 0;

@@ -189,10 +189,10 @@ int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], dou
         if (simplex >= 0) return simplex;
     }
     for (int facet = c->facet_first[axis]; facet < c->facet_first[axis + 1]; facet++) {
-        const int32_t *one = c->facets + 4 * (int64_t)facet;
-        on_facet(c, one, dimension, position, near);
+        const int32_t *corners = c->facets + 4 * (int64_t)facet;
+        on_facet(c, corners, dimension, position, near);
         double away = squared(near, position);
-        if (away < best || simplex < 0) { best = away, simplex = one[3]; memcpy(at, near, sizeof near); }
+        if (away < best || simplex < 0) { best = away, simplex = corners[3]; memcpy(at, near, sizeof near); }
     }
     if (simplex < 0) { /* a point alone, and a position that is not a number */
         simplex = c->simplex_first[axis];

@@ -135,7 +135,9 @@ def _cut_kriging(own: Arrays, name: str, need: Need) -> Arrays:
     found[f"{name}factor_count"] = np.array([len(factors)], dtype=np.int32)
     for number, factor in enumerate(factors):
         arrays = {key: array for key, array in own.items() if key.startswith(factor)}
-        found |= {f"{name}factor{number}/{key[len(factor) :]}": one for key, one in arrays.items()}
+        found |= {
+            f"{name}factor{number}/{key[len(factor) :]}": array for key, array in arrays.items()
+        }
     return found
 
 
@@ -167,8 +169,8 @@ def _cut_axes(own: Arrays, loaded: Mask) -> Arrays:
     found["members"] = axes["members"][members]
     for axis in np.flatnonzero(~loaded).tolist():
         for gone in (f"cut{(axis + 1) % 3}0/", f"cut{(axis + 2) % 3}1/"):
-            found = {name: one for name, one in found.items() if not name.startswith(gone)}
-    return {f"axes/{name}": np.asarray(one, axes[name].dtype) for name, one in found.items()}
+            found = {name: array for name, array in found.items() if not name.startswith(gone)}
+    return {f"axes/{name}": np.asarray(array, axes[name].dtype) for name, array in found.items()}
 
 
 def _renumbered(
