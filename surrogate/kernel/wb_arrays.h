@@ -149,7 +149,7 @@ static const wb_array WB_FACTOR_ARRAYS[] = {
     {"number", WB_I4, 0, 1, {WB_OF_S}, offsetof(wb_factor, number)},
     {"equations", WB_I4, 0, 2, {WB_OF_K, WB_OF_E}, offsetof(wb_factor, equations)},
     {"panels", WB_F8, 0, 2, {WB_OF_K, WB_OF_D}, offsetof(wb_factor, panels)},
-    {"unsettled", WB_F8, 0, 3, {WB_OF_K, WB_OF_N1, WB_OF_E}, offsetof(wb_factor, unsettled)},
+    {"trend", WB_F8, 0, 3, {WB_OF_K, WB_OF_N1, WB_OF_E}, offsetof(wb_factor, trend)},
     {"least", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, least)},
     {"penalty", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, penalty)},
     {"mean_covariance", WB_F8, 0, 2, {WB_OF_N1, WB_OF_N1}, offsetof(wb_factor, mean_covariance)},

@@ -107,11 +107,11 @@ void wb_compose_start(const wb_composition *c, wb_composed *out) {
 
 /* Add the answer at no load as often as the parts leave room for it. */
 static void add_zero_load(const wb_composition *c, wb_composed *out) {
-    double left = 1.0 - out->times;
-    if (left == 0.0) return;
+    double remaining = 1.0 - out->times;
+    if (remaining == 0.0) return;
     for (int q = 0; q < 6; q++) {
-        double wide = left * c->zero_load[6 + q];
-        out->moved[q] += left * c->zero_load[q];
+        double wide = remaining * c->zero_load[6 + q];
+        out->moved[q] += remaining * c->zero_load[q];
         out->squares[q] += wide * wide;
     }
 }

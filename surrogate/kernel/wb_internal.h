@@ -79,7 +79,7 @@ typedef struct {
     int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
     int64_t count, levels;
     const int32_t *outputs, *number, *equations;
-    const double *panels, *unsettled, *least, *penalty, *mean_covariance;
+    const double *panels, *trend, *least, *penalty, *mean_covariance;
     const double *sigma, *scale, *reach; /* of the calibration: (levels), (levels, m), (1) */
 } wb_factor;
 

@@ -169,19 +169,19 @@ static double squared_deviation(const wb_kriging *k, const wb_factor *factor, in
     int padded = factor->padded, terms = inputs + 1;
     int64_t number = factor->number[anchor], triangle = (int64_t)padded * (padded + WB_PANEL) / 2;
     const int32_t *equations = factor->equations + number * padded;
-    const double *unsettled = factor->unsettled + number * terms * padded;
-    double left[WB_MOST + 1], loose = 0.0, prior = 0.0;
+    const double *trend_terms = factor->trend + number * terms * padded;
+    double mean_terms[WB_MOST + 1], trend = 0.0, prior = 0.0;
     for (int i = 0; i < padded; i++) work->chosen[i] = work->flat[equations[i]];
     reduce(factor->panels + number * triangle, work->chosen, padded, work->reduced);
     for (int a = 0; a < terms; a++)
-        left[a] = (a == 0 ? 1.0 : at[a - 1])
-                  - product(work->reduced, unsettled + (int64_t)a * padded, padded);
+        mean_terms[a] = (a == 0 ? 1.0 : at[a - 1])
+                  - product(work->reduced, trend_terms + (int64_t)a * padded, padded);
     for (int a = 0; a < terms; a++)
         for (int b = 0; b < terms; b++)
-            loose += left[a] * factor->mean_covariance[terms * a + b] * left[b];
+            trend += mean_terms[a] * factor->mean_covariance[terms * a + b] * mean_terms[b];
     for (int term = 0; term < k->terms; term++) prior += k->term[terms * term + inputs];
-    double spent = product(work->reduced, work->reduced, padded);
-    return fmax(prior - spent, factor->least[anchor]) + loose;
+    double explained = product(work->reduced, work->reduced, padded);
+    return fmax(prior - explained, factor->least[anchor]) + trend;
 }
 
 /* The row whose neighbourhood gives sigma: wrenches of one anchor read the same memory. */

@@ -197,7 +197,7 @@ BLOCKS = {
         Array("equations", "i4", "k e", "where its equations stand among the w numbers"),
         Array("panels", "f8", "k d", "inverse factor T of each neighbourhood in panels of rows, "
               "columns first"),
-        Array("unsettled", "f8", "k n1 e", "T times the mean's terms"),
+        Array("trend", "f8", "k n1 e", "T times the mean's terms"),
         Array("least", "f8", "s", "smallest sigma squared but for the mean's"),
         Array("penalty", "f8", "s", "0; infinite for a row without a neighbourhood"),
         Array("mean_covariance", "f8", "n1 n1", "of the mean's coefficients"),

@@ -326,7 +326,7 @@ def _share_arrays(
     yield "number", number
     yield "equations", places
     yield "panels", panels
-    yield "unsettled", unsettled
+    yield "trend", unsettled
     yield "least", least
     yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
     yield "mean_covariance", share.factor.mean_covariance
