@@ -155,7 +155,7 @@ static const wb_array WB_FACTOR_ARRAYS[] = {
     {"mean_covariance", WB_F8, 0, 2, {WB_OF_N1, WB_OF_N1}, offsetof(wb_factor, mean_covariance)},
     {"sigma", WB_F8, 0, 1, {WB_OF_L}, offsetof(wb_factor, sigma)},
     {"scale", WB_F8, 0, 2, {WB_OF_L, WB_OF_M}, offsetof(wb_factor, scale)},
-    {"reach", WB_F8, 0, 1, {-1}, offsetof(wb_factor, reach)},
+    {"max_sigma", WB_F8, 0, 1, {-1}, offsetof(wb_factor, max_sigma)},
 };
 
 #endif

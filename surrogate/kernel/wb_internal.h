@@ -80,7 +80,7 @@ typedef struct {
     int64_t count, levels;
     const int32_t *outputs, *number, *equations;
     const double *panels, *trend, *least, *penalty, *mean_covariance;
-    const double *sigma, *scale, *reach; /* of the calibration: (levels), (levels, m), (1) */
+    const double *sigma, *scale, *max_sigma; /* of the calibration: (levels), (levels, m), (1) */
 } wb_factor;
 
 typedef struct {

@@ -196,7 +196,7 @@ int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_w
 static double scale_of(const wb_factor *factor, double sigma, int q, int outputs) {
     int64_t last = factor->levels - 1, n = 0;
     const double *f = factor->scale + q, *s = factor->sigma;
-    if (!(sigma <= *factor->reach) || last < 0) return NAN;
+    if (!(sigma <= *factor->max_sigma) || last < 0) return NAN;
     if (sigma >= s[last]) return f[outputs * last];
     if (sigma <= s[0] || last < 1) return f[0];
     while (n < last - 1 && s[n + 1] <= sigma) n++;
@@ -257,13 +257,13 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
     double at[WB_MOST], sigma[WB_MOST];
     int before = a->reasons, far = -1;
     for (int s = 0; s < k->factors; s++)
-        if (!(*k->factor[s].reach > 0)) {
+        if (!(*k->factor[s].max_sigma > 0)) {
             wb_add_reason(a, WB_REASON_ERRORS_UNKNOWN);
             return;
         }
     explore(t, k, work, w, at, NULL, sigma);
     for (int s = 0; s < k->factors; s++)
-        if (!(sigma[s] <= *k->factor[s].reach)) far = s;
+        if (!(sigma[s] <= *k->factor[s].max_sigma)) far = s;
     for (int load = 0; load < t->inputs; load++) {
         if (k->span[load] <= at[load] && at[load] <= k->span[t->inputs + load]) continue;
         wb_reason *reason = wb_add_reason(a, WB_REASON_BEYOND_SPAN);
@@ -271,7 +271,7 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
     }
     if (a->reasons > before || far < 0) return;
     wb_reason *reason = wb_add_reason(a, WB_REASON_TOO_FAR);
-    reason->value = sigma[far], reason->limit = *k->factor[far].reach;
+    reason->value = sigma[far], reason->limit = *k->factor[far].max_sigma;
 }
 
 /* Outputs alone, m and rad. */

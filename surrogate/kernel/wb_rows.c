@@ -98,21 +98,21 @@ int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, 
     const double *wrench = g->rows.wrench + n * row, *moved = g->rows.moved + m * row;
     int64_t index = g->rows.tangent_of[row];
     const double *tangent = index < 0 ? NULL : g->rows.tangent + n * m * index;
-    double step[WB_MOST], slope[WB_MOST], outputs[WB_MOST], error[WB_MOST], reach = 0;
+    double step[WB_MOST], slope[WB_MOST], outputs[WB_MOST], error[WB_MOST], distance = 0;
     a->exact = 1;
     for (int k = 0; k < n; k++) {
         step[k] = w[k] - wrench[k];
         a->exact &= step[k] == 0;
-        reach = wb_larger(fabs(step[k] / t->scale[k]), reach);
+        distance = wb_larger(fabs(step[k] / t->scale[k]), distance);
     }
     if (wb_is_beyond(t, w) != wb_is_beyond(t, wrench)) return 0;
     double steep = slopes_without_tangent(t, g, row, slope);
     for (int q = 0; q < m; q++) {
-        double more = 0, growth = steep > 0 ? slope[q] * reach : NAN;
+        double more = 0, growth = steep > 0 ? slope[q] * distance : NAN;
         for (int k = 0; tangent && k < n; k++) more += tangent[n * q + k] * step[k];
         if (tangent && isfinite(more)) growth = fabs(more);
         else more = 0;
-        if (!(reach > 0) || isnan(moved[q])) more = growth = 0;
+        if (!(distance > 0) || isnan(moved[q])) more = growth = 0;
         if (!(growth <= wb_allowed(g, o, q))) return 0;
         outputs[q] = moved[q] + more;
         error[q] = g->rows.bar[m * row + q] + growth;

@@ -73,7 +73,7 @@ SYMBOLS = {
 OUTER = 3  # the first symbols are those of the table; the others are those of a block
 SHARED = 4  # and `s`, which the factors of a kriging share with it
 
-_REACH = "of the load range"
+_RANGE = "of the load range"
 _BOUNDS = (
     Array("bucket", "f8", "2", "frame of buckets over ascending numbers: `buckets_of`"),
     Array("start", "i4", "b", "where each bucket begins among them, and the end"),
@@ -154,7 +154,7 @@ BLOCKS = {
         Array("together", "i4", "3", "points of an axis with several loads at once"),
         Array("fewest", "i4", "3", "points that an axis needs"),
         Array("left_out", "i4", "4", "points left out of each axis, and how many are needed"),
-        Array("largest", "f8", "4", f"largest part {_REACH} of a simplex, by dimension"),
+        Array("largest", "f8", "4", f"largest part {_RANGE} of a simplex, by dimension"),
         Array("span", "f8", "3 3 2", "smallest and largest of an axis' loads", member="-"),
         Array("zero_load", "f8", "2 6", "answer at no load and its error"),
         Array("error", "f8", "3 2 6", "A and C of the interpolation error, sqrt(A + C S^2)"),
@@ -203,7 +203,7 @@ BLOCKS = {
         Array("mean_covariance", "f8", "n1 n1", "of the mean's coefficients"),
         Array("sigma", "f8", "l", "levels of the calibration"),
         Array("scale", "f8", "l m", "by which sigma is multiplied at each level"),
-        Array("reach", "f8", "1", "largest sigma with known errors"),
+        Array("max_sigma", "f8", "1", "largest sigma with known errors"),
     )),
 }  # fmt: skip
 

@@ -296,7 +296,7 @@ def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator
     factors[:, share.factor.share.outputs] = found.factors.reshape(len(found.sigma), -1)
     yield "sigma", found.sigma
     yield "scale", factors
-    yield "reach", np.array([found.reach])
+    yield "max_sigma", np.array([found.reach])
 
 
 def _share_arrays(
