@@ -7,16 +7,16 @@
 /* The best estimate there is and its 95 % error. */
 static void refer(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                   const wb_composed *c, double *best, double *error) {
-    double missed[WB_MOST], residual_error[WB_MOST];
+    double residual[WB_MOST], residual_error[WB_MOST];
     if (g->reference & WB_REF_KRIGING) {
         wb_kriging_values(t, &g->kriging, work, w, best, error);
         return;
     }
     memcpy(best, c->moved, sizeof c->moved);
     memcpy(error, c->squares, sizeof c->squares);
-    if (g->reference & WB_REF_MISSED) {
-        wb_kriging_values(t, &g->missed, work, w, missed, residual_error);
-        for (int q = 0; q < 6; q++) best[q] += missed[q], error[q] += residual_error[q] * residual_error[q];
+    if (g->reference & WB_REF_RESIDUAL) {
+        wb_kriging_values(t, &g->residual, work, w, residual, residual_error);
+        for (int q = 0; q < 6; q++) best[q] += residual[q], error[q] += residual_error[q] * residual_error[q];
     }
     for (int q = 0; q < 6; q++) error[q] = sqrt(error[q]);
 }

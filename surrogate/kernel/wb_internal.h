@@ -23,7 +23,7 @@ enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
 /* What an axis' part of an answer depends on, from the best to the worst. */
 enum { WB_SOUND = 0, WB_WEAK = 1, WB_DEGENERATE = 2, WB_OFF_HULL = 9, WB_NO_ROWS = 10 };
 /* The best estimate, from which the errors of other methods follow. */
-enum { WB_REF_ADDITIVE = 1, WB_REF_MISSED = 2, WB_REF_KRIGING = 4 };
+enum { WB_REF_ADDITIVE = 1, WB_REF_RESIDUAL = 2, WB_REF_KRIGING = 4 };
 enum { WB_PANEL = 16, WB_LANES = 8 }; /* rows of a triangle at once; partial sums of a product */
 
 /* 128 bytes, two cache lines: all that a step of a walk reads. */
@@ -102,13 +102,13 @@ typedef struct {
 /* The outputs that the same rows hold. */
 typedef struct {
     int method, reference, knows_interaction, zero_unknown, exact_fit, used;
-    int full, needed, has_rows, has_composition, has_kriging, has_missed;
+    int full, needed, has_rows, has_composition, has_kriging, has_residual;
     const int32_t *flags, *outputs;
     const double *allowed;
     wb_fit fit;
     wb_rows rows;
     wb_composition composition;
-    wb_kriging kriging, missed;
+    wb_kriging kriging, residual;
 } wb_group;
 
 typedef struct {

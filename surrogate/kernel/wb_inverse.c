@@ -126,32 +126,32 @@ static int invert(solver *s, const double *w, double *stiffness) {
 }
 
 /* The step of the loads by a stiffness, over their scales; returns its largest. */
-static double step_by(const solver *s, const double *stiffness, const double *missed, double *step) {
+static double step_by(const solver *s, const double *stiffness, const double *residual, double *step) {
     double most = 0;
     for (int i = 0; i < s->count; i++) {
         int load = s->free[i];
         step[i] = 0;
         for (int j = 0; j < s->count; j++)
-            step[i] += stiffness[s->t->outputs * load + s->free[j]] * missed[j];
+            step[i] += stiffness[s->t->outputs * load + s->free[j]] * residual[j];
         step[i] /= s->t->scale[load];
         most = fmax(most, fabs(step[i]));
     }
     return most;
 }
 
-/* Try a fraction of a step: where it leads to, what is missed there, and the next step from there by
+/* Try a fraction of a step: where it leads to, the residual there, and the next step from there by
  * the same matrix; returns its largest, infinite if the method has no answer there. */
 static double try_step(solver *s, const double *target, const double *stiffness, double fraction,
                        const double *w, const double *step, double *there, double *next) {
-    double outputs[WB_MOST], missed[WB_MOST];
+    double outputs[WB_MOST], residual[WB_MOST];
     memcpy(there, w, (size_t)s->t->inputs * sizeof(double));
     for (int i = 0; i < s->count; i++) {
         int load = s->free[i];
         there[load] += fraction * step[i] * s->t->scale[load];
     }
     if (!outputs_at(s, there, outputs)) return INFINITY;
-    for (int i = 0; i < s->count; i++) missed[i] = target[s->free[i]] - outputs[s->free[i]];
-    return step_by(s, stiffness, missed, next);
+    for (int i = 0; i < s->count; i++) residual[i] = target[s->free[i]] - outputs[s->free[i]];
+    return step_by(s, stiffness, residual, next);
 }
 
 /* The largest step that rounding of the outputs can make: a kriging's sums lose more than others. */

@@ -265,16 +265,16 @@ static void read_group(reader *r, int number, wb_group *g, wb_factor **factor) {
     g->has_composition = find(r, "vertex") != NULL;
     if (!*r->bad && g->has_composition) read_composition(r, &g->composition, group);
     g->has_kriging = read_kriging(r, group, "kriging", &g->kriging, factor);
-    g->has_missed = read_kriging(r, group, "missed", &g->missed, factor);
+    g->has_residual = read_kriging(r, group, "residual", &g->residual, factor);
     if (g->has_kriging) each_by_one(r, g, &g->kriging);
-    if (g->has_missed) each_by_one(r, g, &g->missed);
+    if (g->has_residual) each_by_one(r, g, &g->residual);
     within(r, "flags", flags, 1, 0, WB_METHODS);
     require(r, "flags", !g->used || g->has_composition || g->has_kriging || g->exact_fit);
     /* The reference of errors: none, the kriging, or the axes with or without what they miss. */
-    int mode = g->reference, missed = mode == (WB_REF_ADDITIVE | WB_REF_MISSED);
-    require(r, "flags", !mode || mode == WB_REF_KRIGING || mode == WB_REF_ADDITIVE || missed);
+    int mode = g->reference, residual = mode == (WB_REF_ADDITIVE | WB_REF_RESIDUAL);
+    require(r, "flags", !mode || mode == WB_REF_KRIGING || mode == WB_REF_ADDITIVE || residual);
     require(r, "flags", mode != WB_REF_KRIGING || g->has_kriging);
-    require(r, "flags", !missed || g->has_missed);
+    require(r, "flags", !residual || g->has_residual);
     require(r, "flags", !(mode & WB_REF_ADDITIVE) || g->has_composition);
 }
 

@@ -169,7 +169,7 @@ BLOCKS = {
         Array("unit", "f8", "k 3", "constant, straight and square part of the unit error S"),
         *_BOUNDS,
     )),
-    "kriging": Block(r"g\d+/(?:kriging|missed)/", "wb_kriging", (
+    "kriging": Block(r"g\d+/(?:kriging|residual)/", "wb_kriging", (
         Array("x", "f8", "n s", "scaled loads of the rows"),
         Array("terms", "f8", "c n1", "inverse squared lengths and weight of each term of the "
               "covariance", member="term"),
@@ -191,7 +191,7 @@ BLOCKS = {
         Array("span_loads", "f8", "2 n", "the same in N and N·m", member="-"),
         Array("factor_count", "i4", "1", "number of factors"),
     )),
-    "factor": Block(r"g\d+/(?:kriging|missed)/factor\d+/", "wb_factor", (
+    "factor": Block(r"g\d+/(?:kriging|residual)/factor\d+/", "wb_factor", (
         Array("outputs", "i4", "m", "outputs of the factor"),
         Array("number", "i4", "s", "neighbourhood of each row"),
         Array("equations", "i4", "k e", "where its equations stand among the w numbers"),

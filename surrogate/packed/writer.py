@@ -27,7 +27,7 @@ from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
-_ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
+_ADDITIVE, _RESIDUAL, _KRIGING = 1, 2, 4
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 
@@ -222,7 +222,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used and group.has_axes:
         parts.append(("axes", axes_arrays(group.axes, group.members)))
-    for name, kriging in (("kriging", group.kriging), ("missed", missed)):
+    for name, kriging in (("kriging", group.kriging), ("residual", missed)):
         if kriging is not None:
             parts.append((name, _kriging_arrays(kriging)))
     for name, arrays in parts:
@@ -236,7 +236,7 @@ def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
     if group.by_kriging:
         return _KRIGING, None
     missed = group.interaction
-    return _ADDITIVE if missed is None else _ADDITIVE | _MISSED, missed
+    return _ADDITIVE if missed is None else _ADDITIVE | _RESIDUAL, missed
 
 
 def _group_words(group: Group) -> dict[str, Any]:

@@ -21,7 +21,7 @@ Arrays = dict[str, NDArray[Any]]
 
 # Columns of the array ``flags`` of a group: see `packed.writer`.
 _METHOD, _REFERENCE, _EXACT = 0, 1, 4
-_BY_KRIGING, _BY_MISSED = 4, 2  # bits of the reference
+_BY_KRIGING, _BY_RESIDUAL = 4, 2  # bits of the reference
 
 
 def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
@@ -95,8 +95,8 @@ def _cut_group(own: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arr
         kept["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if flags[_REFERENCE] & _BY_KRIGING:
         kept |= _cut_kriging(own, "kriging/", need)
-    if flags[_REFERENCE] & _BY_MISSED:
-        kept |= _cut_kriging(own, "missed/", need)
+    if flags[_REFERENCE] & _BY_RESIDUAL:
+        kept |= _cut_kriging(own, "residual/", need)
     if not alone and "axes/vertex" in own:
         loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | asks_tangent
         kept |= _cut_axes(own, loaded)
