@@ -7,7 +7,7 @@
 /* The best estimate there is and its 95 % error. */
 static void refer(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                   const wb_composed *c, double *best, double *error) {
-    double residual[WB_MOST], residual_error[WB_MOST];
+    double residual[WB_MAX], residual_error[WB_MAX];
     if (g->reference & WB_REF_KRIGING) {
         wb_kriging_values(t, &g->kriging, work, w, best, error);
         return;
@@ -24,7 +24,7 @@ static void refer(const wb_table *t, const wb_group *g, wb_work *work, const dou
 /* |answer - reference| + error of the reference; off the hull at least the step's size. */
 static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                     int method, const wb_composed *c, wb_result *a) {
-    double best[WB_MOST], error[WB_MOST];
+    double best[WB_MAX], error[WB_MAX];
     int off = c->state >= WB_OFF_HULL;
     refer(t, g, work, w, c, best, error);
     a->coverage = off ? WB_OUTSIDE : c->state > 0 ? WB_THIN : WB_COVERED;
@@ -48,7 +48,7 @@ static void reason_beyond(const wb_table *t, const double *w, wb_result *a) {
 /* Where the kriging is the reference, its error holds. */
 static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                        const wb_composed *c, wb_result *a) {
-    double best[WB_MOST], bars[WB_MOST];
+    double best[WB_MAX], bars[WB_MAX];
     wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
     a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
     reason_beyond(t, w, a);
@@ -59,25 +59,25 @@ static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, cons
 
 static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                       const wb_composed *c, wb_result *a) {
-    double best[WB_MOST], bars[WB_MOST];
+    double best[WB_MAX], bars[WB_MAX];
     int n = t->inputs, m = t->outputs, unknown = -1;
     for (int k = n - 1; k >= 0; k--)
         if (!g->fit.known[k] && fabs(w[k]) > t->small[k]) unknown = k;
     for (int q = 0; q < m; q++) {
         const double *row = g->fit.matrix + n * q;
-        double size = 0.0, most = 0.0;
+        double size = 0.0, range_size = 0.0;
         a->outputs[q] = 0.0;
         for (int k = 0; k < n; k++) {
             a->outputs[q] += w[k] * row[k];
             size += fabs(w[k]) * fabs(row[k]);
-            most += t->scale[k] * fabs(row[k]);
+            range_size += t->scale[k] * fabs(row[k]);
         }
         if (g->fit.offset) {
             a->outputs[q] += g->fit.offset[q];
             size += fabs(g->fit.offset[q]);
         }
         a->error[q] = g->fit.bar[q] + WB_ROUNDING * size;
-        a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= WB_ROUNDING * most) << q;
+        a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= WB_ROUNDING * range_size) << q;
     }
     if (!g->exact_fit) {
         refer(t, g, work, w, c, best, bars);
@@ -126,11 +126,11 @@ static void judge_error(const wb_table *t, const wb_group *g, const wb_options *
     int over = 0, known = 1, output = -1, m = t->outputs;
     double worst = 1.0;
     for (int q = 0; q < m; q++) {
-        double most = wb_allowed(g, o, q);
+        double allowed = wb_allowed(g, o, q);
         if (!g->outputs[q]) continue;
-        over |= !(a->error[q] <= most);
+        over |= !(a->error[q] <= allowed);
         known &= isfinite(a->error[q]) != 0;
-        if (a->error[q] > worst * most) worst = a->error[q] / most, output = q;
+        if (a->error[q] > worst * allowed) worst = a->error[q] / allowed, output = q;
     }
     if (a->coverage == WB_COVERED && over) {
         a->coverage = WB_THIN;

@@ -150,7 +150,7 @@ static const wb_array WB_FACTOR_ARRAYS[] = {
     {"equations", WB_I4, 0, 2, {WB_OF_K, WB_OF_E}, offsetof(wb_factor, equations)},
     {"panels", WB_F8, 0, 2, {WB_OF_K, WB_OF_D}, offsetof(wb_factor, panels)},
     {"trend", WB_F8, 0, 3, {WB_OF_K, WB_OF_N1, WB_OF_E}, offsetof(wb_factor, trend)},
-    {"least", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, least)},
+    {"min_variance", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, min_variance)},
     {"penalty", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, penalty)},
     {"mean_covariance", WB_F8, 0, 2, {WB_OF_N1, WB_OF_N1}, offsetof(wb_factor, mean_covariance)},
     {"sigma", WB_F8, 0, 1, {WB_OF_L}, offsetof(wb_factor, sigma)},

@@ -102,7 +102,7 @@ static void step_off_plane(const wb_composition *c, int axis, const double step[
                            wb_part *part) {
     const wb_axis_floats *f = &c->floats[axis];
     int dimension = c->ints[axis].dimension, inputs[3], unknown = 0;
-    double off[3], along[3] = {0.0, 0.0, 0.0}, most = 0.0;
+    double off[3], along[3] = {0.0, 0.0, 0.0}, largest = 0.0;
     if (dimension == 3) return;
     inputs_of(axis, inputs);
     for (int j = 0; j < dimension; j++)
@@ -111,10 +111,10 @@ static void step_off_plane(const wb_composition *c, int axis, const double step[
         double in = 0.0;
         for (int j = 0; j < dimension; j++) in += along[j] * f->basis[3 * j + i];
         off[i] = step[i] - in;
-        most = fmax(most, fabs(off[i]));
+        largest = fmax(largest, fabs(off[i]));
         unknown |= fabs(off[i]) > WB_CLEAN && !c->fit->known[inputs[i]];
     }
-    if (!(most > WB_CLEAN)) return;
+    if (!(largest > WB_CLEAN)) return;
     for (int q = 0; q < 6; q++) {
         const double *row = c->fit->matrix + 6 * q;
         double more = 0.0, size = 0.0;

@@ -79,7 +79,7 @@ typedef struct {
     int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
     int64_t count, levels;
     const int32_t *outputs, *number, *equations;
-    const double *panels, *trend, *least, *penalty, *mean_covariance;
+    const double *panels, *trend, *min_variance, *penalty, *mean_covariance;
     const double *sigma, *scale, *max_sigma; /* of the calibration: (levels), (levels, m), (1) */
 } wb_factor;
 
@@ -124,7 +124,7 @@ struct wb_table {
     const unsigned char *directory;
     uint64_t arrays;
     const char *json;
-    int inputs, outputs, groups, most_stride, most_flat, most_terms, most_padded;
+    int inputs, outputs, groups, max_stride, max_flat, max_terms, max_padded;
     int vectors; /* triples of outputs whose length is limited */
     const int32_t *sizes, *locked, *vector_first;
     const double *ends, *scale, *small, *tolerance, *limit, *vector_limit;
@@ -143,11 +143,11 @@ typedef struct {
 
 /* One group's answer, before the solver's part of the error. */
 typedef struct {
-    double outputs[WB_MOST], error[WB_MOST];
+    double outputs[WB_MAX], error[WB_MAX];
     int coverage, method, exact, reasons, by_row;
     int64_t row; /* index among the group's rows, or -1 */
     uint64_t solved; /* as in wb_reply */
-    wb_reason reason[WB_MOST_REASONS];
+    wb_reason reason[WB_MAX_REASONS];
 } wb_result;
 
 /* One axis' answer, all six outputs, its slopes by its three loads (N and N·m). */

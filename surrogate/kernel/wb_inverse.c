@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { MOST_STEPS = 40, MOST_HALVINGS = 12 };
+enum { MAX_STEPS = 40, MAX_HALVINGS = 12 };
 /* Of the load range: a step that no displacement of a table shows, and one below which rounding can
  * always keep the next from being shorter. */
 static const double SMALL_STEP = 1e-12, ROUNDING_STEP = 1e-9;
@@ -16,8 +16,8 @@ typedef struct {
     const wb_table *t;
     wb_options o;
     wb_work work;
-    int count, free[WB_MOST];
-    double matrix[WB_MOST * WB_MOST], size[WB_MOST];
+    int count, free[WB_MAX];
+    double matrix[WB_MAX * WB_MAX], size[WB_MAX];
 } solver;
 
 static int all_finite(const solver *s, const double *numbers, int stride) {
@@ -45,7 +45,7 @@ static int outputs_at(solver *s, const double *w, double *outputs) {
 /* Its slopes (m, n); 0 if they are not known. */
 static int slopes_at(solver *s, const double *w, double *slopes) {
     int n = s->t->inputs;
-    double group_slopes[WB_MOST * WB_MOST];
+    double group_slopes[WB_MAX * WB_MAX];
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
         wb_group_slopes(s->t, g, &s->work, w, wb_method_of(g, &s->o), group_slopes);
@@ -97,19 +97,19 @@ static void scaled_matrix(solver *s, const double *slopes) {
 /* What the full range moves each output by its largest slope: sizes that make rows alike. */
 static void sizes_of(solver *s, const double *slopes) {
     for (int i = 0; i < s->count; i++) {
-        double most = 0;
+        double largest = 0;
         for (int j = 0; j < s->count; j++) {
             int load = s->free[j];
-            most = fmax(most, fabs(slopes[s->t->inputs * s->free[i] + load]) * s->t->scale[load]);
+            largest = fmax(largest, fabs(slopes[s->t->inputs * s->free[i] + load]) * s->t->scale[load]);
         }
-        s->size[i] = most > 0 ? most : 1.0;
+        s->size[i] = largest > 0 ? largest : 1.0;
     }
 }
 
 /* The inverse of du/dw (n, m) by this method; zero for locked inputs. */
 static int invert(solver *s, const double *w, double *stiffness) {
     int n = s->t->inputs, m = s->t->outputs, count = s->count;
-    double slopes[WB_MOST * WB_MOST], unit[WB_MOST * WB_MOST];
+    double slopes[WB_MAX * WB_MAX], unit[WB_MAX * WB_MAX];
     memset(stiffness, 0, (size_t)(n * m) * sizeof(double));
     memset(unit, 0, (size_t)(count * count) * sizeof(double));
     if (!slopes_at(s, w, slopes)) return WB_SINGULAR;
@@ -127,23 +127,23 @@ static int invert(solver *s, const double *w, double *stiffness) {
 
 /* The step of the loads by a stiffness, over their scales; returns its largest. */
 static double step_by(const solver *s, const double *stiffness, const double *residual, double *step) {
-    double most = 0;
+    double largest = 0;
     for (int i = 0; i < s->count; i++) {
         int load = s->free[i];
         step[i] = 0;
         for (int j = 0; j < s->count; j++)
             step[i] += stiffness[s->t->outputs * load + s->free[j]] * residual[j];
         step[i] /= s->t->scale[load];
-        most = fmax(most, fabs(step[i]));
+        largest = fmax(largest, fabs(step[i]));
     }
-    return most;
+    return largest;
 }
 
 /* Try a fraction of a step: where it leads to, the residual there, and the next step from there by
  * the same matrix; returns its largest, infinite if the method has no answer there. */
 static double try_step(solver *s, const double *target, const double *stiffness, double fraction,
                        const double *w, const double *step, double *there, double *next) {
-    double outputs[WB_MOST], residual[WB_MOST];
+    double outputs[WB_MAX], residual[WB_MAX];
     memcpy(there, w, (size_t)s->t->inputs * sizeof(double));
     for (int i = 0; i < s->count; i++) {
         int load = s->free[i];
@@ -156,7 +156,7 @@ static double try_step(solver *s, const double *target, const double *stiffness,
 
 /* The largest step that rounding of the outputs can make: a kriging's sums lose more than others. */
 static double step_of_rounding(const solver *s, const double *stiffness) {
-    double most = ROUNDING_STEP, lost[WB_MOST] = {0};
+    double largest = ROUNDING_STEP, lost[WB_MAX] = {0};
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
         if (!g->used || wb_method_of(g, &s->o) != WB_KRIGING) continue;
@@ -168,37 +168,37 @@ static double step_of_rounding(const solver *s, const double *stiffness) {
         double step = 0;
         for (int j = 0; j < s->count; j++)
             step += fabs(stiffness[s->t->outputs * load + s->free[j]]) * lost[s->free[j]];
-        most = fmax(most, step / s->t->scale[load]);
+        largest = fmax(largest, step / s->t->scale[load]);
     }
-    return most;
+    return largest;
 }
 
 /* Newton's method with the natural monotonicity test (Deuflhard 2004): the next step by the same
  * matrix must be shorter. The matrix stays while each is shorter by GAIN. */
 static int iterate(solver *s, const double *target, double *w, double *stiffness, int fresh) {
-    static const double none[WB_MOST];
-    double step[WB_MOST], next[WB_MOST], there[WB_MOST];
-    double most = try_step(s, target, stiffness, 0.0, w, none, there, step);
-    for (int count = 0; count < MOST_STEPS; count++) {
-        if (!isfinite(most)) return WB_SINGULAR;
+    static const double none[WB_MAX];
+    double step[WB_MAX], next[WB_MAX], there[WB_MAX];
+    double largest = try_step(s, target, stiffness, 0.0, w, none, there, step);
+    for (int count = 0; count < MAX_STEPS; count++) {
+        if (!isfinite(largest)) return WB_SINGULAR;
         double floor = step_of_rounding(s, stiffness);
         double fraction = 1.0, after = try_step(s, target, stiffness, fraction, w, step, there, next);
-        if (most <= SMALL_STEP || (most <= floor && !(after <= GAIN * most))) {
-            if (after <= most) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
+        if (largest <= SMALL_STEP || (largest <= floor && !(after <= GAIN * largest))) {
+            if (after <= largest) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
             return WB_OK;
         }
-        if (!fresh && !(after <= GAIN * most)) { /* a matrix of another wrench */
+        if (!fresh && !(after <= GAIN * largest)) { /* a matrix of another wrench */
             int wrong = invert(s, w, stiffness);
             if (wrong) return wrong;
-            most = try_step(s, target, stiffness, 0.0, w, none, there, step), fresh = 1;
+            largest = try_step(s, target, stiffness, 0.0, w, none, there, step), fresh = 1;
             continue;
         }
-        for (int half = 0; half < MOST_HALVINGS && !(after < most); half++)
+        for (int half = 0; half < MAX_HALVINGS && !(after < largest); half++)
             after = try_step(s, target, stiffness, fraction *= 0.5, w, step, there, next);
-        if (!(after < most)) return most <= floor ? WB_OK : WB_NO_CONVERGENCE;
+        if (!(after < largest)) return largest <= floor ? WB_OK : WB_NO_CONVERGENCE;
         memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
         memcpy(step, next, sizeof step);
-        most = after, fresh = 0;
+        largest = after, fresh = 0;
     }
     return WB_NO_CONVERGENCE;
 }

@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { FREEDOMS = 6, MOST_SWEEPS = 30 }; /* of Jacobi's method: it converges in about six */
+enum { FREEDOMS = 6, MAX_SWEEPS = 30 }; /* of Jacobi's method: it converges in about six */
 /* (omega dt)^2 up to which a mode is explicit: symplectic Euler is stable up to 4, and at 0.5 its
  * frequency is still within 2 %. */
 static const double EXPLICIT = 0.5;
@@ -48,15 +48,15 @@ static void rotate(double *a, double *modes, int n, int p, int q) {
 /* Eigenvalues on the diagonal of a, eigenvectors as columns: Jacobi's method (Golub and Van Loan
  * 2013, 8.5). */
 static void diagonalise(double *a, double *modes, int n) {
-    double most = 0;
+    double largest = 0;
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) modes[n * i + j] = i == j;
-    for (int i = 0; i < n; i++) most = fmax(most, fabs(a[n * i + i]));
-    for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
+    for (int i = 0; i < n; i++) largest = fmax(largest, fabs(a[n * i + i]));
+    for (int sweep = 0; sweep < MAX_SWEEPS; sweep++) {
         int turned = 0;
         for (int p = 0; p < n; p++)
             for (int q = p + 1; q < n; q++)
-                if (fabs(a[n * p + q]) > ROUNDING * most) rotate(a, modes, n, p, q), turned = 1;
+                if (fabs(a[n * p + q]) > ROUNDING * largest) rotate(a, modes, n, p, q), turned = 1;
         if (!turned) return;
     }
 }

@@ -170,7 +170,7 @@ static double squared_deviation(const wb_kriging *k, const wb_factor *factor, in
     int64_t number = factor->number[anchor], triangle = (int64_t)padded * (padded + WB_PANEL) / 2;
     const int32_t *equations = factor->equations + number * padded;
     const double *trend_terms = factor->trend + number * terms * padded;
-    double mean_terms[WB_MOST + 1], trend = 0.0, prior = 0.0;
+    double mean_terms[WB_MAX + 1], trend = 0.0, prior = 0.0;
     for (int i = 0; i < padded; i++) work->chosen[i] = work->flat[equations[i]];
     reduce(factor->panels + number * triangle, work->chosen, padded, work->reduced);
     for (int a = 0; a < terms; a++)
@@ -181,12 +181,12 @@ static double squared_deviation(const wb_kriging *k, const wb_factor *factor, in
             trend += mean_terms[a] * factor->mean_covariance[terms * a + b] * mean_terms[b];
     for (int term = 0; term < k->terms; term++) prior += k->term[terms * term + inputs];
     double explained = product(work->reduced, work->reduced, padded);
-    return fmax(prior - explained, factor->least[anchor]) + trend;
+    return fmax(prior - explained, factor->min_variance[anchor]) + trend;
 }
 
 /* The row whose neighbourhood gives sigma: wrenches of one anchor read the same memory. */
 int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work) {
-    double at[WB_MOST];
+    double at[WB_MAX];
     scale_loads(k, t->inputs, wrench, at, work->apart);
     return nearest(k, k->factor, t->inputs, work->apart, work->first);
 }
@@ -254,7 +254,7 @@ static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const
 /* Why the errors of an answer are not known. */
 void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
                         wb_result *a) {
-    double at[WB_MOST], sigma[WB_MOST];
+    double at[WB_MAX], sigma[WB_MAX];
     int before = a->reasons, far = -1;
     for (int s = 0; s < k->factors; s++)
         if (!(*k->factor[s].max_sigma > 0)) {
@@ -277,7 +277,7 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
 /* Outputs alone, m and rad. */
 void wb_kriging_outputs(const wb_table *t, const wb_kriging *k, wb_work *work,
                         const double *wrench, double *outputs) {
-    double at[WB_MOST];
+    double at[WB_MAX];
     memset(outputs, 0, (size_t)t->outputs * sizeof(double));
     explore(t, k, work, wrench, at, outputs, NULL);
     for (int q = 0; q < t->outputs; q++) outputs[q] = outputs[q] * k->spread[q] + k->offset[q];
@@ -287,7 +287,7 @@ void wb_kriging_outputs(const wb_table *t, const wb_kriging *k, wb_work *work,
 void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
                          const double *wrench, double *outputs, double *error) {
     int n = t->inputs, m = t->outputs;
-    double at[WB_MOST], sigma[WB_MOST], values[WB_MOST] = {0}, wide[WB_MOST] = {0};
+    double at[WB_MAX], sigma[WB_MAX], values[WB_MAX] = {0}, wide[WB_MAX] = {0};
     explore(t, k, work, wrench, at, values, sigma);
     int spanned = is_spanned(k, n, at);
     for (int s = 0; s < k->factors; s++)
@@ -298,8 +298,8 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
         double value = values[q];
         outputs[q] = value * k->spread[q] + k->offset[q];
         double size = (fabs(value) + 1.0) * k->spread[q] + fabs(k->offset[q]);
-        double least = fmax(*k->floor * size, k->lost[q]), bar = wide[q] * k->deviation[q];
-        error[q] = bar < least ? least : bar; /* what is not a number stays none */
+        double min_error = fmax(*k->floor * size, k->lost[q]), bar = wide[q] * k->deviation[q];
+        error[q] = bar < min_error ? min_error : bar; /* what is not a number stays none */
     }
 }
 
@@ -423,7 +423,7 @@ static void covary_slope(const wb_kriging *k, int n, int a, const wb_work *work)
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative) {
     int n = t->inputs, m = t->outputs, count = k->readings * k->stride;
-    double at[WB_MOST];
+    double at[WB_MAX];
     memset(derivative, 0, (size_t)(n * m) * sizeof(double));
     scale_loads(k, n, wrench, at, work->apart);
     differentiate_terms(k, n, work);

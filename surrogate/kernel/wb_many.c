@@ -20,7 +20,7 @@ typedef HANDLE wb_thread;
 typedef pthread_t wb_thread;
 #endif
 
-enum { BLOCK = 2048, RUN = 32, LINE = 64, MOST_THREADS = 256, DIGIT = 11, DIGITS = 3 };
+enum { BLOCK = 2048, RUN = 32, LINE = 64, MAX_THREADS = 256, DIGIT = 11, DIGITS = 3 };
 
 /* Ask for bytes to be brought into the cache; harmless at any address. */
 static inline void wb_fetch(const void *at, size_t bytes) {
@@ -205,11 +205,11 @@ static void join_thread(wb_thread thread) { pthread_join(thread, NULL); }
 
 /* Share the blocks among threads; the calling one is the first of them. */
 static int run_all(const task *whole, int threads) {
-    task jobs[MOST_THREADS];
-    wb_thread thread[MOST_THREADS];
-    int started[MOST_THREADS] = {0}, wrong = WB_OK;
+    task jobs[MAX_THREADS];
+    wb_thread thread[MAX_THREADS];
+    int started[MAX_THREADS] = {0}, wrong = WB_OK;
     size_t blocks = (whole->n + BLOCK - 1) / BLOCK;
-    if (threads > MOST_THREADS) threads = MOST_THREADS;
+    if (threads > MAX_THREADS) threads = MAX_THREADS;
     if (threads < 1) threads = 1;
     if ((size_t)threads > blocks) threads = (int)blocks;
     for (int i = 0; i < threads; i++) {

@@ -21,7 +21,7 @@ typedef struct {
 
 enum {
     SECOND_SMOOTHNESS = 4, /* p of Matern p + 1/2 that wb_kriging.c has for second derivatives */
-    MOST_EQUATIONS = 100000
+    MAX_EQUATIONS = 100000
 };
 
 /* Bytes: with a scratch 16 or 48 bytes off a line an answer from 60 rows with second derivatives
@@ -104,7 +104,7 @@ static void read_space(reader *r) {
     snprintf(r->block, sizeof r->block, "space/");
     const int32_t *sizes = take(r, &WB_SPACE_ARRAYS[0]); /* of which the other shapes are */
     if (!sizes) return;
-    within(r, "sizes", sizes, 3, 1, WB_MOST + 1);
+    within(r, "sizes", sizes, 3, 1, WB_MAX + 1);
     if (*r->bad) return;
     r->size[WB_OF_N] = t->inputs = sizes[0], r->size[WB_OF_M] = t->outputs = sizes[1];
     r->size[WB_OF_N1] = t->inputs + 1, t->groups = sizes[2];
@@ -203,11 +203,11 @@ static void read_factor(reader *r, const wb_kriging *k, wb_factor *factor) {
     if (!READ(r, FACTOR, WB_FACTOR, factor)) return;
     int64_t e = r->size[WB_OF_E], panels = e / WB_PANEL;
     factor->count = r->size[WB_OF_K], factor->levels = r->size[WB_OF_L], factor->padded = (int)e;
-    require(r, "equations", e % WB_PANEL == 0 && e <= MOST_EQUATIONS);
+    require(r, "equations", e % WB_PANEL == 0 && e <= MAX_EQUATIONS);
     require(r, "panels", r->size[WB_OF_D] == WB_PANEL * WB_PANEL * panels * (panels + 1) / 2);
     within(r, "number", factor->number, k->stride, 0, factor->count);
     within(r, "equations", factor->equations, factor->count * e, 0, (int64_t)k->readings * k->stride);
-    if (!*r->bad && factor->padded > r->t->most_padded) r->t->most_padded = factor->padded;
+    if (!*r->bad && factor->padded > r->t->max_padded) r->t->max_padded = factor->padded;
 }
 
 /* A kriging, and the next of the table's factors; whether there is one. */
@@ -232,9 +232,9 @@ static int read_kriging(reader *r, const char *group, const char *which, wb_krig
         read_factor(r, k, &k->factor[s]);
     }
     int flat = k->readings * k->stride; /* a dimension of `weights` */
-    if (k->stride > t->most_stride) t->most_stride = k->stride;
-    if (flat > t->most_flat) t->most_flat = flat;
-    if (k->terms > t->most_terms) t->most_terms = k->terms;
+    if (k->stride > t->max_stride) t->max_stride = k->stride;
+    if (flat > t->max_flat) t->max_flat = flat;
+    if (k->terms > t->max_terms) t->max_terms = k->terms;
     return 1;
 }
 
@@ -291,47 +291,47 @@ static int read_frame(wb_table *t) {
     return t->json[head.json_size] == 0;
 }
 
-static int read_all(wb_table *t, char *why, size_t most) {
+static int read_all(wb_table *t, char *why, size_t room) {
     reader r = {t, "", "", {0}};
-    if (!read_frame(t)) return snprintf(why, most, "the table's directory is damaged"), 0;
+    if (!read_frame(t)) return snprintf(why, room, "the table's directory is damaged"), 0;
     read_space(&r);
     read_solver(&r);
     if (!*r.bad) {
         size_t groups = (size_t)t->groups;
         t->group = calloc(groups, sizeof *t->group);
         t->factor = calloc(2 * groups * (size_t)t->outputs, sizeof *t->factor);
-        if (!t->group || !t->factor) return snprintf(why, most, "no memory"), 0;
+        if (!t->group || !t->factor) return snprintf(why, room, "no memory"), 0;
     }
     wb_factor *factor = t->factor;
     for (int i = 0; !*r.bad && i < t->groups; i++) read_group(&r, i, &t->group[i], &factor);
     if (!*r.bad) return 1;
-    return snprintf(why, most, "the table's array %s is missing or of another shape", r.bad), 0;
+    return snprintf(why, room, "the table's array %s is missing or of another shape", r.bad), 0;
 }
 
 static wb_table *make(const unsigned char *bytes, size_t size, size_t mapped, char *why,
-                      size_t most) {
+                      size_t room) {
     wb_table *t = calloc(1, sizeof *t);
-    if (!t) return snprintf(why, most, "no memory"), NULL;
+    if (!t) return snprintf(why, room, "no memory"), NULL;
     t->bytes = bytes, t->size = size, t->mapped = mapped;
-    if (read_all(t, why, most)) return t;
+    if (read_all(t, why, room)) return t;
     wb_close(t);
     return NULL;
 }
 
-wb_table *wb_open(const char *path, char *why, size_t most) {
+wb_table *wb_open(const char *path, char *why, size_t room) {
     size_t size = 0;
-    const unsigned char *bytes = wb_map(path, &size, why, most);
-    return bytes ? make(bytes, size, size, why, most) : NULL;
+    const unsigned char *bytes = wb_map(path, &size, why, room);
+    return bytes ? make(bytes, size, size, why, room) : NULL;
 }
 
-wb_table *wb_open_bytes(const void *bytes, size_t count, char *why, size_t most) {
+wb_table *wb_open_bytes(const void *bytes, size_t count, char *why, size_t room) {
     if ((uintptr_t)bytes % 8)
-        return snprintf(why, most, "the bytes of the table are not aligned to 8 bytes"), NULL;
-    return wb_check_bytes(bytes, count, why, most) ? make(bytes, count, 0, why, most) : NULL;
+        return snprintf(why, room, "the bytes of the table are not aligned to 8 bytes"), NULL;
+    return wb_check_bytes(bytes, count, why, room) ? make(bytes, count, 0, why, room) : NULL;
 }
 
-wb_table *wb_open_checked(const void *bytes, size_t count, char *why, size_t most) {
-    return make(bytes, count, 0, why, most);
+wb_table *wb_open_checked(const void *bytes, size_t count, char *why, size_t room) {
+    return make(bytes, count, 0, why, room);
 }
 
 void wb_close(wb_table *t) {
@@ -343,23 +343,23 @@ void wb_close(wb_table *t) {
 }
 
 wb_work wb_work_of(const wb_table *t, void *scratch) {
-    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride, e = (size_t)t->most_padded;
+    size_t n = (size_t)t->inputs, stride = (size_t)t->max_stride, e = (size_t)t->max_padded;
     double *all = (double *)(((uintptr_t)scratch + CACHE_LINE - 1) & ~(uintptr_t)(CACHE_LINE - 1));
     wb_work work;
     work.apart = all, all += n * stride;
-    work.flat = all, all += (size_t)t->most_flat;
+    work.flat = all, all += (size_t)t->max_flat;
     work.first = all, all += stride;
     work.second = all, all += stride;
-    work.wide = all, all += 3 * stride * (size_t)t->most_terms;
+    work.wide = all, all += 3 * stride * (size_t)t->max_terms;
     work.chosen = all, all += e;
     work.reduced = all;
     return work;
 }
 
 size_t wb_scratch(const wb_table *t) {
-    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride;
-    size_t rows = stride * (n + 2 + 3 * (size_t)t->most_terms) + (size_t)t->most_flat;
-    return (rows + 2 * (size_t)t->most_padded) * sizeof(double) + CACHE_LINE;
+    size_t n = (size_t)t->inputs, stride = (size_t)t->max_stride;
+    size_t rows = stride * (n + 2 + 3 * (size_t)t->max_terms) + (size_t)t->max_flat;
+    return (rows + 2 * (size_t)t->max_padded) * sizeof(double) + CACHE_LINE;
 }
 
 int wb_inputs(const wb_table *t) { return t->inputs; }

@@ -57,7 +57,7 @@ static look look_at(const wb_table *t, const wb_group *g, int axis, const double
 
 static void why_weak(const wb_composition *c, int axis, int simplex, wb_reason *reason) {
     int points = c->point_first[axis + 1] - c->point_first[axis];
-    double part = volume_part(c, axis, simplex), most = c->largest[c->ints[axis].dimension];
+    double part = volume_part(c, axis, simplex), max_part = c->largest[c->ints[axis].dimension];
     reason->axis = axis;
     if (c->state[simplex] == WB_SOUND) {
         reason->code = WB_REASON_AXIS_TOGETHER;
@@ -65,14 +65,14 @@ static void why_weak(const wb_composition *c, int axis, int simplex, wb_reason *
     } else if (points < c->fewest[axis]) {
         reason->code = WB_REASON_AXIS_FEW_ROWS;
         reason->value = points, reason->limit = c->fewest[axis];
-    } else if (c->state[simplex] != WB_DEGENERATE && !(part > most)) {
+    } else if (c->state[simplex] != WB_DEGENERATE && !(part > max_part)) {
         reason->code = WB_REASON_AXIS_ERRORS_UNKNOWN;
         reason->value = c->left_out[axis], reason->limit = c->left_out[3];
     } else if (c->state[simplex] == WB_DEGENERATE) {
         reason->code = WB_REASON_AXIS_DEGENERATE;
     } else {
         reason->code = WB_REASON_AXIS_FAR_APART;
-        reason->value = part, reason->limit = most;
+        reason->value = part, reason->limit = max_part;
     }
 }
 
@@ -111,19 +111,19 @@ static void judge_axis(const wb_options *o, wb_axis_reply *reply, int axis) {
     double worst = 1.0;
     if (!o || !o->tolerance || reply->coverage != WB_COVERED) return;
     for (int q = 0; q < 6; q++) {
-        double most = o->tolerance[q];
-        if ((q < 3 && q != axis) || isnan(most) || !(reply->error[q] > worst * most)) continue;
-        worst = reply->error[q] / most;
+        double tolerance = o->tolerance[q];
+        if ((q < 3 && q != axis) || isnan(tolerance) || !(reply->error[q] > worst * tolerance)) continue;
+        worst = reply->error[q] / tolerance;
         reply->coverage = WB_THIN, reply->reasons = 1;
         reply->reason.code = WB_REASON_OVER_TOLERANCE;
         reply->reason.axis = axis, reply->reason.index = q;
-        reply->reason.value = reply->error[q], reply->reason.limit = most;
+        reply->reason.value = reply->error[q], reply->reason.limit = tolerance;
     }
 }
 
 int wb_axis(const wb_table *t, const wb_options *o, int group, int axis, const double *inputs,
             wb_axis_reply *reply) {
-    double w[WB_MOST];
+    double w[WB_MAX];
     wb_composed all;
     memset(reply, 0, sizeof *reply);
     if (group < 0 || group >= t->groups || axis < 0 || axis > 2) return WB_NO_METHOD;

@@ -49,7 +49,7 @@ static void merge(const wb_table *t, const wb_group *g, const wb_result *result,
         reply->solved |= result->solved & (uint64_t)1 << q;
     }
     for (int i = 0; i < result->reasons; i++) {
-        if (reply->reasons == WB_MOST_REASONS || is_reason_of(reply, &result->reason[i], number))
+        if (reply->reasons == WB_MAX_REASONS || is_reason_of(reply, &result->reason[i], number))
             continue;
         reply->reason[reply->reasons] = result->reason[i];
         reply->reason[reply->reasons++].group = number;
@@ -67,7 +67,7 @@ static void merge(const wb_table *t, const wb_group *g, const wb_result *result,
 void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
                          const wb_reply *reply, double *derivative) {
     int n = t->inputs, m = t->outputs;
-    double group_slopes[WB_MOST * WB_MOST];
+    double group_slopes[WB_MAX * WB_MAX];
     for (int k = 0; k < n * m; k++) derivative[k] = NAN;
     for (int i = 0; i < t->groups; i++) {
         const wb_group *g = &t->group[i];
@@ -95,7 +95,7 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
 static int lacking_of(const wb_table *t, const wb_options *o, wb_work *work,
                       const wb_reply *reply, double *lacking) {
     int n = t->inputs, m = t->outputs;
-    double tangent[WB_MOST * WB_MOST], pushed[WB_MOST] = {0}, size = 0;
+    double tangent[WB_MAX * WB_MAX], pushed[WB_MAX] = {0}, size = 0;
     wb_reply_derivative(t, o, work, reply, tangent);
     for (int q = 0; q < m; q++)
         for (int k = 0; k < n; k++) pushed[k] += t->solver.stiffness[m * k + q] * reply->outputs[q];
@@ -123,16 +123,16 @@ static void keep(const wb_table *t, wb_reply *reply) {
 /* Add what the solver of the rows may itself be wrong by. */
 static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
-    double most = 0, lacking[WB_MOST], size[WB_MOST];
+    double largest = 0, lacking[WB_MAX], size[WB_MAX];
     int by_row = reply->method == WB_ROW && wb_is_beyond(t, reply->inputs);
     int asks = s->asks > 1 || (s->asks > 0 && by_row);
     int told = asks && lacking_of(t, o, work, reply, lacking);
     for (int k = 0; k < t->inputs; k++) {
         size[k] = fabs(reply->inputs[k] - (s->zero ? s->zero[k] : 0.0));
-        most = larger(size[k] * s->one_over[k], most);
+        largest = larger(size[k] * s->one_over[k], largest);
     }
     for (int q = 0; q < t->outputs; q++) {
-        double small = 0, more = s->square[q] * (most * most);
+        double small = 0, more = s->square[q] * (largest * largest);
         for (int k = 0; k < t->inputs; k++) small += s->mesh[t->inputs * q + k] * size[k];
         if (told) more = larger(lacking[q] - small, 0);
         reply->error[q] = reply->interpolation[q] + small + more;
@@ -147,10 +147,10 @@ static int within(const wb_table *t, const wb_options *o, const wb_reply *reply)
     int known = -1;
     if (!t->solver.whole) return -1; /* a part of the error is not known */
     for (int q = 0; q < t->outputs; q++) {
-        double most = o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : t->tolerance[q];
-        if (isnan(most)) return -1; /* no tolerance */
+        double allowed = o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : t->tolerance[q];
+        if (isnan(allowed)) return -1; /* no tolerance */
         if (isnan(reply->error[q])) continue;
-        if (!(reply->error[q] <= most)) return 0;
+        if (!(reply->error[q] <= allowed)) return 0;
         known = 1;
     }
     return known;
@@ -181,7 +181,7 @@ static void judge_scene(const wb_table *t, wb_reply *reply) {
         reply->interpolation[q] = NAN;
         if (leaves > 1) reply->outputs[q] = NAN;
     }
-    for (int k = 0; k < n && reply->reasons < WB_MOST_REASONS; k++) {
+    for (int k = 0; k < n && reply->reasons < WB_MAX_REASONS; k++) {
         double load = reply->inputs[k], low = t->scene_ends[k], high = t->scene_ends[n + k];
         if (!(load < low || load > high)) continue;
         wb_reason *reason = &reply->reason[reply->reasons++];
@@ -207,7 +207,7 @@ void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply
             reply->outputs[q] = reply->error[q] = reply->interpolation[q] = NAN;
             reply->discretisation[q] = reply->linearity[q] = reply->measurement[q] = NAN;
         }
-        int index = reply->reasons < WB_MOST_REASONS ? reply->reasons++ : WB_MOST_REASONS - 1;
+        int index = reply->reasons < WB_MAX_REASONS ? reply->reasons++ : WB_MAX_REASONS - 1;
         memset(&reply->reason[index], 0, sizeof reply->reason[index]);
         reply->reason[index].code = WB_REASON_BEYOND_LIMITS;
         reply->reason[index].axis = reply->reason[index].index = -1;

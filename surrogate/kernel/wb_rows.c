@@ -5,7 +5,7 @@
 #include <string.h>
 
 wb_reason *wb_add_reason(wb_result *a, int code) {
-    wb_reason *reason = &a->reason[a->reasons < WB_MOST_REASONS ? a->reasons++ : WB_MOST_REASONS - 1];
+    wb_reason *reason = &a->reason[a->reasons < WB_MAX_REASONS ? a->reasons++ : WB_MAX_REASONS - 1];
     memset(reason, 0, sizeof *reason);
     reason->code = code, reason->axis = reason->index = -1;
     return reason;
@@ -67,11 +67,11 @@ int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w) {
 }
 
 /* The largest of an output's kind, translations or rotations of one interface. */
-static double most_of_kind(const wb_table *t, const double *moved, int q) {
+static double largest_of_kind(const wb_table *t, const double *moved, int q) {
     int first = t->outputs % 3 ? q : q / 3 * 3, count = t->outputs % 3 ? 1 : 3;
-    double most = NAN;
-    for (int k = first; k < first + count; k++) most = fmax(fabs(moved[k]), most);
-    return most;
+    double largest = NAN;
+    for (int k = first; k < first + count; k++) largest = fmax(fabs(moved[k]), largest);
+    return largest;
 }
 
 /* How much each output may move without a tangent, over half the load range. */
@@ -83,7 +83,7 @@ static double slopes_without_tangent(const wb_table *t, const wb_group *g, int64
         far = wb_larger(fabs(g->rows.wrench[t->inputs * row + k] / t->scale[k]), far);
     for (int q = 0; q < t->outputs; q++) {
         slope[q] = g->rows.steepest[q];
-        if (far > 0) slope[q] = fmax(WB_STEEPER / far * most_of_kind(t, moved, q), slope[q]);
+        if (far > 0) slope[q] = fmax(WB_STEEPER / far * largest_of_kind(t, moved, q), slope[q]);
         steep = wb_larger(slope[q], steep);
     }
     return steep;
@@ -98,7 +98,7 @@ int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, 
     const double *wrench = g->rows.wrench + n * row, *moved = g->rows.moved + m * row;
     int64_t index = g->rows.tangent_of[row];
     const double *tangent = index < 0 ? NULL : g->rows.tangent + n * m * index;
-    double step[WB_MOST], slope[WB_MOST], outputs[WB_MOST], error[WB_MOST], distance = 0;
+    double step[WB_MAX], slope[WB_MAX], outputs[WB_MAX], error[WB_MAX], distance = 0;
     a->exact = 1;
     for (int k = 0; k < n; k++) {
         step[k] = w[k] - wrench[k];

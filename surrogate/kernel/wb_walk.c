@@ -12,7 +12,7 @@
 
 static const double INSIDE = -1e-13; /* rounding may have put a point outside by this much */
 static const double ON_HULL = 1e-9;  /* a point that far beyond the hull counts as on it */
-static const int MOST_STEPS = 100000; /* a longer walk goes in circles between flat simplices */
+static const int MAX_STEPS = 100000; /* a longer walk goes in circles between flat simplices */
 
 static int cell(double position, int cells) {
     /* Compared before it is made whole: a huge number has no int. */
@@ -48,24 +48,24 @@ void wb_barycentric(const wb_composition *c, int simplex, const double flat[3], 
 }
 
 /* The corner of the smallest barycentric coordinate; that of the last corner is weights[3]. */
-static int worst_of(const double weights[4], int dimension, double *least) {
+static int worst_of(const double weights[4], int dimension, double *smallest) {
     int worst = 0;
-    *least = weights[0];
+    *smallest = weights[0];
     for (int k = 1; k < dimension; k++)
-        if (weights[k] < *least) { worst = k; *least = weights[k]; }
-    if (weights[3] < *least) { worst = dimension; *least = weights[3]; }
+        if (weights[k] < *smallest) { worst = k; *smallest = weights[k]; }
+    if (weights[3] < *smallest) { worst = dimension; *smallest = weights[3]; }
     return worst;
 }
 
 /* Look at every simplex that is not degenerate: where a walk goes in circles. */
 static int find_slowly(const wb_composition *c, int axis, const double flat[3], double weights[4]) {
     int dimension = c->ints[axis].dimension, best = -1;
-    double most = -ON_HULL, least;
+    double largest = -ON_HULL, smallest;
     for (int s = c->simplex_first[axis]; s < c->simplex_first[axis + 1]; s++) {
         if (c->state[s] == WB_DEGENERATE) continue;
         wb_barycentric(c, s, flat, weights);
-        worst_of(weights, dimension, &least);
-        if (least >= most) { most = least; best = s; }
+        worst_of(weights, dimension, &smallest);
+        if (smallest >= largest) { largest = smallest; best = s; }
     }
     if (best >= 0) wb_barycentric(c, best, flat, weights);
     return best;
@@ -73,14 +73,14 @@ static int find_slowly(const wb_composition *c, int axis, const double flat[3], 
 
 static int find(const wb_composition *c, int axis, const double flat[3], double weights[4]) {
     int dimension = c->ints[axis].dimension, here = hint(c, axis, flat);
-    for (int step = 0; step < MOST_STEPS; step++) {
-        double least;
+    for (int step = 0; step < MAX_STEPS; step++) {
+        double smallest;
         if (c->state[here] == WB_DEGENERATE) break;
         wb_barycentric(c, here, flat, weights);
-        int worst = worst_of(weights, dimension, &least);
-        if (least >= INSIDE) return here;
+        int worst = worst_of(weights, dimension, &smallest);
+        if (smallest >= INSIDE) return here;
         int there = c->simplex[here].neighbour[worst];
-        if (there < 0 && least < -ON_HULL) return -1;
+        if (there < 0 && smallest < -ON_HULL) return -1;
         if (there < 0 || there == here) return here;
         if (there >= c->simplices) break;
         here = there;

@@ -27,7 +27,7 @@ extern "C" {
 #define WB_API
 #endif
 
-enum { WB_MOST = 64, WB_MOST_REASONS = 32 }; /* inputs, outputs; reasons of one answer */
+enum { WB_MAX = 64, WB_MAX_REASONS = 32 }; /* inputs, outputs; reasons of one answer */
 
 /* What a call returns. */
 enum {
@@ -107,12 +107,12 @@ typedef struct {
     int64_t row;      /* number (seq) of the row that answered, or -1 */
     int64_t index;    /* its index among the group's rows, or -1 */
     uint64_t missing; /* bit q: no row of the table holds output q */
-    double inputs[WB_MOST]; /* as they were used: locked inputs are zero */
-    double outputs[WB_MOST];
-    double error[WB_MOST];
-    double interpolation[WB_MOST], discretisation[WB_MOST], linearity[WB_MOST];
-    double measurement[WB_MOST]; /* hysteresis and drift of the measured rows */
-    wb_reason reason[WB_MOST_REASONS];
+    double inputs[WB_MAX]; /* as they were used: locked inputs are zero */
+    double outputs[WB_MAX];
+    double error[WB_MAX];
+    double interpolation[WB_MAX], discretisation[WB_MAX], linearity[WB_MAX];
+    double measurement[WB_MAX]; /* hysteresis and drift of the measured rows */
+    wb_reason reason[WB_MAX_REASONS];
     uint64_t solved; /* bit q: output q is that of a row or an exact fit, not an interpolated one */
 } wb_reply;
 

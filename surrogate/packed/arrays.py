@@ -198,7 +198,7 @@ BLOCKS = {
         Array("panels", "f8", "k d", "inverse factor T of each neighbourhood in panels of rows, "
               "columns first"),
         Array("trend", "f8", "k n1 e", "T times the mean's terms"),
-        Array("least", "f8", "s", "smallest sigma squared but for the mean's"),
+        Array("min_variance", "f8", "s", "smallest sigma squared but for the mean's"),
         Array("penalty", "f8", "s", "0; infinite for a row without a neighbourhood"),
         Array("mean_covariance", "f8", "n1 n1", "of the mean's coefficients"),
         Array("sigma", "f8", "l", "levels of the calibration"),

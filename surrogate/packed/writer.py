@@ -327,6 +327,6 @@ def _share_arrays(
     yield "equations", places
     yield "panels", panels
     yield "trend", unsettled
-    yield "least", least
+    yield "min_variance", least
     yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
     yield "mean_covariance", share.factor.mean_covariance
