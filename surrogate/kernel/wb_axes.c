@@ -173,7 +173,7 @@ void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], w
 }
 
 /* Whether several loads act where no rows show what several do at once. */
-static int is_untold_together(const wb_composition *c, int axis, const double x[3]) {
+static int is_unknown_together(const wb_composition *c, int axis, const double x[3]) {
     int loads = (fabs(x[0]) > WB_CLEAN) + (fabs(x[1]) > WB_CLEAN) + (fabs(x[2]) > WB_CLEAN);
     return loads > 1 && c->together[axis] < c->left_out[3];
 }
@@ -190,7 +190,7 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
         return;
     }
     part->state = location->inside ? c->state[simplex] : WB_OFF_HULL, part->simplex = simplex;
-    if (part->state < WB_WEAK && is_untold_together(c, axis, location->x)) part->state = WB_WEAK;
+    if (part->state < WB_WEAK && is_unknown_together(c, axis, location->x)) part->state = WB_WEAK;
     read_values(c, axis, simplex, location->at, location->weights, part);
     if (!location->inside) {
         for (int i = 0; i < 3; i++) step[i] = location->x[i] - location->at[i];

@@ -126,7 +126,7 @@ static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_repl
     double largest = 0, lacking[WB_MAX], size[WB_MAX];
     int by_row = reply->method == WB_ROW && wb_is_beyond(t, reply->inputs);
     int asks = s->asks > 1 || (s->asks > 0 && by_row);
-    int told = asks && lacking_of(t, o, work, reply, lacking);
+    int is_known = asks && lacking_of(t, o, work, reply, lacking);
     for (int k = 0; k < t->inputs; k++) {
         size[k] = fabs(reply->inputs[k] - (s->zero ? s->zero[k] : 0.0));
         largest = larger(size[k] * s->one_over[k], largest);
@@ -134,7 +134,7 @@ static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_repl
     for (int q = 0; q < t->outputs; q++) {
         double small = 0, more = s->square[q] * (largest * largest);
         for (int k = 0; k < t->inputs; k++) small += s->mesh[t->inputs * q + k] * size[k];
-        if (told) more = larger(lacking[q] - small, 0);
+        if (is_known) more = larger(lacking[q] - small, 0);
         reply->error[q] = reply->interpolation[q] + small + more;
         if (!s->linear) small += more, more = 0;
         reply->discretisation[q] = s->mesh_known ? small : NAN;
