@@ -213,7 +213,7 @@ static int is_spanned(const wb_kriging *k, int inputs, const double *at) {
 
 /* The covariances of a value with all rows. */
 static void covary(const wb_kriging *k, int n, wb_work *work) {
-    memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
+    memset(work->flat, 0, (size_t)(k->per_row * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
         const double *parameters = k->term + (n + 1) * term;
         if (k->has_second)
@@ -227,7 +227,7 @@ static void covary(const wb_kriging *k, int n, wb_work *work) {
 /* The value of an output by these, over its spread. */
 static double value_of(const wb_table *t, const wb_kriging *k, const wb_work *work,
                        const double *at, int q) {
-    int n = t->inputs, m = t->outputs, count = k->readings * k->stride;
+    int n = t->inputs, m = t->outputs, count = k->per_row * k->stride;
     double value = product(work->flat, k->weights + (int64_t)q * count, count);
     value += k->coefficients[q];
     for (int a = 0; a < n; a++) value += at[a] * k->coefficients[m * (1 + a) + q];
@@ -407,7 +407,7 @@ static void differentiate_terms(const wb_kriging *k, int n, const wb_work *work)
 /* The covariances of the slope by load a with all rows. */
 static void covary_slope(const wb_kriging *k, int n, int a, const wb_work *work) {
     int wide = k->has_second ? 3 : 2;
-    memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
+    memset(work->flat, 0, (size_t)(k->per_row * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
         const double *parameters = k->term + (n + 1) * term;
         const double *first = work->wide + (int64_t)wide * term * k->stride;
@@ -422,7 +422,7 @@ static void covary_slope(const wb_kriging *k, int n, int a, const wb_work *work)
 /* du/dw (m, n), SI; by loads that take no part it is the rows' mean tangent. */
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative) {
-    int n = t->inputs, m = t->outputs, count = k->readings * k->stride;
+    int n = t->inputs, m = t->outputs, count = k->per_row * k->stride;
     double at[WB_MAX];
     memset(derivative, 0, (size_t)(n * m) * sizeof(double));
     scale_loads(k, n, wrench, at, work->apart);

@@ -206,7 +206,7 @@ static void read_factor(reader *r, const wb_kriging *k, wb_factor *factor) {
     require(r, "equations", e % WB_PANEL == 0 && e <= MAX_EQUATIONS);
     require(r, "panels", r->size[WB_OF_D] == WB_PANEL * WB_PANEL * panels * (panels + 1) / 2);
     within(r, "number", factor->number, k->stride, 0, factor->count);
-    within(r, "equations", factor->equations, factor->count * e, 0, (int64_t)k->readings * k->stride);
+    within(r, "equations", factor->equations, factor->count * e, 0, (int64_t)k->per_row * k->stride);
     if (!*r->bad && factor->padded > r->t->max_padded) r->t->max_padded = factor->padded;
 }
 
@@ -220,9 +220,9 @@ static int read_kriging(reader *r, const char *group, const char *which, wb_krig
     if (!READ(r, KRIGING, WB_BLOCK, k)) return 1;
     k->stride = (int)r->size[WB_OF_S], k->terms = (int)r->size[WB_OF_C];
     k->has_second = k->smoothness != NULL;
-    k->readings = n + 1 + (k->has_second ? n * (n + 1) / 2 : 0);
+    k->per_row = n + 1 + (k->has_second ? n * (n + 1) / 2 : 0);
     require(r, "x", k->stride > 0 && k->stride % WB_LANES == 0);
-    require(r, "weights", r->size[WB_OF_W] == (int64_t)k->readings * k->stride);
+    require(r, "weights", r->size[WB_OF_W] == (int64_t)k->per_row * k->stride);
     if (k->has_second) within(r, "smoothness", k->smoothness, 1, SECOND_SMOOTHNESS, SECOND_SMOOTHNESS + 1);
     within(r, "factor_count", k->factor_count, 1, 1, t->outputs + 1);
     if (*r->bad) return 1;
@@ -231,7 +231,7 @@ static int read_kriging(reader *r, const char *group, const char *which, wb_krig
         snprintf(r->block, sizeof r->block, "%s%s/factor%d/", group, which, s);
         read_factor(r, k, &k->factor[s]);
     }
-    int flat = k->readings * k->stride; /* a dimension of `weights` */
+    int flat = k->per_row * k->stride; /* a dimension of `weights` */
     if (k->stride > t->max_stride) t->max_stride = k->stride;
     if (flat > t->max_flat) t->max_flat = flat;
     if (k->terms > t->max_terms) t->max_terms = k->terms;
