@@ -124,7 +124,7 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
-    """Yield the solver's share of errors."""
+    """Yield the solver's part of errors."""
     error, shape = table.solver_error, table.groups[0].fit.matrix.shape
     matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
     stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
