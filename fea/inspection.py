@@ -51,7 +51,7 @@ class Measure:
     # limit, larger_is_worse: from where on it is bad, and on which side
     limit: float
     larger_is_worse: bool
-    words: str  # what a bad cell is called
+    description: str  # what a bad cell is called
 
 
 def scaled_jacobian(points: Array, block: CellBlock) -> Array:
@@ -126,7 +126,7 @@ def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
         if worst["bad"]:
             place = ", ".join(f"{x:.4g}" for x in worst["at"])
             warnings.append(
-                f"{worst['bad']} cells are {measure.words} ({measure.name.replace('_', ' ')} "
+                f"{worst['bad']} cells are {measure.description} ({measure.name.replace('_', ' ')} "
                 f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
                 f"{worst['kind']} near ({place}) m, has {worst['worst']:.3g}); stresses and "
                 "stiffness there are not to be trusted"
@@ -215,7 +215,7 @@ def stacked_singly(mesh: Mesh) -> Array:
     """
     number, _ = _faces(mesh)
     shared = np.bincount(number)[number] > 1
-    first, alone, own, middles = 0, np.zeros(len(number), dtype=bool), [], []
+    first, alone, single_faces, middles = 0, np.zeros(len(number), dtype=bool), [], []
     for block in mesh.blocks:
         faces = slice(first, first + len(FACES[block.kind]) * len(block))
         first = faces.stop
@@ -223,12 +223,12 @@ def stacked_singly(mesh: Mesh) -> Array:
             joined = shared[faces].reshape(-1, len(block))[_OPPOSITE].any(axis=1)
             single = joined.sum(axis=0) <= 1
             alone[faces] = np.tile(single, len(FACES[block.kind]))
-            own.append(number[faces].reshape(-1, len(block))[:, single])
+            single_faces.append(number[faces].reshape(-1, len(block))[:, single])
             middles.append(mesh.points[block.nodes[single]].mean(axis=1))
-    if not own:
+    if not single_faces:
         return np.empty((0, 3))
     times = np.bincount(number[alone], minlength=int(number.max()) + 1)
-    return np.concatenate(middles)[(times[np.hstack(own)] > 1).any(axis=0)]
+    return np.concatenate(middles)[(times[np.hstack(single_faces)] > 1).any(axis=0)]
 
 
 def coincident_nodes(mesh: Mesh) -> Array:
@@ -249,7 +249,7 @@ def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
     return float(tree.query(mesh.points[others])[0].min())
 
 
-_MOST_REPORTED = 5
+_MAX_REPORTED = 5
 # Pa. From soft rubber to nearly diamond (1.1e12); steel written in MPa or GPa is far below.
 _USUAL_YOUNGS_MODULUS = (1e6, 1e12)
 # Of the mesh's diagonal. Longer levers than this are millimetres written where metres belong.
@@ -288,7 +288,7 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
         return []
     message = (
         f'{len(middles)} hex20 cells of integration = "reduced" follow each other singly, such as '
-        f"the one at {place_in_words(middles[0])} m: such a stack has motions without resistance "
+        f"the one at {point_text(middles[0])} m: such a stack has motions without resistance "
         '(hourglass). Write integration = "full", or mesh two cells across'
     )
     return [BundleProblem("analysis.integration", message)]
@@ -306,9 +306,9 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Bundl
         owner[nodes] = number
     between = np.sort(owner[pairs], axis=1)
     problems = []
-    for first, second in np.unique(between, axis=0)[:_MOST_REPORTED].tolist():
+    for first, second in np.unique(between, axis=0)[:_MAX_REPORTED].tolist():
         here = pairs[(between == [first, second]).all(axis=1)]
-        where = place_in_words(mesh.points[here[0, 0]])
+        where = point_text(mesh.points[here[0, 0]])
         if first == second:
             what = f"inside part {first + 1}, which makes a slit there"
         else:
@@ -400,6 +400,6 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
     return problems
 
 
-def place_in_words(place: Array) -> str:
+def point_text(place: Array) -> str:
     """Write a place, shape (3,), in m, to four digits."""
     return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"

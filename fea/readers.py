@@ -91,8 +91,8 @@ def number(word: str, where: str) -> float:
     """
     text = word
     for sign in "+-":
-        head, found, digits = word.rpartition(sign)
-        if found and head[-1:].isdigit() and digits.isdigit():
+        head, mark, digits = word.rpartition(sign)
+        if mark and head[-1:].isdigit() and digits.isdigit():
             text = f"{head}e{sign}{digits}"
     try:
         value = float(text)
@@ -117,7 +117,7 @@ _PRINTED = re.compile(r"^\*NODE\s*PRINT\b.*?\bNSET\s*=\s*([^,\s]+)", re.IGNORECA
 _INCLUDED = re.compile(
     r"^\*INCLUDE\b.*?\bINPUT\s*=\s*\"?([^,\"\n]+?)\"?\s*$", re.IGNORECASE | re.MULTILINE
 )
-_MOST_QUOTED = 400  # characters
+_MAX_QUOTED = 400  # characters
 
 
 class CalculixDat:
@@ -149,8 +149,8 @@ class CalculixDat:
         if not errors:
             return None
         quoted = "; ".join(dict.fromkeys(errors))
-        if len(quoted) > _MOST_QUOTED:
-            quoted = quoted[:_MOST_QUOTED] + " ..."
+        if len(quoted) > _MAX_QUOTED:
+            quoted = quoted[:_MAX_QUOTED] + " ..."
         apart = any(phrase in error for error in errors for phrase in _NO_EQUILIBRIUM)
         return Complaint(quoted, apart)
 

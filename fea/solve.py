@@ -39,7 +39,7 @@ from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checke
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath, hang
 from wrenchbook.fea.solver.newton import Equilibrium
-from wrenchbook.fea.solver.third_derivatives import MOST_INPUTS, packed, third_derivatives
+from wrenchbook.fea.solver.third_derivatives import MAX_CURVATURE_INPUTS, packed, third_derivatives
 from wrenchbook.fea.solver.vibration import (
     CraigBampton,
     Riding,
@@ -51,13 +51,13 @@ from wrenchbook.fea.solver.vibration import (
 )
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
-__all__ = ["MOST_DEGREES", "Solver", "solve"]
+__all__ = ["MAX_DEGREES", "Solver", "solve"]
 
 Array = np.ndarray
 
 _ROUNDOFF_WORTH_TELLING = 1e-6
 
-MOST_DEGREES = 20.0
+MAX_DEGREES = 20.0
 """Rotation of the interface, degrees, beyond which an answer is refused."""
 
 
@@ -387,7 +387,7 @@ class Solver:
         )
 
     def _curvature(self, balance: Balance, tangent: Linearisation) -> Array | None:
-        if not self.component.analysis.nonlinear or self._system.inputs > MOST_INPUTS:
+        if not self.component.analysis.nonlinear or self._system.inputs > MAX_CURVATURE_INPUTS:
             return None
         return packed(third_derivatives(self._system, balance, tangent))
 
@@ -398,8 +398,8 @@ class Solver:
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:
     degrees = float(np.degrees(largest_rotation(displacement)))
-    if degrees > MOST_DEGREES:
-        raise rotation_too_large(degrees, MOST_DEGREES, load_factor)
+    if degrees > MAX_DEGREES:
+        raise rotation_too_large(degrees, MAX_DEGREES, load_factor)
 
 
 def system_of(component: ComponentModel, active: Array) -> System:

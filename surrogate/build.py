@@ -148,11 +148,11 @@ class Group:
         return len(self.used) > 0 and self.default in ("griddata", "additive")
 
     @property
-    def reading(self) -> Floats:
+    def observation_noise(self) -> Floats:
         """Noise of one reading, 95 %, (6,), m and rad; NaN where it is not known."""
         if not self.by_kriging or self.kriging is None:
             return np.full(self.rows.displacement.shape[1], np.nan)
-        return self.kriging.reading
+        return self.kriging.observation_noise
 
     @property
     def by_kriging(self) -> bool:
@@ -173,7 +173,7 @@ class Group:
         if self.linear or self.too_large:
             return None
         try:
-            return Kriging.build(self.used, self.load_range, readings=self._readings)
+            return Kriging.build(self.used, self.load_range, observations=self._readings)
         except (TooFewRowsError, SingularCovarianceError):
             return None
 
@@ -264,11 +264,11 @@ class Table:
         return rig_error(self.rows, self.load_range)
 
     @cached_property
-    def reading(self) -> Floats:
+    def observation_noise(self) -> Floats:
         """Noise of one measured reading, 95 %, (6,), m and rad; NaN where it is not known."""
         noise = np.full(self.rows.displacement.shape[1], np.nan)
         for group in self.groups:
-            noise[list(group.outputs)] = group.reading[list(group.outputs)]
+            noise[list(group.outputs)] = group.observation_noise[list(group.outputs)]
         return noise
 
     def coverage_summary(self) -> dict[str, Any]:
@@ -276,7 +276,9 @@ class Table:
         summary = self.groups[0].coverage_summary() | {
             "table_version": self.version,
             "rig_error": self.rig_error.tolist(),
-            "noise_of_a_reading": [None if one != one else one for one in self.reading.tolist()],
+            "noise_of_a_reading": [
+                None if one != one else one for one in self.observation_noise.tolist()
+            ],
         }
         if not self.rows.partial:
             return summary

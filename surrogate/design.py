@@ -45,9 +45,11 @@ EVENLY = 4
 FORCE_ERROR = 0.05
 FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
 # Candidates chosen between two looks at the bars that they will leave: a look costs as much.
-BETWEEN_LOOKS = 3
+BETWEEN_CHECKS = 3
 MAX_SOLVES = 1e6  # of an estimate; beyond that no number says more than that
-LOOKED_AT = 16  # candidates computed anew at once: the largest is nearly always among the first few
+RECOMPUTED = (
+    16  # candidates computed anew at once: the largest is nearly always among the first few
+)
 
 # Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
 # (Box and Hunter 1961): the last three are the products of two of the first three.
@@ -58,7 +60,7 @@ CORNERS = np.concatenate((_SIGNS, _SIGNS[:, [0, 0, 1]] * _SIGNS[:, [1, 2, 2]]), 
 OUT = 0.8
 # Wrenches of the first design: two for each load and three more, 15 of six loads; of solves that
 # bring second derivatives one for each load, 9 of six loads: no load and eight corners.
-A_LOAD, A_LOAD_BENT, FURTHER = 2, 1, 3
+PER_LOAD, PER_LOAD_CURVED, FURTHER = 2, 1, 3
 _FAR = 2.0**62  # steps from no load, of what an int64 holds: no wrench of a query is out there
 
 
@@ -95,7 +97,7 @@ def first_count(span: LoadRange, rows: Rows) -> int:
     """
     vary = int((span.high > span.low).sum())
     bent = not len(rows) or (rows.curvature.shape[1] and np.isfinite(rows.curvature).all())
-    return (A_LOAD_BENT if bent else A_LOAD) * vary + FURTHER if vary else 1
+    return (PER_LOAD_CURVED if bent else PER_LOAD) * vary + FURTHER if vary else 1
 
 
 def first_design(span: LoadRange, known: Known, count: int) -> Floats:
@@ -299,7 +301,7 @@ class _Refinement:
         left, now = losses * self._left(pending, candidates), self._losses(sample)
         first, before = len(pending), len(pending) + len(self.surrogate.used)
         while (count := len(pending) - first) < min(budget, len(candidates)):
-            if self.may_end and count and count % BETWEEN_LOOKS == 0:
+            if self.may_end and count and count % BETWEEN_CHECKS == 0:
                 within = now * self._left(pending, sample) <= 1.0
                 if float(within.mean()) >= ENOUGH:
                     break
@@ -309,7 +311,7 @@ class _Refinement:
             if not len(fresh):
                 computed = np.zeros(len(left), dtype=bool)
                 while not computed[best := int(np.argmax(left))]:
-                    top = np.argsort(-left)[:LOOKED_AT]
+                    top = np.argsort(-left)[:RECOMPUTED]
                     top = top[~computed[top]]
                     left[top] = losses[top] * self._left(pending, candidates[top])
                     computed[top] = True

@@ -151,7 +151,7 @@ def choose(
         reason = "there are too few rows for kriging: the compliance that fits them answers"
         return MethodChoice("linear", reason, {})
     if made is not None and (made.knows_errors or not has_axes):
-        size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
+        size = np.where(made.scaling.constant, 0.0, np.ptp(rows.displacement, axis=0))
         error = _score(made.left_out(), size)
         scores = {} if np.isnan(error) else {"kriging": error}
         if not has_axes:
@@ -191,7 +191,7 @@ def _choose_by_errors(
         return MethodChoice(method, f"{too_large}: kriging does not answer; {why}", of_axes)
     if made is None:
         return MethodChoice(method, f"there are too few rows for kriging; {why}", {})
-    size = np.where(made.scaling.silent, 0.0, np.ptp(rows.displacement, axis=0))
+    size = np.where(made.scaling.constant, 0.0, np.ptp(rows.displacement, axis=0))
     of_axes, error = _scores(errors, size), _score(made.left_out(), size)
     if np.isnan(error):
         return MethodChoice(method, f"kriging answers no row that is left out; {why}", of_axes)

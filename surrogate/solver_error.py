@@ -21,7 +21,7 @@ import numpy as np
 from .table.rows import Floats, LoadRange, Rows
 from .table.space import PER_INTERFACE
 
-_MOST_BY_SQUARE = 1.0
+_MAX_BY_SQUARE = 1.0
 """Of the share at small loads, at the full range: up to it growth follows the load's square,
 which at most doubles a bar and needs nothing else; beyond it by each answer's own tangent."""
 
@@ -74,7 +74,7 @@ class SolverError:
         self._square = self.growth + (0.0 if self.linearity is None else self.linearity)
         self._loads = np.where(loads > 0, loads, np.inf)
         self.needs_tangent = self.stiffness is not None and bool(
-            (self.growth > _MOST_BY_SQUARE * (self._matrix @ loads)).any()
+            (self.growth > _MAX_BY_SQUARE * (self._matrix @ loads)).any()
         )
         self._one_over = 1.0 / self._loads
 

@@ -80,7 +80,7 @@ def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solve
 FILE = "convergence.json"
 """In the bundle's folder: what `converge` found, for the bars of this setup."""
 
-MOST_UNKNOWNS = 350_000
+MAX_UNKNOWNS = 350_000
 """Of the finest mesh that is made unasked: about half a minute and 4 GB."""
 
 _RESPONSES = ("ux/Fx", "uy/Fy", "uz/Fz", "rx/Mx", "ry/My", "rz/Mz")
@@ -88,7 +88,7 @@ _RESPONSES = ("ux/Fx", "uy/Fy", "uz/Fz", "rx/Mx", "ry/My", "rz/Mz")
 _STEP = 1.5
 """Between cells that a generator or a geometry makes anew; those of mesh files are halved."""
 
-LEAST_RATIO = 1.1
+MIN_RATIO = 1.1
 """Between the sizes of cells of two meshes: what nearer ones differ by is their irregularity."""
 
 
@@ -155,7 +155,7 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     ----------
     finer_meshes
         One or two files with the bundle's groups, in the unit of its mesh, each finer than the one
-        before. Without them cells are halved, twice where that makes at most `MOST_UNKNOWNS`.
+        before. Without them cells are halved, twice where that makes at most `MAX_UNKNOWNS`.
 
     Raises
     ------
@@ -180,14 +180,14 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
             ]
             raise BundleError(named) from None
     while not finer_meshes and len(solvers) < 3:
-        refined = finer(solvers[-1], MOST_UNKNOWNS if len(solvers) > 1 else None, _STEP)
+        refined = finer(solvers[-1], MAX_UNKNOWNS if len(solvers) > 1 else None, _STEP)
         if refined is None:
             break
         solvers.append(refined)
     volumes = [np.concatenate([cells for _, cells in solver.volumes]) for solver in solvers]
     sizes = [float(np.cbrt(cells.mean())) for cells in volumes]
     for coarse, fine, fine_solver in zip(sizes, sizes[1:], solvers[1:], strict=False):
-        if coarse < LEAST_RATIO * fine:
+        if coarse < MIN_RATIO * fine:
             nodes = len(fine_solver.component.mesh.points)
             message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
             raise ValueError(
@@ -232,7 +232,7 @@ def _or_null(values: Array) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def kept(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
+def stored_error(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
     """Return the error kept for this setup, shape `shape`, and its basis; None if none was.
 
     Raises ValueError if the file is damaged.

@@ -16,7 +16,13 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.accuracy.advice import FINE
-from wrenchbook.fea.accuracy.convergence import FINER_UNKNOWNS, LEAST_RATIO, coarser, finer, kept
+from wrenchbook.fea.accuracy.convergence import (
+    FINER_UNKNOWNS,
+    MIN_RATIO,
+    coarser,
+    finer,
+    stored_error,
+)
 from wrenchbook.fea.accuracy.mesh_error import recovered_error, roundness
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
@@ -52,7 +58,7 @@ class BeyondLinear:
     why: str = ""  # what kept a nonlinear solve from an answer; often empty
 
 
-_MOST_REPORTED = 10.0  # a factor beyond which its continuation shows nothing
+_MAX_REPORTED = 10.0  # a factor beyond which its continuation shows nothing
 
 
 def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
@@ -87,7 +93,7 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
         why = why or answer.why
     lowest = min(factors, default=np.inf)
     return BeyondLinear(
-        _SAFETY * deviation, float(lowest) if lowest <= _MOST_REPORTED else None, why
+        _SAFETY * deviation, float(lowest) if lowest <= _MAX_REPORTED else None, why
     )
 
 
@@ -215,7 +221,7 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     There are no parts where the error is not known.
     """
     compliance, bundle = solver.linear.compliance, solver.component.bundle
-    study = kept(bundle, compliance.shape)
+    study = stored_error(bundle, compliance.shape)
     if study is not None:
         return [study[0]], study[1]
     recovered = recovered_error(solver)
@@ -228,7 +234,7 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     second, ratio = fine or coarse, np.ones(compliance.shape[1])
     if second is not None:
         ratio = recovered.coarsening(second.component.mesh) ** (-1 if fine else 1)
-    if second is None or ratio.min() < LEAST_RATIO:
+    if second is None or ratio.min() < MIN_RATIO:
         if bundle is None or bundle.mesh is None or bundle.mesh.geometry is None:
             return [2 * lacks], "stresses recovered at six unit loads; no second mesh can be made"
         edges = "a coarser mesh is no coarser where the error is: the part's edges keep it fine"
@@ -261,17 +267,17 @@ change at 30 degrees and 4 % at 40."""
 def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
     """Return the report of `errors`, shape (n, 6 i, k), the parts of the compliance's error."""
     mesh = np.abs(errors).sum(axis=0)
-    own = np.sqrt(np.diag(mesh))
-    mesh[:, : len(own)] += _MIXED * np.outer(own, own)
+    roots = np.sqrt(np.diag(mesh))
+    mesh[:, : len(roots)] += _MIXED * np.outer(roots, roots)
     report = {"mesh": mesh.tolist(), "mesh_basis": basis}
     # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.
     loads = len(compliance)
     diagonal = np.diag(compliance)
     acting = diagonal > 0
     scale = np.sqrt(np.where(acting, diagonal, 1.0))
-    own = np.ix_(acting, acting)
+    block = np.ix_(acting, acting)
     stiffness = np.zeros((loads, loads))
-    stiffness[own] = np.linalg.inv((compliance[:, :loads] / np.outer(scale, scale))[own])
+    stiffness[block] = np.linalg.inv((compliance[:, :loads] / np.outer(scale, scale))[block])
     stiffness /= np.outer(scale, scale)
     # Further inputs are no generalised forces of an interface: their rows are zero.
     added = np.zeros(compliance.T.shape)

@@ -231,11 +231,11 @@ def recovered_error(solver: Solver) -> RecoveredError:
         ).reshape(nodes, 2, -1, 3, 3)
         for material, total in totals.items()
     }
-    found = [_energy(piece, smooth[piece.material]) for piece in pieces]
-    total = np.sum([energy for energy, _ in found], axis=0)
+    errors = [_energy(piece, smooth[piece.material]) for piece in pieces]
+    total = np.sum([energy for energy, _ in errors], axis=0)
     return RecoveredError(
         0.5 * (total + total.T),
-        np.concatenate([cells for _, cells in found], axis=1),
+        np.concatenate([cells for _, cells in errors], axis=1),
         *_centres_and_diameters(points, [piece.corners for piece in pieces]),
     )
 

@@ -46,14 +46,14 @@ def filled_cells(
     filled = []
     for block, number, chosen, law, projected in sorted_cells(mesh, materials, numbers):
         part = CellBlock(block.kind, block.nodes[chosen])
-        one_each = [materials[i] for i in number[chosen]]
+        cell_materials = [materials[i] for i in number[chosen]]
         gradients = cell_gradients(mesh.points, part, integration)
         modes = None
         if projected:
             modes = volume_modes(mesh.points, part, gradients.weights, integration)
         values = reference_element(part.kind, integration).values
         places = values @ mesh.points[part.nodes] @ frame + start
-        filled.append((part, _stiffness(law, gradients, one_each, modes, (frame, places))))
+        filled.append((part, _stiffness(law, gradients, cell_materials, modes, (frame, places))))
     return filled
 
 
@@ -94,11 +94,15 @@ def _stiffness(
     else:
         expansion = _by_cell(
             _directions(materials, where),
-            lambda one, own: (own.swapaxes(-1, -2) * np.array(one.thermal_expansion)) @ own,
+            lambda material, rows: (
+                (rows.swapaxes(-1, -2) * np.array(material.thermal_expansion)) @ rows
+            ),
         )
     if law == "orthotropic":
         parts = _directions(materials, where)
-        elasticity = _by_cell(parts, lambda one, own: turned_elasticity(_own(one).elasticity, own))
+        elasticity = _by_cell(
+            parts, lambda material, rows: turned_elasticity(_orthotropic(material).elasticity, rows)
+        )
         return OrthotropicStiffness(gradients, elasticity, expansion=expansion)
     kind = NeoHookeanStiffness if law == "neo-hookean" else Stiffness
     young = np.array([material.youngs_modulus for material in materials])
@@ -142,6 +146,6 @@ def _by_cell(
     return out
 
 
-def _own(material: AnyMaterial) -> Orthotropic:
+def _orthotropic(material: AnyMaterial) -> Orthotropic:
     assert material.orthotropic is not None
     return material.orthotropic

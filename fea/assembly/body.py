@@ -173,12 +173,12 @@ class ElasticBody:
         """
         total, energy, least = np.zeros_like(displacement), 0.0, np.inf
         for part, nodes in zip(self.parts, self.cells, strict=True):
-            forces, own_energy, own_least = part.forces(
+            forces, part_energy, part_least = part.forces(
                 gather(displacement, nodes), _gather_pair(step, nodes)
             )
             total += self._sum(forces, nodes)
-            energy += own_energy
-            least = min(least, own_least)
+            energy += part_energy
+            least = min(least, part_least)
         return total, energy, least
 
     def tangent(
@@ -343,12 +343,12 @@ class Tangent:
         The displacements have shape (n, 3, k), m, and are zero at fixed nodes.
         """
         order = self._body.dissection.nodes
-        found = np.zeros_like(loads)
+        displacements = np.zeros_like(loads)
         columns = self._body.movable.released(loads)[order].reshape(3 * order.size, loads.shape[2])
         if not columns.any():  # as at rest: no factor needed
-            return found
-        found[order] = self.factor.solve(columns).reshape(order.size, 3, loads.shape[2])
-        return found
+            return displacements
+        displacements[order] = self.factor.solve(columns).reshape(order.size, 3, loads.shape[2])
+        return displacements
 
 
 class _Scatter:

@@ -229,9 +229,9 @@ class Linearisation:
 
         Columns of locked freedoms are zero.
         """
-        active, whole = self._coupling.active, self._coupling.wrench_columns(self.state)
-        columns = np.zeros_like(whole)
-        columns[:, active] = whole[:, active]
+        active, all_columns = self._coupling.active, self._coupling.wrench_columns(self.state)
+        columns = np.zeros_like(all_columns)
+        columns[:, active] = all_columns[:, active]
         return columns
 
     @property

@@ -16,7 +16,7 @@ from wrenchbook.fea.failure import SolveFailed, ill_conditioned, mechanism
 
 Array = np.ndarray
 
-_LEAST_PIVOT = 1e-13
+_MIN_PIVOT = 1e-13
 """Stiffness left by elimination, relative to the diagonal, below which there is only roundoff."""
 
 
@@ -116,7 +116,7 @@ class System:
             self.body, self.coupling, self.balance_at_rest, self.body.tangent(None), self.pull
         )
         factor = start.tangent.factor
-        if factor.pivot_ratio < _LEAST_PIVOT:
+        if factor.pivot_ratio < _MIN_PIVOT:
             energy = softest_energy(self.body, start.tangent)
             weakest = factor.weakest
             node = self.body.dissection.nodes[weakest // 3] if weakest >= 0 else 0
@@ -124,7 +124,7 @@ class System:
             raise unheld(f"Near ({place}) m the mesh", energy)
         if not np.isfinite(start.compliance).all():
             raise unheld("The interface", 0.0)
-        if start.interface_ratio < _LEAST_PIVOT:
+        if start.interface_ratio < _MIN_PIVOT:
             raise unheld("The interface", start.softest_interface_energy)
         self._condition = scaled_condition(start.tangent)  # by the factor, before its release
         return start

@@ -28,7 +28,7 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.pressure_projection import NEARLY_INCOMPRESSIBLE
 from wrenchbook.fea.linalg.nested_dissection import dissect
 
-_MOST_CELLS = 100_000
+_MAX_CELLS = 100_000
 """Beyond this many cells the operations are guessed from the unknowns, as of a cube."""
 
 _NONLINEAR = 2.5  # times the work of a linear solve
@@ -46,7 +46,7 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     free[component.fixed_nodes] = False
     unknowns = 3 * int(free.sum())
     entries = sum(len(block) * (3 * block.nodes.shape[1]) ** 2 for block in mesh.blocks)
-    if sum(len(block) for block in mesh.blocks) <= _MOST_CELLS:
+    if sum(len(block) for block in mesh.blocks) <= _MAX_CELLS:
         cells = [nodes for block in mesh.blocks for nodes in block.nodes]
         centres = np.concatenate([mesh.points[block.nodes].mean(axis=1) for block in mesh.blocks])
         operations = numbers = 0.0

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.inspection import Bodies, gap, place_in_words
+from wrenchbook.fea.inspection import Bodies, gap, point_text
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, HeldGroup, in_si
 from wrenchbook.fea.mesh.facets import group_nodes
 from wrenchbook.fea.mesh.mesh import Mesh
@@ -32,8 +32,8 @@ from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
-_MOST_BODIES = 40
-_MOST_REPORTED = 5
+_MAX_BODIES = 40
+_MAX_REPORTED = 5
 
 
 def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
@@ -45,7 +45,7 @@ def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
             "size": np.ptp(mesh.points[bodies.nodes[number]], axis=0).tolist(),
             "middle": middle(mesh.points[bodies.nodes[number]]).tolist(),
         }
-        for number in range(min(bodies.count, _MOST_BODIES))
+        for number in range(min(bodies.count, _MAX_BODIES))
     ]
 
 
@@ -56,7 +56,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     pairs: shape (k, 2), int64: indices of nodes in one place
     (`fea.inspection.coincident_nodes`).
     """
-    if bodies.count > _MOST_BODIES:
+    if bodies.count > _MAX_BODIES:
         message = (
             f"falls into {bodies.count} parts that share no face with each other; merge the nodes "
             "in the mesher before exporting"
@@ -67,14 +67,14 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     if not loose:
         return []
     if bodies.count == 1:
-        mechanism = f"the part is a mechanism, {_motions_in_words(component, motions[0])}"
+        mechanism = f"the part is a mechanism, {_motions_text(component, motions[0])}"
         if len(component.sliding[0]) or component.bushings:
             return [BundleProblem("supports", f"{mechanism}; hold these as well")]
         message = f"{mechanism}; fix at least three points that are not on one line"
         return [BundleProblem("supports.fixed", message)]
-    problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_REPORTED]]
-    if len(loose) > _MOST_REPORTED:
-        problems.append(BundleProblem("mesh", f"{len(loose) - _MOST_REPORTED} more parts are free"))
+    problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MAX_REPORTED]]
+    if len(loose) > _MAX_REPORTED:
+        problems.append(BundleProblem("mesh", f"{len(loose) - _MAX_REPORTED} more parts are free"))
     return problems
 
 
@@ -85,13 +85,13 @@ def _free_part(
     size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points[nodes], axis=0))
     message = (
         f"part {number + 1} of {bodies.count} ({bodies.cells[number]} cells, {size} mm, middle at "
-        f"{place_in_words(middle(mesh.points[nodes]))} m) is free: "
-        f"{_motions_in_words(component, motions)}. {_neighbour(mesh, bodies, number, pairs)}"
+        f"{point_text(middle(mesh.points[nodes]))} m) is free: "
+        f"{_motions_text(component, motions)}. {_neighbour(mesh, bodies, number, pairs)}"
     )
     return BundleProblem("mesh", message)
 
 
-def _motions_in_words(component: ComponentModel, motions: Array) -> str:
+def _motions_text(component: ComponentModel, motions: Array) -> str:
     if len(motions) == 6:
         return "it can move in all six ways, nothing holds it"
     points = component.mesh.points

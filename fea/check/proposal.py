@@ -44,7 +44,7 @@ _UNITS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
 2e6 (diamond 1.2e6), and metals in psi are between (magnesium 6.5e6, aluminium 1e7, steel 3e7)."""
 _IN_KILOGRAMS = 25.0  # kg/m³, foams too; t/mm³ and pounds of any kind an inch³ are below 1
 _IN_SLINCHES = (3e-5, 9e-4)  # lbf·s²/in⁴, plastics 1e-4, steel 7e-4; g/mm³ are above, kg/mm³ below
-_MOST_CASES = 12  # in one line of `decide`
+_MAX_CASES = 12  # in one line of `decide`
 _ELASTIC = ("youngs_modulus", "poisson_ratio")
 _FORCE, _LEVER = 100.0, 0.1  # N and m, where the deck has no load
 
@@ -73,10 +73,10 @@ class _Proposal:
             alike.setdefault(other.summary(), []).append(f'"{other.name}"')
         if len(alike) > 1 and name is None:
             parts = [f"{', '.join(names)} {summary}" for summary, names in alike.items()]
-            more = [f"{len(parts) - _MOST_CASES} more"][: len(parts) > _MOST_CASES]
+            more = [f"{len(parts) - _MAX_CASES} more"][: len(parts) > _MAX_CASES]
             self.decide.append(
                 f'case: the deck has several, which differ; "{case.name}" stands (--case NAME). '
-                + ". ".join(parts[:_MOST_CASES] + more)
+                + ". ".join(parts[:_MAX_CASES] + more)
             )
         return case
 
@@ -156,7 +156,7 @@ class _Proposal:
     def interfaces(self) -> list[str]:
         """Return each coupling that is free, else the group with forces, as an interface."""
         groups = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
-        sections = {one.group for one in groups} or set(list(self.case.loads)[:1])
+        sections = {coupled.group for coupled in groups} or set(list(self.case.loads)[:1])
         self.left += [
             f'forces on "{group}", which is no interface'
             for group, loads in self.case.loads.items()
@@ -177,9 +177,9 @@ class _Proposal:
                 *self.range(groups[0]),
             ]
         lines = []
-        for one in groups:
-            lines += ["", "[[interface]]", f"name = {_text(_name(one.group))}"]
-            lines += [*self.interface(one), "[interface.range]", *self.range(one)]
+        for coupled in groups:
+            lines += ["", "[[interface]]", f"name = {_text(_name(coupled.group))}"]
+            lines += [*self.interface(coupled), "[interface.range]", *self.range(coupled)]
         return lines
 
     def interface(self, group: CoupledGroup) -> list[str]:

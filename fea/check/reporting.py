@@ -41,9 +41,9 @@ from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, GEOMETRY_ENDINGS
 
-_MOST_SECONDS = 5.0
+_MAX_SECONDS = 5.0
 """Of a linear solve, to estimate the solver's error too: that takes up to three more."""
-_MOST_BYTES = 1e9  # of the same: a coarser mesh and nonlinear solves come on top
+_MAX_BYTES = 1e9  # of the same: a coarser mesh and nonlinear solves come on top
 _OF_MATERIAL = ["region", "law", "youngs_modulus", "poisson_ratio", "density", "yield_strength"]
 
 
@@ -170,7 +170,7 @@ def _look_at_mesh(
     warnings += more
     # Find what the solver's answers may be wrong by, and whether that is over the tolerance.
     cost, bundle = summary["estimate"], solver.component.bundle
-    if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
+    if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
         return
     summary["solver_error"] = accuracy_or_why(solver)
     if summary["solver_error"]["mesh"] is None:
@@ -226,7 +226,7 @@ def _section(interface: AttachedInterface) -> dict[str, Any]:
     }
 
 
-_MOST_LINES = 60  # of bodies, and of faces
+_MAX_LINES = 60  # of bodies, and of faces
 _EACH = len(FREEDOMS)  # values of one interface
 
 
@@ -262,10 +262,10 @@ def _source(report: Mapping[str, Any]) -> Iterator[str]:
     if "faces" not in report:
         return
     yield "bodies:  number  volume cm^3  middle m"
-    for body in report["bodies"][:_MOST_LINES]:
+    for body in report["bodies"][:_MAX_LINES]:
         yield f"  {body['number']:>13}  {1e6 * body['volume']:>11.5g}  {_place(body['centre'])}"
     yield "faces:   number  area mm^2    middle m                      what"
-    for face in report["faces"][:_MOST_LINES]:
+    for face in report["faces"][:_MAX_LINES]:
         shape = str(face["kind"]).lower()
         if face["normal"] is not None:
             shape = f"plane, normal {_place(face['normal'])}"
@@ -273,7 +273,7 @@ def _source(report: Mapping[str, Any]) -> Iterator[str]:
             shape = f"cylinder, radius {1e3 * face['radius']:.5g} mm"
         head = f"  {face['number']:>13}  {1e6 * face['area']:>11.5g}  {_place(face['centre']):<28}"
         yield f"{head}  {shape}"
-    if (more := len(report["faces"]) - _MOST_LINES) > 0:
+    if (more := len(report["faces"]) - _MAX_LINES) > 0:
         yield f"  and {more} more"
 
 

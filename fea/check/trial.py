@@ -10,15 +10,15 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.coupling import each_interface, largest_rotation
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.recovery.stress import nodal_masses, places_of, small_stress
-from wrenchbook.fea.solve import MOST_DEGREES, Solver
+from wrenchbook.fea.solve import MAX_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.tensors import von_mises
 
 Array = np.ndarray
 
-_MOST_SECONDS = 60.0  # of the linear solve by its estimate: an upload waits for it, 300 s at most
-_MOST_BYTES = 4e9  # of the same; the server's other solvers run at the same time
+_MAX_SECONDS = 60.0  # of the linear solve by its estimate: an upload waits for it, 300 s at most
+_MAX_BYTES = 4e9  # of the same; the server's other solvers run at the same time
 
 _STANDARD_GRAVITY = 9.81  # m/s^2
 
@@ -55,7 +55,7 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     known = None if None in densities else float(volumes @ np.array(densities, dtype=float))
     size = np.ptp(points, axis=0).tolist()
     result = {"size": size, "volume": float(volumes.sum()), "mass": known, "deflection": None}
-    if cost["linear_seconds"] > _MOST_SECONDS or cost["memory_bytes"] > _MOST_BYTES:
+    if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
         return result, []
     try:
         compliance = solver.linear.compliance
@@ -90,10 +90,10 @@ def deflection_warnings(
         return []
     moved, problems = np.array(deflection), []
     degrees = float(np.degrees(largest_rotation(moved)))
-    if degrees > MOST_DEGREES:
+    if degrees > MAX_DEGREES:
         message = (
             f"turns the interface by {degrees:.3g} degrees at the full range, linearly: more than "
-            f"{MOST_DEGREES:g} is refused. {_UNITS}"
+            f"{MAX_DEGREES:g} is refused. {_UNITS}"
         )
         problems.append(BundleProblem("range", message))
     limit = component.bundle.tolerance
@@ -192,7 +192,7 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     return [BundleProblem("analysis.gravity", message)]
 
 
-_MOST_CORNERS = 4096  # of two interfaces' twelve loads: 0.2 s for 30,000 points
+_MAX_CORNERS = 4096  # of two interfaces' twelve loads: 0.2 s for 30,000 points
 _FIRST_POINTS = 64
 
 
@@ -216,7 +216,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     try:
         # The worst corner of the range for each material that has cells.
         corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
-        if len(corners) > _MOST_CORNERS * 2 ** len(component.further):
+        if len(corners) > _MAX_CORNERS * 2 ** len(component.further):
             raise ValueError("the range of more than two interfaces has too many corners")
         unit = solver.unit_stresses()
         loads = corners

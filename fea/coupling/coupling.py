@@ -198,13 +198,13 @@ class Coupling:
     @property
     def tied(self) -> Array:
         """Nodes that follow an interface and are no unknowns, shape (k,), int64, indices."""
-        still = np.zeros(PER_INTERFACE)
-        found = [
+        zero = np.zeros(PER_INTERFACE)
+        following = [
             attached.nodes
             for attached in self._attachments
-            if attached.section.placed(still) is not None
+            if attached.section.placed(zero) is not None
         ]
-        return np.concatenate([self._anchors, *found])
+        return np.concatenate([self._anchors, *following])
 
     def start(self) -> CoupledState:
         """Return the undeformed state."""
@@ -257,13 +257,13 @@ class Coupling:
         nodal, border = forces.copy(), np.zeros(self.border)
         loads = np.append(wrench, np.zeros(self._sprung))
         for attached, local in self._parts(state):
-            added, rest = attached.section.residual(
+            added, unbalanced = attached.section.residual(
                 local, attached.inwards(forces), loads[attached.freedoms]
             )
             nodal[attached.nodes] += attached.outwards(added)
             if attached.spring is not None:
-                rest[:PER_INTERFACE] += attached.spring @ local.interface
-            border[attached.border] = rest[attached.chosen]
+                unbalanced[:PER_INTERFACE] += attached.spring @ local.interface
+            border[attached.border] = unbalanced[attached.chosen]
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
 
@@ -279,15 +279,15 @@ class Coupling:
         block = np.zeros((self.border, self.border))
         loads = np.append(wrench, np.zeros(self._sprung))
         for attached, local in self._parts(state):
-            found = attached.section.bordered(
+            joined = attached.section.bordered(
                 local, attached.inwards(forces), loads[attached.freedoms]
             )
             if attached.spring is not None:
-                found.block[:PER_INTERFACE, :PER_INTERFACE] += attached.spring
+                joined.block[:PER_INTERFACE, :PER_INTERFACE] += attached.spring
             at = np.ix_(attached.nodes, np.arange(3), attached.border)
-            ties[at] = attached.outwards(found.ties[:, :, attached.chosen])
-            columns[at] = attached.outwards(found.columns[:, :, attached.chosen])
-            block[np.ix_(attached.border, attached.border)] = found.block[
+            ties[at] = attached.outwards(joined.ties[:, :, attached.chosen])
+            columns[at] = attached.outwards(joined.columns[:, :, attached.chosen])
+            block[np.ix_(attached.border, attached.border)] = joined.block[
                 np.ix_(attached.chosen, attached.chosen)
             ]
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)

@@ -216,12 +216,12 @@ class Distributed(SectionCoupling):
         Those along k inputs come from the fields, (s, 3, k), m, and the border, (12, k).
         """
         force, moment = border[6:9], skew(border[9:].T)
-        own = skew(state.multipliers[3:])
+        couple = skew(state.multipliers[3:])
         arms = self._weights[:, None] * self._arms
         places = (self.places + state.nodes).T @ arms
         moved = np.einsum("sik,sj->kij", fields, arms)
-        moments = -np.outer(state.multipliers[:3], self._centre) - own @ places
-        changes = -force.T[:, :, None] * self._centre - moment @ places - own @ moved
+        moments = -np.outer(state.multipliers[:3], self._centre) - couple @ places
+        changes = -force.T[:, :, None] * self._centre - moment @ places - couple @ moved
         second = moment[:, None] @ moved
         second = -(second + second.swapaxes(0, 1))
         return moments, np.moveaxis(changes, 0, 2), np.moveaxis(second, (0, 1), (2, 3))

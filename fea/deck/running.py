@@ -30,7 +30,7 @@ PRINTED = "printed.txt"
 """File of the program's standard output and errors."""
 
 _PLACEHOLDER = re.compile(rb"\$([FM][XYZ])\b")
-_MOST_QUOTED = 400  # characters
+_MAX_QUOTED = 400  # characters
 
 
 def missing_placeholders(deck: bytes) -> list[str]:
@@ -55,7 +55,7 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
         )
     pairs = zip(LOADS, loads, strict=True)
     values = {load.encode(): f"{value:.12e}".encode() for load, value in pairs}
-    return _PLACEHOLDER.sub(lambda found: values[found[1]], deck)
+    return _PLACEHOLDER.sub(lambda match: values[match[1]], deck)
 
 
 def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tuple[Array, int]:
@@ -77,12 +77,12 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
         shutil.copy(file, folder / file.name)
     (folder / deck.file.name).write_bytes(text)
     run = DeckRun(folder, deck.file.stem, folder / PRINTED)
-    reading = _run(deck, run, reader_named(deck.output["reader"]), progress)
-    displacement = np.array(reading.displacement, dtype=float)
+    result = _run(deck, run, reader_named(deck.output["reader"]), progress)
+    displacement = np.array(result.displacement, dtype=float)
     if displacement.shape != (6,) or not np.isfinite(displacement).all():
-        message = f"The reader gave no six finite numbers but {reading.displacement}."
+        message = f"The reader gave no six finite numbers but {result.displacement}."
         raise bad_output(message, folder)
-    return np.concatenate([displacement[:3] * metres, displacement[3:]]), reading.unknowns
+    return np.concatenate([displacement[:3] * metres, displacement[3:]]), result.unknowns
 
 
 def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Reading:
@@ -104,17 +104,17 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
     if complaint is not None and complaint.not_converged:
         raise not_converged(program, complaint.quoted)
     if complaint is not None:
-        raise solver_failed(program, _how(code), complaint.quoted, run.folder)
+        raise solver_failed(program, _ending(code), complaint.quoted, run.folder)
     if code != 0:
         text = run.printed.read_text(encoding="utf-8", errors="replace").strip()
-        raise solver_failed(program, _how(code), text[-_MOST_QUOTED:] or "nothing", run.folder)
+        raise solver_failed(program, _ending(code), text[-_MAX_QUOTED:] or "nothing", run.folder)
     try:
         return reader.read(run, deck.output)
     except OutputError as error:
         raise bad_output(str(error), run.folder) from None
 
 
-def _how(code: int) -> str:
+def _ending(code: int) -> str:
     if code == 0:
         return "reported an error"
     if code > 0:
@@ -169,11 +169,11 @@ def run_command(
     try:
         with _guarded(child.pid):
             while True:
-                left = deadline - time.monotonic()
-                if left <= 0.0:
+                remaining = deadline - time.monotonic()
+                if remaining <= 0.0:
                     raise OutOfTime
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    return child.wait(min(left, _LOOK_EVERY))
+                    return child.wait(min(remaining, _LOOK_EVERY))
                 if watch is not None:
                     watch()
     finally:

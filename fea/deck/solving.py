@@ -24,7 +24,7 @@ FOLDER = "deck"
 _MOMENT_GAP = 1e-5
 """Largest relative difference between the moment that acted and the required one."""
 
-_MOST_RUNS = 12  # 20 degrees take half of them
+_MAX_RUNS = 12  # 20 degrees take half of them
 _LINEAR_GAP = 1e-5  # CalculiX prints seven digits
 _RECIPROCAL_GAP = 1e-4
 _ROUNDOFF = 1e-9
@@ -165,7 +165,7 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
     acting, inverse = moment.copy(), np.eye(3)
     step, before, gap = np.zeros(3), np.zeros(3), np.inf
     displacement = np.zeros(6)
-    for number in range(_MOST_RUNS):
+    for number in range(_MAX_RUNS):
         name = f"wrench-{number + 1}"
         loads = np.concatenate([wrench[:3], acting])
         displacement = runs.run(name, loads, 1.0 - 0.5**number, 1.0 - 0.5 ** (number + 1))
@@ -183,7 +183,7 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
         step, before = -inverse @ excess, excess
         acting = acting + step
     runs.accept(displacement)
-    raise moment_unsettled(_MOST_RUNS, gap / size)
+    raise moment_unsettled(_MAX_RUNS, gap / size)
 
 
 @contextlib.contextmanager

@@ -106,7 +106,7 @@ class CellState(ABC):
         """
         dF, dE, wdS = self.changes(fields)
         rows = _by_field(dF)
-        products = [_by_field(dF @ own) @ rows.T for own in wdS]  # grad a (C : E_c) : grad b
+        products = [_by_field(dF @ stress) @ rows.T for stress in wdS]  # grad a (C : E_c) : grad b
         return every_place(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
 
     def third_of_law(self, fields: Array, strain: Array) -> Array:
@@ -124,9 +124,9 @@ class CellState(ABC):
         dF, _, changes = self.changes(fields)
         wdS = np.moveaxis(changes, 0, 2)
         FdS = _each_transposed(wdS.reshape(dF.shape) @ F_T)
-        one_side = (dF @ self.wS + 0.5 * FdS) @ F_T
+        half = (dF @ self.wS + 0.5 * FdS) @ F_T
         growth = dF.reshape(*shape, 9) @ np.linalg.inv(F_T).reshape(*shape[:2], 9, 1)
-        changes = ((one_side + _each_transposed(one_side)) * scale).reshape(*shape, 3, 3)
+        changes = ((half + _each_transposed(half)) * scale).reshape(*shape, 3, 3)
         changes -= stress[:, :, None] * growth[..., None]
         return stress, np.moveaxis(changes, 2, 0)
 

@@ -145,8 +145,8 @@ def _body(component: ComponentModel) -> Iterator[str]:
     yield "*BOUNDARY"
     if component.fixed_nodes.size:
         yield "FIXED, 1, 3"
-    for one in component.interfaces:
-        yield from (f"{_place(name, one)}, {_axis(name)}" for name in one.locked)
+    for interface in component.interfaces:
+        yield from (f"{_place(name, interface)}, {_axis(name)}" for name in interface.locked)
 
 
 def _materials(component: ComponentModel) -> Iterator[str]:

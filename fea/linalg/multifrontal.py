@@ -146,9 +146,9 @@ def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
             break
         a, block = part.holding(low)
         target = slice(to, to + high - low)
-        own = block[low - a :, low - a : high - a]
-        A[places[low:count], target] -= own[: count - low]
-        below = own[count - low :]
+        update = block[low - a :, low - a : high - a]
+        A[places[low:count], target] -= update[: count - low]
+        below = update[count - low :]
         for source, column in across:
             B[target, column] -= below[source].T
 
@@ -291,16 +291,16 @@ class _LUFront:
         return int((np.linalg.eigvalsh(self.A) < 0).sum())
 
     def forward(self, x: Array, part: Substructure) -> None:
-        own = slice(part.start, part.stop)
+        rows = slice(part.start, part.stop)
         if part.boundary.size:
-            x[part.boundary] -= self.W.T @ x[own]
+            x[part.boundary] -= self.W.T @ x[rows]
 
     def backward(self, x: Array, part: Substructure) -> None:
-        own = slice(part.start, part.stop)
-        y = _getrs(self.lu, self.swaps, x[own])[0]
+        rows = slice(part.start, part.stop)
+        y = _getrs(self.lu, self.swaps, x[rows])[0]
         if part.boundary.size:
             y = y - self.W @ x[part.boundary]
-        x[own] = y
+        x[rows] = y
 
 
 def _eliminate(dissection: Dissection, leaf: Leaf, kind: type) -> tuple[list, Array]:

@@ -96,8 +96,8 @@ class Cutter:
         self._rank[cells] = beyond
         side = self._rank[pairs.cells] == 1
         return [
-            (cells[own], Incidence(pairs.nodes[part], pairs.cells[part]))
-            for own, part in ((~beyond, ~side), (beyond, side))
+            (cells[half], Incidence(pairs.nodes[part], pairs.cells[part]))
+            for half, part in ((~beyond, ~side), (beyond, side))
         ]
 
     def _best(self, cells: Array, pairs: Incidence) -> Array:
@@ -233,13 +233,13 @@ class _Builder:
             nodes = np.concatenate([self.cells[c] for c in cells]) if cells.size else cells
             return self._add(cells, (), nodes, np.ones(nodes.size, dtype=np.int64))
         first, second = self.cutter.halves(cells, pairs)
-        left, left_nodes, left_uses = self.cut(*first)
-        right, right_nodes, right_uses = self.cut(*second)
+        first_number, first_nodes, first_uses = self.cut(*first)
+        second_number, second_nodes, second_uses = self.cut(*second)
         return self._add(
             cells[:0],
-            (left, right),
-            np.concatenate([left_nodes, right_nodes]),
-            np.concatenate([left_uses, right_uses]),
+            (first_number, second_number),
+            np.concatenate([first_nodes, second_nodes]),
+            np.concatenate([first_uses, second_uses]),
         )
 
     def _add(

@@ -15,21 +15,21 @@ from typing import Literal
 import numpy as np
 
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from wrenchbook.fea.spec.keys import Positive, Whole, key, table
+from wrenchbook.fea.spec.keys import Integer, Positive, key, table
 from wrenchbook.fea.spec.schema import Generator
 
 Array = np.ndarray
 
 
-MOST_CELLS = 2_000_000
+MAX_CELLS = 2_000_000
 """More cells than any machine that runs this solves; a slip of the keyboard, refused."""
 
 
 def too_many(cells: float, key: str) -> list[tuple[str, str]]:
     """Return the mistake of too many cells, if so, at the `key` that makes most of them."""
-    if cells <= MOST_CELLS:
+    if cells <= MAX_CELLS:
         return []
-    return [(key, f"makes {cells:.3g} cells; the most is {MOST_CELLS // 10**6} million")]
+    return [(key, f"makes {cells:.3g} cells; the most is {MAX_CELLS // 10**6} million")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,9 +270,9 @@ class Bar(Generator):
     """bar: along y"""
     height: Positive = key("m", "0.02")
     """bar: along z"""
-    cells_along: Whole = key("cells", "20", default=40, ge=1)
+    cells_along: Integer = key("cells", "20", default=40, ge=1)
     """bar: along x"""
-    cells_across: Whole = key("cells", "3", default=2, ge=1)
+    cells_across: Integer = key("cells", "3", default=2, ge=1)
     """bar: along each of y and z"""
     generator: Literal["bar"] = key("", '"bar"', default="bar", kw_only=True, absent="none")
     """`bar`, `plate` or `spring`, with its parameters"""
@@ -316,13 +316,13 @@ class Plate(Generator):
     """plate: diameter of the round patch, facet group `patch`"""
     corner: Positive = key("m", "0.03", default=0.04)
     """plate: side of the corner squares, facet group `corners`"""
-    cells: Whole = key("cells", "8", default=6, ge=2)
+    cells: Integer = key("cells", "8", default=6, ge=2)
     """plate: across the patch's core, and along each side between two corners"""
-    rings: Whole = key("cells", "4", default=3, ge=1)
+    rings: Integer = key("cells", "4", default=3, ge=1)
     """plate: from the patch out to the corners"""
-    corner_cells: Whole = key("cells", "2", default=1, ge=1)
+    corner_cells: Integer = key("cells", "2", default=1, ge=1)
     """plate: along each side of a corner square"""
-    layers: Whole = key("cells", "3", default=2, ge=1)
+    layers: Integer = key("cells", "3", default=2, ge=1)
     """plate: through the thickness"""
     generator: Literal["plate"] = key("", '"plate"', default="plate", kw_only=True, absent="none")
     """`bar`, `plate` or `spring`, with its parameters"""
@@ -415,10 +415,10 @@ class Spring(Generator):
     """spring: height of that helix"""
     active_turns: Positive = key("turns", "5.5")
     """spring: from cut to cut"""
-    cells_per_turn: Whole = key("cells", "12", default=26, ge=6)
+    cells_per_turn: Integer = key("cells", "12", default=26, ge=6)
     """spring: layers of cells in one turn"""
     # The section has core^2 + 4 core cells
-    core: Whole = key("cells", "2", default=1, ge=1)
+    core: Integer = key("cells", "2", default=1, ge=1)
     """spring: across the core of the wire's section"""
     generator: Literal["spring"] = key(
         "", '"spring"', default="spring", kw_only=True, absent="none"

@@ -69,7 +69,7 @@ _OF_TETRAHEDRON = (
     *("01 02 03 13", "01 12 02 13", "02 23 03 13", "02 12 23 13"),
 )
 
-_WHOLE = 64
+_DENOMINATOR = 64
 """Parts of the corners' weights: nodes of children lie at quarters along three directions."""
 
 
@@ -77,8 +77,8 @@ class _Pattern(NamedTuple):
     """How one kind splits."""
 
     children: Array  # shape (children, nodes): places by number
-    # Shape (corners, places), uint64: of the corners at each place, in parts of `_WHOLE`. Where two
-    # cells meet they have the same corners' weights at the same point.
+    # Shape (corners, points), uint64: of the corners at each point, in parts of `_DENOMINATOR`. Two
+    # cells that meet have the same corners' weights at a common point.
     weights: Array
     values: Array  # shape (places, nodes): the parent's shape functions
 
@@ -89,7 +89,7 @@ def _pattern(kind: str) -> _Pattern:
     inside = tabulate(linear, node_places(kind))[0]
     every = np.array([inside @ corners for corners in _children(linear)])
     places, numbers = np.unique(every.reshape(-1, every.shape[2]), axis=0, return_inverse=True)
-    weights = np.rint(_WHOLE * tabulate(linear, places)[0].T).astype(np.uint64)
+    weights = np.rint(_DENOMINATOR * tabulate(linear, places)[0].T).astype(np.uint64)
     return _Pattern(numbers.reshape(every.shape[:2]), weights, tabulate(kind, places)[0])
 
 

@@ -73,14 +73,14 @@ def cauchy_stress(
         stress, slopes = part.cauchy_stresses(gather(displacement, nodes), fields)
         stresses.append(_six(stress))
         changes.append(np.moveaxis(_six(slopes), 0, -1))
-    found, slopes = np.concatenate(stresses), np.concatenate(changes)
+    stress_field, slopes = np.concatenate(stresses), np.concatenate(changes)
     none = tangents[:, :, :0]
     if body.expands and slopes.shape[2]:  # the temperature has a stress of its own
         warmer, cooler = (
             cauchy_stress(body, displacement, none, temperature + step)[0] for step in (0.5, -0.5)
         )
         slopes[:, :, loads] += warmer - cooler
-    return found, slopes
+    return stress_field, slopes
 
 
 def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> Array:

@@ -12,7 +12,7 @@ from wrenchbook.fea.failure import ill_conditioned
 
 Array = np.ndarray
 
-_MOST_CORRECTIONS = 4
+_MAX_CORRECTIONS = 4
 _SMALL = 1e-7  # of a correction; what it leaves is about its square
 _ROUNDOFF = 1e-6
 """Asymmetry or energy gap, relative, above which the compliance is not to be trusted."""
@@ -51,8 +51,8 @@ def linear_response(system: System) -> LinearResponse:
     """
     fields, border, correction = _refined(system, system.undeformed)
     condition = system.condition
-    whole, loads = system.coupling.displacement_rows(border), system.coupling.freedoms
-    compliance = whole[:, :loads]
+    displacements, loads = system.coupling.displacement_rows(border), system.coupling.freedoms
+    compliance = displacements[:, :loads]
     scale = np.sqrt(np.abs(np.diagonal(compliance)))
     scale = np.where(scale > 0, scale, 1.0)
     unit = 1.0 / np.outer(scale, scale)
@@ -68,14 +68,14 @@ def linear_response(system: System) -> LinearResponse:
     compliance = 0.5 * (compliance + compliance.T)
     inputs = system.inputs
     if inputs > loads:
-        compliance = np.hstack([compliance, whole[:, loads:inputs]])
+        compliance = np.hstack([compliance, displacements[:, loads:inputs]])
     if system.body.expands:
         at_rest = np.zeros((system.body.size, 3))
         conjugate = contract(system.body.heat(at_rest)[0][:, :, None], fields)[0]
         energies[loads] += conjugate
         energies[:, loads] += conjugate
         energies[loads, loads] += 2 * system.body.at(1.0, finite=False).forces(at_rest)[1]
-    sag, moved = fields[:, :, inputs:].sum(axis=2), whole[:, inputs:].sum(axis=1)
+    sag, moved = fields[:, :, inputs:].sum(axis=2), displacements[:, inputs:].sum(axis=1)
     fields = fields[:, :, :inputs]
     return LinearResponse(
         compliance, energies, fields, condition, asymmetry, energy_gap, sag, moved
@@ -97,7 +97,7 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
         loads = np.hstack([loads, contract(border.ties, weight)])
     nodes, moved = start.solve(acting, loads)
     size, first = 0.0, system.coupling.freedoms
-    for _ in range(_MOST_CORRECTIONS):
+    for _ in range(_MAX_CORRECTIONS):
         fields = nodes + border.ties @ moved
         forces = system.body.small_strain_forces(fields)
         nodal = system.body.movable.released(forces + border.columns @ moved) - acting

@@ -20,7 +20,7 @@ from wrenchbook.fea.failure import (
 from wrenchbook.fea.solution import Iteration, Progress
 from wrenchbook.fea.solver.arc_length import ArcPath
 from wrenchbook.fea.solver.newton import (
-    MOST_ITERATIONS,
+    MAX_ITERATIONS,
     Equilibrium,
     Report,
     Stuck,
@@ -35,7 +35,7 @@ FIRST_STEP = 1.0
 GROWTH = 2.0
 """How much longer the next step is after one that converged quickly."""
 
-_LEAST_STEP = 1.0 / 32
+_MIN_STEP = 1.0 / 32
 _FEW_ITERATIONS = 8
 _SECANT_MARGIN = 0.25
 _SOFTENED = 5.0  # times the compliance it started with: a load limit is near
@@ -146,7 +146,7 @@ class LoadPath:
         )
         ending = path.follow(accept)
         if ending.kind == "reached":
-            equilibrium = self._settle(ending.found)
+            equilibrium = self._settle(ending.equilibrium)
             if equilibrium is not None:
                 check(equilibrium.balance)
                 return equilibrium
@@ -166,11 +166,11 @@ class LoadPath:
 
     def _try_step(self) -> Equilibrium | None:
         target = min(1.0, self._factor + self._step)
-        if target > 1.0 - 0.5 * _LEAST_STEP:
+        if target > 1.0 - 0.5 * _MIN_STEP:
             target = 1.0
         try:
             start = self._system.reload(self._balance, target * self._wrench)
-            most = MOST_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
+            most = MAX_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
             equilibrium = find_equilibrium(
                 self._system, start, self._tangent, self._reporter(target), most
             )
@@ -214,7 +214,7 @@ class LoadPath:
     def _halve(self, reason: str, failure: Callable[[str], SolveFailed]) -> None:
         """Take a step back; give up with `failure` when it was as small as can be."""
         self._step = 0.5 * min(self._step, 1.0 - self._factor)
-        if self._step < _LEAST_STEP:
+        if self._step < _MIN_STEP:
             raise _Refused(failure(f"Beyond load factor {self._factor:.3g} {reason}."))
 
     def _stuck(self, message: str) -> SolveFailed:

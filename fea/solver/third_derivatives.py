@@ -19,7 +19,7 @@ from wrenchbook.fea.tensors import spin_per_vector, spin_slope
 
 Array = np.ndarray
 
-MOST_INPUTS = 8
+MAX_CURVATURE_INPUTS = 8
 """Inputs up to which a row of third derivatives is kept: 120 numbers; of twelve it is 364."""
 
 _WARMER = 5.0
@@ -55,10 +55,10 @@ def load_rates(coupling: Coupling, balance: Balance, compliance: Array) -> Array
     """
     rates = np.eye(len(balance.wrench))
     for first in range(PER_INTERFACE // 2, len(compliance), PER_INTERFACE):
-        own = slice(first, first + PER_INTERFACE // 2)
-        vector = balance.state.interface[own]
-        rates[own, own] = spin_per_vector(vector).T
-        rates[own] += spin_slope(vector, balance.wrench[own]) @ compliance[own]
+        rotations = slice(first, first + PER_INTERFACE // 2)
+        vector = balance.state.interface[rotations]
+        rates[rotations, rotations] = spin_per_vector(vector).T
+        rates[rotations] += spin_slope(vector, balance.wrench[rotations]) @ compliance[rotations]
     locked = np.setdiff1d(np.arange(coupling.freedoms), coupling.active)
     rates[locked], rates[:, locked] = 0.0, 0.0
     rates[locked, locked] = 1.0

@@ -451,8 +451,8 @@ def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
         slopes, weights = part.gradients.slopes, part.gradients.weights
         pulled = (weights[:, :, None, None] * stress) @ slopes
         cells, points, _, count = slopes.shape
-        own = slopes.reshape(cells, 3 * points, count).swapaxes(1, 2)
-        entries.append((own @ pulled.reshape(cells, 3 * points, count)).ravel())
+        gradients = slopes.reshape(cells, 3 * points, count).swapaxes(1, 2)
+        entries.append((gradients @ pulled.reshape(cells, 3 * points, count)).ravel())
         rows.append(np.repeat(nodes, count, axis=1).ravel())
         columns.append(np.tile(nodes, (1, count)).ravel())
     places = np.concatenate(rows), np.concatenate(columns)

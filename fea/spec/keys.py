@@ -212,7 +212,7 @@ def union(choose: Callable[[Mapping[str, Any]], type], *classes: type) -> GetPyd
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0)]
-Whole = Annotated[int, Field(strict=True, le=_MAX_COUNT)]
+Integer = Annotated[int, Field(strict=True, le=_MAX_COUNT)]
 Flag = Annotated[bool, Field(strict=True)]
 Text = Annotated[str, Field(strict=True), AfterValidator(_text)]
 Name = Annotated[Text, AfterValidator(_name)]

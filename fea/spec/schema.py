@@ -18,6 +18,7 @@ from wrenchbook.fea.spec.keys import (
     Axes,
     BundleFile,
     Flag,
+    Integer,
     MistakesError,
     Name,
     Number,
@@ -29,7 +30,6 @@ from wrenchbook.fea.spec.keys import (
     Texts,
     Three,
     ThreePositive,
-    Whole,
     array_of,
     array_table,
     counted,
@@ -98,10 +98,10 @@ def _round(cells: int) -> int:
     return cells
 
 
-Curvature = Annotated[Whole, Field(ge=0), AfterValidator(_round)]
-Order = Annotated[Whole, Field(ge=1), AfterValidator(_second_order)]
+Curvature = Annotated[Integer, Field(ge=0), AfterValidator(_round)]
+Order = Annotated[Integer, Field(ge=1), AfterValidator(_second_order)]
 Near = Annotated[tuple[Three, ...], either(Three, tuple[Three, ...], 2), AfterValidator(_listed)]
-Numbers = Annotated[tuple[Annotated[Whole, Field(ge=1)], ...], BeforeValidator(_numbers)]
+Numbers = Annotated[tuple[Annotated[Integer, Field(ge=1)], ...], BeforeValidator(_numbers)]
 
 
 class Selector:

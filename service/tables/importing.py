@@ -15,7 +15,7 @@ from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import About, Ledger, NotedRows, row_keys
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.mapped import ServedTable
-from wrenchbook.surrogate.findings.find import MOST
+from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
@@ -93,7 +93,7 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
     if not component.has_fea or not table.sources.get("fea"):
         return None
     rows = table.rows
-    solved = rows.take(np.flatnonzero(rows.source == "fea")[:MOST])
+    solved = rows.take(np.flatnonzero(rows.source == "fea")[:MAX_ROWS])
     fit = fit_compliance(solved, component.load_range, linear=component.linear)
     return np.where(fit.known, fit.matrix, 0.0).tolist()
 

@@ -39,7 +39,7 @@ from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
 
-LOOK_S = 0.005  # between looks at what other web workers answer from, while a caller waits
+POLL_S = 0.005  # between looks at what other web workers answer from, while a caller waits
 MEMORY_S = 0.1  # between looks at the memory of tables
 # A folder's time goes on in steps of up to 10 ms (a kernel's tick): what came within the step of
 # the last look is seen by the looks of this long after a change.
@@ -301,7 +301,7 @@ class MappedTables:
             others = (mapped.get(name, [0, ""]) for mapped in self._state.others())
             if all(int(version) >= goal and its == setup for version, its in others):
                 return True
-            if time.monotonic() >= end or self._stopping.wait(LOOK_S):
+            if time.monotonic() >= end or self._stopping.wait(POLL_S):
                 break
         return False
 

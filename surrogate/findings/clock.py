@@ -14,8 +14,8 @@ from scipy.optimize import minimize, minimize_scalar
 from ..table.rows import Floats
 from .response import RigFinding, terms_of
 
-FEWEST = 60  # displacements: with fewer a lag shows by chance
-MOST = 2_000  # displacements that are fitted, some 5 ms a fit
+MIN_DISPLACEMENTS = 60  # displacements: with fewer a lag shows by chance
+MAX_DISPLACEMENTS = 2_000  # displacements that are fitted, some 5 ms a fit
 GRID = 1 << 15  # steps of the time grid, at most
 PART = 0.25  # of the displacements' duration: the largest lag that is looked for
 ROUNDING = 1e-9  # of the displacements' variance: smaller residuals are written digits
@@ -23,7 +23,7 @@ PEAKS = 5  # of the correlation that are fitted: turned by half a period, a load
 EXPLAINED = 0.5  # of the displacements' variance: with less the logs do not belong together
 INTERPOLATED = 0.02  # of the loads' interval: exact logs of 0.1 to 4 Hz showed lags within 1.1 %
 INSIDE = 0.9  # of the reach of a search: an optimum beyond it may be the bound
-SHARE = 0.2  # of the residual's variance at the applied lag that another lag must explain
+MIN_EXPLAINED = 0.2  # of the residual's variance at the applied lag that another lag must explain
 AVERAGED = 0.5  # of the residual's variance: between two loads interpolation averages their noise
 DEVIATIONS = 4.0  # of the estimate: residuals that are near in time are not independent
 SMALL = 0.003  # of the displacements' deviation: misfits below it need no remark
@@ -89,7 +89,7 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     applied : float, s
         The lag in use, to compare with.
     """
-    known = np.isfinite(logs.displacement).sum(axis=0) >= FEWEST
+    known = np.isfinite(logs.displacement).sum(axis=0) >= MIN_DISPLACEMENTS
     loads = np.ptp(logs.wrench, axis=0) > 0
     if not known.any() or not loads.any() or np.ptp(logs.when) <= 0:
         return None
@@ -140,7 +140,7 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     named = (
         abs(best - applied) > error
         and before.mean() > SMALL**2
-        and least.sum() < (1 - SHARE) * before.sum()
+        and least.sum() < (1 - MIN_EXPLAINED) * before.sum()
         and least.sum() < loop.sum()
     )
     misfit, misfit_applied, misfit_rate = (float(r.mean() ** 0.5) for r in (least, before, evened))
@@ -192,7 +192,7 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, 
     reach, most = 2 * step, PART * float(np.ptp(logs.when))
     while reach < most:
         fit = _Fit(logs, lags, step, reach + step)
-        if len(fit.logs.when) < FEWEST:
+        if len(fit.logs.when) < MIN_DISPLACEMENTS:
             return None
         start = lags[1]
         found: Any = minimize_scalar(
@@ -221,7 +221,7 @@ class _Fit:
         low, high = min(lags) - reach, max(lags) + reach
         inside = (logs.when + low >= logs.time[0]) & (logs.when + high <= logs.time[-1])
         places = np.flatnonzero(inside)
-        places = places[:: -(-len(places) // MOST) or 1]
+        places = places[:: -(-len(places) // MAX_DISPLACEMENTS) or 1]
         self.logs = logs._replace(when=logs.when[places], displacement=logs.displacement[places])
         self._scale, self._step = np.abs(logs.wrench).max(axis=0), step
 

@@ -25,11 +25,11 @@ from .contract import (
     unit_findings,
 )
 from .response import RigFinding, response_of, single_row_findings, wrong_rows
-from .sequence import FEWEST as FEWEST_IN_ORDER
+from .sequence import MIN_ROWS as MIN_ROWS_IN_ORDER
 from .sequence import sequence_errors, sequence_findings
 
-FEWEST = 7  # rows: six loads and a constant
-MOST = 5_000  # rows that are looked at, some 0.5 s: every k-th of more
+MIN_ROWS = 7  # rows: six loads and a constant
+MAX_ROWS = 5_000  # rows that are looked at, some 0.5 s: every k-th of more
 NORMAL = 3.0  # kurtosis of noise; that of two branches is 1, and 1.8 where their distance varies
 
 
@@ -49,14 +49,14 @@ def find(
     linear : bool
         Whether the component is.
     """
-    if len(rows) < FEWEST:
+    if len(rows) < MIN_ROWS:
         return range_findings(rows, load_range) if len(rows) else []
     rows = looked_at(rows)
     response = response_of(rows, load_range)
     wrong = wrong_rows(rows, load_range, response)
     found = single_row_findings(rows, response, wrong)
     good = rows.take(~wrong.any(axis=1))
-    if len(good) < FEWEST:
+    if len(good) < MIN_ROWS:
         return found
     response = response_of(good, load_range)
     fit = linear_fit(good, load_range, response)
@@ -71,7 +71,7 @@ def find(
 
 def looked_at(rows: Rows) -> Rows:
     """Return the rows that are looked at, in their order."""
-    return rows.take(np.arange(0, len(rows), -(-len(rows) // MOST)))
+    return rows.take(np.arange(0, len(rows), -(-len(rows) // MAX_ROWS)))
 
 
 def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
@@ -91,14 +91,14 @@ def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
         return none
     measured = (rows.source != "fea") & ~np.isfinite(rows.compliance).all(axis=(1, 2))
     some = rows.take(measured & load_range.holds(rows.wrench))
-    if len(some) < FEWEST_IN_ORDER:
+    if len(some) < MIN_ROWS_IN_ORDER:
         return none
     some = looked_at(some)
     response = response_of(some, load_range)
     wrong, good = wrong_rows(some, load_range, response).any(axis=1), some
     if wrong.any():
         good = some.take(~wrong)
-        if len(good) < FEWEST_IN_ORDER:
+        if len(good) < MIN_ROWS_IN_ORDER:
             return none
         response = response_of(good, load_range)
     found = sequence_errors(good, response, probable=True)

@@ -27,7 +27,7 @@ EXACT = 1e-4  # of an output's range: residuals below it are no error worth a re
 RANK = 1e-9  # of the largest: directions that the rows do not tell apart, and their ridge
 
 NEIGHBOURS = 8  # whose median residual is the local misfit of the response
-FEWEST = 12  # rows: with fewer the others do not show what one of them should be
+MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
 DEVIATIONS = 12.0  # of a normal error one in 1e32 lies so far out; heavy tails of real rigs reach 6
 TAIL = 14.0  # times what 90 % of the rows keep: a misfit of the response has no single rows
 PART = 0.05  # of the output's range: smaller errors do not spoil a table's error bars
@@ -37,7 +37,7 @@ NINES = 3  # digits of a logger's "no value": 999, 9999, -99999
 Cause = Literal[
     "sentinel", "outlier", "sign", "unit", "lever", "asymmetry", "drift", "hysteresis", "clock"
 ]
-MOST_ROWS = 500  # of a finding: a page's list; `count` has their number
+MAX_LISTED_ROWS = 500  # of a finding: a page's list; `count` has their number
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class RigFinding:
         return {
             "cause": self.cause,
             "message": self.message,
-            "rows": list(self.rows[:MOST_ROWS]),
+            "rows": list(self.rows[:MAX_LISTED_ROWS]),
             "count": len(self.rows),
             **self.numbers,
         }
@@ -163,7 +163,7 @@ def _deviation(values: Floats) -> float:
 
 def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:
     """Return which rows have a reading far from those around them, per output, (n, 6)."""
-    if len(rows) < FEWEST:
+    if len(rows) < MIN_ROWS:
         return np.zeros((len(rows), 6), dtype=bool)
     local = local_residual(rows.wrench / load_range.scale, response.residual)
     size = np.abs(np.where(np.isfinite(local), local, 0.0))

@@ -10,13 +10,13 @@ from ..table.rows import Floats, Rows
 from ..table.space import OUTPUTS
 from .response import NORMAL, Cause, RigFinding, RobustFit
 
-FEWEST = 30  # rows: with fewer an order shows by chance
+MIN_ROWS = 30  # rows: with fewer an order shows by chance
 PART = 0.01  # of the output's range: what is smaller is within a usual tolerance
-SHARE = 0.15  # of the residuals' variance that the cause must explain
+MIN_EXPLAINED = 0.15  # of the residuals' variance that the cause must explain
 DEVIATIONS = 8.0  # of the estimate: errors of neighbours in time are not independent
 # For an error bar, which a wrong guess makes wider and no worse.
-PROBABLE_SHARE, PROBABLE_DEVIATIONS = 0.01, 4.0
-OWN = 0.1  # of the variance of the cause's sign or time that the loads do not explain
+PROBABLE_EXPLAINED, PROBABLE_DEVIATIONS = 0.01, 4.0
+MIN_INDEPENDENT = 0.1  # of the variance of the cause's sign or time that the loads do not explain
 STEP = 0.25  # of the largest usual step: smaller steps have no direction
 
 MESSAGES = {
@@ -69,14 +69,14 @@ def sequence_errors(rows: Rows, response: RobustFit, *, probable: bool = False) 
     `probable` ones too, or only those that are sure.
     """
     found = SequenceErrors(np.zeros(6), np.zeros(6))
-    if len(rows) < FEWEST:
+    if len(rows) < MIN_ROWS:
         return found
     time = np.linspace(-0.5, 0.5, len(rows))
-    limits = (PROBABLE_SHARE, PROBABLE_DEVIATIONS) if probable else (SHARE, DEVIATIONS)
+    limits = (PROBABLE_EXPLAINED, PROBABLE_DEVIATIONS) if probable else (MIN_EXPLAINED, DEVIATIONS)
     for output in range(6):
         residual = response.residual[:, output]
         known = np.isfinite(residual)
-        if known.sum() < FEWEST or response.range[output] <= 0:
+        if known.sum() < MIN_ROWS or response.range[output] <= 0:
             continue
         sign = directions(response.expected[:, output])
         effects = effects_of(
@@ -113,7 +113,7 @@ def effects_of(
         own = cause - others @ np.linalg.lstsq(others, cause, rcond=1e-9)[0]
         left = clipped - others @ np.linalg.lstsq(others, clipped, rcond=1e-9)[0]
         square = float(own @ own)
-        if total <= 0 or square < OWN * total:
+        if total <= 0 or square < MIN_INDEPENDENT * total:
             continue
         slope = float(own @ left) / square
         rest = left - slope * own

@@ -17,7 +17,7 @@ FEW_ROWS = (
     "there are too few rows: kriging needs four in the load range that have each output, the "
     "compliance one for each input; solve or import more"
 )
-UNKNOWN_AT_REST = (
+UNKNOWN_AT_ZERO_LOAD = (
     "no row is at zero load and the rows of no axis surround it: what the component does without "
     "load is not known"
 )
@@ -210,7 +210,7 @@ _WORDS: dict[int, Maker] = {
     8: _degenerate,
     9: _far_apart,
     10: _moment_alone,
-    11: _fixed(UNKNOWN_AT_REST),
+    11: _fixed(UNKNOWN_AT_ZERO_LOAD),
     12: _together,
     13: _beyond_span,
     14: _over,

@@ -17,10 +17,10 @@ Buffer = ctypes.Array[ctypes.c_char]
 
 Floats = NDArray[np.float64]
 
-MAX, MAX_REASONS = 64, 32  # WB_MAX and WB_MAX_REASONS of wrenchbook.h
-FIELDS = 7  # of MAX doubles each: inputs, outputs, total error and its four parts
+MAX_VALUES, MAX_REASONS = 64, 32  # WB_MAX and WB_MAX_REASONS of wrenchbook.h
+FIELDS = 7  # of MAX_VALUES doubles each: inputs, outputs, total error and its four parts
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
-REASONS_AT = HEAD.size + FIELDS * MAX * 8
+REASONS_AT = HEAD.size + FIELDS * MAX_VALUES * 8
 REPLY_SIZE = REASONS_AT + MAX_REASONS * REASON.size + 8  # `solved`
 AXIS = struct.Struct("=8i12d" + REASON.format.lstrip("="))
 WITHIN = {1: True, 0: False, -1: None}
@@ -126,9 +126,9 @@ class ReplyReader:
         self._names = [one["name"] for one in packed.words["space"]["outputs"]]
         self._texts: dict[bytes, str] = {}
         self._loads = struct.Struct(f"={inputs}d").unpack_from
-        gap = 8 * (MAX - outputs)
+        gap = 8 * (MAX_VALUES - outputs)
         fields = f"{outputs}d{gap}x" * (FIELDS - 1)  # after the inputs
-        self._unpack = struct.Struct(f"{HEAD.format}{8 * MAX}x{fields}").unpack_from
+        self._unpack = struct.Struct(f"{HEAD.format}{8 * MAX_VALUES}x{fields}").unpack_from
 
     def read(self, reply: Buffer) -> Reply:
         """Return the reply in a buffer."""

@@ -41,7 +41,7 @@ SCALE, ORIGIN, BASIS, SLACK, CORNER, DENSITY, FLOATS = 0, 3, 6, 15, 16, 19, 22
 
 # Of the grid that starts walks: with four cells a simplex most walks take one step; a large grid
 # takes longer to make (a microsecond a cell) than it saves.
-CELLS_PER_SIMPLEX, MOST_CELLS, LEAST_PER_SIMPLEX = 4.0, 300_000, 0.5
+CELLS_PER_SIMPLEX, MAX_CELLS, MIN_CELLS_PER_SIMPLEX = 4.0, 300_000, 0.5
 
 PER_NUMBER = 1.0  # buckets: a search then takes one or two steps
 
@@ -259,7 +259,7 @@ def _grid(shape: Triangulation, flat: Floats, floats: Floats, ints: NDArray[np.i
         return np.zeros(1, dtype=np.intp)
     low, high = flat.min(axis=0), flat.max(axis=0)
     count = len(shape.simplices)
-    cells = max(min(CELLS_PER_SIMPLEX * count, MOST_CELLS), LEAST_PER_SIMPLEX * count)
+    cells = max(min(CELLS_PER_SIMPLEX * count, MAX_CELLS), MIN_CELLS_PER_SIMPLEX * count)
     side = max(math.ceil(cells ** (1 / dimension)), 1)
     width = np.maximum(high - low, np.finfo(float).tiny) / side
     floats[CORNER : CORNER + dimension], floats[DENSITY : DENSITY + dimension] = low, 1 / width

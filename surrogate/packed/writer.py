@@ -269,7 +269,7 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", kriging.hyperparameters.inverse_squares
     yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
-    if kriging.equations.places > 1 + len(x):
+    if kriging.equations.n_derivatives > 1 + len(x):
         yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)
     yield "coefficients", kriging.coefficients
     yield "centre", scaling.centre
@@ -282,9 +282,11 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "span_loads", scaling.wrenches(kriging.span)
-    yield "factor_count", np.array([len(kriging.shares)], dtype=np.int32)
-    for number, (share, found) in enumerate(zip(kriging.shares, kriging.calibrations, strict=True)):
-        outputs, places = len(kriging.deviation), kriging.equations.places
+    yield "factor_count", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
+    for number, (share, found) in enumerate(
+        zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
+    ):
+        outputs, places = len(kriging.deviation), kriging.equations.n_derivatives
         arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
         for name, array in chain(*arrays):
             yield f"factor{number}/{name}", array
@@ -293,26 +295,28 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
 def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
     """Yield the calibration of one factor."""
     factors = np.zeros((len(found.sigma), outputs))
-    factors[:, share.factor.share.outputs] = found.factors.reshape(len(found.sigma), -1)
+    factors[:, share.factor.output_group.outputs] = found.factors.reshape(len(found.sigma), -1)
     yield "sigma", found.sigma
     yield "scale", factors
-    yield "max_sigma", np.array([found.reach])
+    yield "max_sigma", np.array([found.max_sigma])
 
 
 def _share_arrays(
     share: Neighbourhoods, stride: int, outputs: int, places_of_row: int
 ) -> Iterator[tuple[str, Array]]:
     """Yield what gives sigma for the outputs of one factor."""
-    count = len(share.around)
-    most = max(len(local.places) for local in share.around)
+    count = len(share.local_factors)
+    most = max(len(local.columns) for local in share.local_factors)
     padded = -(-most // PANEL) * PANEL
     number, least = np.zeros(stride, dtype=np.int32), np.full(stride, np.inf)
     places = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
-    unsettled = np.zeros((count, share.around[0].TF.shape[1], padded))
-    for place, (row, local) in enumerate(zip(share.factor.share.rows, share.around, strict=True)):
-        size = len(local.places)
-        at_row, of_row = np.divmod(local.places, places_of_row)
+    unsettled = np.zeros((count, share.local_factors[0].TF.shape[1], padded))
+    for place, (row, local) in enumerate(
+        zip(share.factor.output_group.rows, share.local_factors, strict=True)
+    ):
+        size = len(local.columns)
+        at_row, of_row = np.divmod(local.columns, places_of_row)
         places[place, :size] = of_row * stride + at_row
         # A lower triangle (e, e), dimensionless, in panels of rows, columns first.
         whole = np.zeros((padded, padded))
@@ -321,8 +325,8 @@ def _share_arrays(
             [whole[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
         )
         unsettled[place, :, :size] = local.TF.T
-        number[row], least[row] = place, local.least
-    yield "outputs", np.isin(np.arange(outputs), share.factor.share.outputs).astype(np.int32)
+        number[row], least[row] = place, local.min_variance
+    yield "outputs", np.isin(np.arange(outputs), share.factor.output_group.outputs).astype(np.int32)
     yield "number", number
     yield "equations", places
     yield "panels", panels

@@ -22,18 +22,18 @@ OffAxis = Literal["correct", "ignore", "exclude"]
 LEVELS = 4
 # Of the range: what a load cell scatters by is no value of its own. Loads of a composite design
 # that scattered by 1e-6 to 1e-3 of the range made everything covered, 97 % of it outside the bars.
-APART = 0.05
+MIN_STEP = 0.05
 
 
 def has_levels(points: Floats) -> bool:
     """Return whether each load that varies over scaled points (n, k) has `LEVELS` values."""
-    return all(_levels(column) >= LEVELS for column in points.T if np.ptp(column) > APART)
+    return all(_levels(column) >= LEVELS for column in points.T if np.ptp(column) > MIN_STEP)
 
 
 def _levels(values: Floats) -> int:
-    """Return how many groups of values there are whose firsts are `APART` of their span apart."""
+    """Return how many groups of values, `MIN_STEP` of their span from each other, there are."""
     count, last = 0, -np.inf
-    step = APART * min(float(np.ptp(values)) / 2, 1.0)
+    step = MIN_STEP * min(float(np.ptp(values)) / 2, 1.0)
     for value in np.sort(values).tolist():
         if value > last + step:
             count, last = count + 1, value
@@ -126,7 +126,7 @@ def clean_wrenches(
 
 def count_full(rows: Rows, load_range: LoadRange) -> int:
     """Return how many rows load more than one axis, by more than a load cell scatters."""
-    return int((~clean_wrenches(rows.wrench, load_range, APART).any(axis=1)).sum())
+    return int((~clean_wrenches(rows.wrench, load_range, MIN_STEP).any(axis=1)).sum())
 
 
 def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
@@ -195,7 +195,7 @@ def axis_rows(
 #
 # Of one axis: three triangulations of as many stay below 300 MB and take some 10 s, and neighbours
 # are a fortieth of the range apart.
-MOST_POINTS = 60_000
+MAX_POINTS = 60_000
 # In each of these directions the outermost point stays, so that the hull does: 400 directions are
 # 10 degrees apart, and what a rounded hull loses between them is a part in 250.
 DIRECTIONS = 400
@@ -210,10 +210,10 @@ def evenly_chosen(points: Floats) -> NDArray[np.bool_]:
     """Return which points (n, 3), dimensionless, stand for all, shape (n,).
 
     By a hash of each point alone, so that a new row moves no other in or out until their number
-    passes the next double of `MOST_POINTS`.
+    passes the next double of `MAX_POINTS`.
     """
     halvings = 0
-    while len(points) > MOST_POINTS << halvings:
+    while len(points) > MAX_POINTS << halvings:
         halvings += 1
     if not halvings:
         return np.ones(len(points), dtype=bool)

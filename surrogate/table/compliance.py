@@ -12,7 +12,7 @@ from .rows import SMALLEST, Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not tell a load
 LONE = 1e-6  # of a row's own weight in its prediction: with less to spare the others do not tell it
-LEAST = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
+ROUNDING = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
 SAME_LINE = 1e-5  # a linear deck's gap to its compliance: fea/deck/solving.py refuses more
 
 
@@ -61,7 +61,7 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
     full = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
     moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ full)
     kinds = load_range.space.largest_of_kind(moved)
-    least = np.maximum(LEAST * kinds, SMALLEST)
+    least = np.maximum(ROUNDING * kinds, SMALLEST)
     return replace(fit, error=np.maximum(fit.error, least))
 
 

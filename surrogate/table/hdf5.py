@@ -39,9 +39,9 @@ T = TypeVar("T")
 FORMAT = "wrenchbook table"
 # What an upload may unpack to. A row takes 450 bytes, so that this is two million rows; a
 # compressed file of a few bytes can declare any size.
-MOST_FOREIGN_BYTES = 1024 * 1024 * 1024
-MOST_CHUNK_BYTES = 64 * 1024 * 1024  # a chunk is unpacked as a whole, however little is read of it
-MOST_WORD_BYTES = 1024  # of a source or a fingerprint; each takes as much as the longest
+MAX_FOREIGN_BYTES = 1024 * 1024 * 1024
+MAX_CHUNK_BYTES = 64 * 1024 * 1024  # a chunk is unpacked as a whole, however little is read of it
+MAX_STRING_BYTES = 1024  # of a source or a fingerprint; each takes as much as the longest
 FOREIGN_PIECE = 20_000  # rows read at once
 
 KEY_DIGITS = 32  # of a row's content key, 16 bytes
@@ -273,7 +273,7 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
     ------
     TableFileError
         If it is damaged, foreign, of a newer schema, points to other files, or is larger when read
-        than `MOST_FOREIGN_BYTES`.
+        than `MAX_FOREIGN_BYTES`.
     """
     source = Path(path)
     try:
@@ -299,7 +299,7 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
 
 def _check_contained(file: h5py.File) -> None:
     """Refuse data outside of the file, and datasets that unpack to more than memory should hold."""
-    room = MOST_FOREIGN_BYTES
+    room = MAX_FOREIGN_BYTES
     for folder in ("rows", "load_range", *(("edits",) if "edits" in file.keys() else ())):  # noqa: SIM118
         group = file[folder] if isinstance(file.get(folder, getlink=True), h5py.HardLink) else None
         if not isinstance(group, h5py.Group):
@@ -314,10 +314,12 @@ def _check_contained(file: h5py.File) -> None:
                     "that wrenchbook has written"
                 )
             if found.chunks and np.prod(found.chunks, dtype=float) * found.dtype.itemsize > (
-                MOST_CHUNK_BYTES
+                MAX_CHUNK_BYTES
             ):
-                raise TableFileError(f"has chunks of more than {MOST_CHUNK_BYTES >> 20} MiB")
-            if name != "note" and (found.dtype.hasobject or found.dtype.itemsize > MOST_WORD_BYTES):
+                raise TableFileError(f"has chunks of more than {MAX_CHUNK_BYTES >> 20} MiB")
+            if name != "note" and (
+                found.dtype.hasobject or found.dtype.itemsize > MAX_STRING_BYTES
+            ):
                 raise TableFileError(
                     f"holds texts in {folder}/{name} that a wrenchbook table does not have; send "
                     "a file that wrenchbook wrote"
@@ -325,7 +327,7 @@ def _check_contained(file: h5py.File) -> None:
             room -= found.nbytes
     if room < 0:
         raise TableFileError(
-            f"unpacks to more than {MOST_FOREIGN_BYTES >> 20} MiB; send the table in parts"
+            f"unpacks to more than {MAX_FOREIGN_BYTES >> 20} MiB; send the table in parts"
         )
 
 
@@ -352,7 +354,7 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     ------
     TableFileError
         If the file is damaged, points to other files, is larger when read than
-        `MOST_FOREIGN_BYTES`, or has no such columns of one length.
+        `MAX_FOREIGN_BYTES`, or has no such columns of one length.
     """
     if leads_out(path):
         raise TableFileError("points to data in other files; copy them into one file")
@@ -396,16 +398,16 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
     if len(inside) == 1 and isinstance(inside[0], h5py.Group):
         group = inside[0]
     columns: list[NamedColumn] = []
-    room = MOST_FOREIGN_BYTES
+    room = MAX_FOREIGN_BYTES
     for name, one in group.items():
         if not isinstance(one, h5py.Dataset) or one.ndim == 0:
             continue
         room -= one.nbytes
         chunk = np.prod(one.chunks or (0,), dtype=float) * one.dtype.itemsize
-        if room < 0 or chunk > MOST_CHUNK_BYTES:
+        if room < 0 or chunk > MAX_CHUNK_BYTES:
             raise TableFileError(
-                f"unpacks to more than {MOST_FOREIGN_BYTES >> 20} MiB, or has chunks of more than "
-                f"{MOST_CHUNK_BYTES >> 20} MiB; send the table in parts"
+                f"unpacks to more than {MAX_FOREIGN_BYTES >> 20} MiB, or has chunks of more than "
+                f"{MAX_CHUNK_BYTES >> 20} MiB; send the table in parts"
             )
         columns += _columns_of(name, one)
     return columns

@@ -30,7 +30,7 @@ _PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
 WINDOW = NEAR * ALONG
 
 AGREE = 1e-6  # of an output's range: what rounding in a file may do
-MOST_LISTED = 50
+MAX_LISTED = 50
 
 
 class Readings(NamedTuple):
@@ -218,7 +218,7 @@ def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
                 }
             )
     return {
-        "conflicts": found[:MOST_LISTED],
+        "conflicts": found[:MAX_LISTED],
         "conflicting_wrenches": len(found),
         "repeated_wrenches": len(groups),
     }

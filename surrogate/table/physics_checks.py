@@ -28,7 +28,7 @@ NEGATIVE = 1e-6
 TANGENT = 0.5  # part of the step between neighbours that their mean tangent may miss
 NEAR = 1.0  # half load ranges: over longer steps a tangent changes by more than `TANGENT`
 NEGLIGIBLE = 1e-2  # of the largest translation or rotation: outputs below it are not judged
-MOST_NAMED = 50
+MAX_LISTED = 50
 
 
 def check_physics(
@@ -70,7 +70,7 @@ def _sizes(rows: Rows, space: Space) -> Floats:
 
 
 def _named(rows: Rows, wrong: np.ndarray) -> list[int]:
-    return rows.seq[wrong][:MOST_NAMED].tolist()
+    return rows.seq[wrong][:MAX_LISTED].tolist()
 
 
 def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:

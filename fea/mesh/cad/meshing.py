@@ -52,9 +52,9 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
             continue
         points = arrays.pop("points")
         nodes = [arrays[str(i)] for i in range(len(arrays))]
-        blocks = [("tet10" if own.shape[1] == 10 else "tri6", own) for own in nodes]
+        blocks = [("tet10" if rows.shape[1] == 10 else "tri6", rows) for rows in nodes]
         sets = {
-            name: [np.arange(len(own) if i in chosen else 0) for i, own in enumerate(nodes)]
+            name: [np.arange(len(rows) if i in chosen else 0) for i, rows in enumerate(nodes)]
             for name, chosen in fields["sets"].items()
         }
         mesh = to_mesh(RawMesh(points, blocks, sets), METRES)

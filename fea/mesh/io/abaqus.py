@@ -196,7 +196,7 @@ _REFUSED = {
 
 
 # Of all sets together, counted with repetition: several for each node of the largest mesh solved.
-_MOST_MEMBERS = 20_000_000
+_MAX_MEMBERS = 20_000_000
 
 
 @dataclass
@@ -334,7 +334,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
 
 def _few(entries: Sequence[int]) -> Sequence[int]:
     """Return a set's members if a mesh can have so many: a line of text may name any number."""
-    if len(entries) > _MOST_MEMBERS:
+    if len(entries) > _MAX_MEMBERS:
         raise MeshFileError(f"names {len(entries)} nodes or elements; no mesh has so many")
     return entries
 
@@ -412,7 +412,7 @@ def _add(
     deck: Deck, sets: dict[str, list[int]], frame: Frame, name: str, entries: list[int]
 ) -> None:
     deck.entries += len(entries)
-    if deck.entries > _MOST_MEMBERS:
+    if deck.entries > _MAX_MEMBERS:
         raise MeshFileError(f"names a set too many: they have {deck.entries} members in all")
     sets.setdefault(_key(deck, frame, name), []).extend(entries)
 

@@ -31,7 +31,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
 )
 from wrenchbook.fea.mesh.io.raw import MeshFileError, RawMesh
 
-_WORDS = {
+_BOUNDARY_TYPES = {
     "ENCASTRE": "012345",
     "PINNED": "012",
     "XSYMM": "045",
@@ -253,8 +253,8 @@ def _take_boundary(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         reader.lack(keyword, "moves nodes by results or code; they are fixed where they are")
     for target, *fields in keyword.rows:
         word = fields[0].upper() if fields else ""
-        if word in _WORDS:
-            held = {int(each) for each in _WORDS[word]}
+        if word in _BOUNDARY_TYPES:
+            held = {int(each) for each in _BOUNDARY_TYPES[word]}
         else:
             first, last, value = (*fields, "", "", "")[:3]
             held = set(range(int(first) - 1, min(int(last or first), 6)))

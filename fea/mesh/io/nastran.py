@@ -230,7 +230,7 @@ def _sum(data: _Bulk, name: str, fields: list[str]) -> None:
     if name == "SPCADD":
         fields = [fields[0], "1.", *(each for part in fields[1:] for each in ("1.", part))]
     pairs = zip(fields[2::2], fields[3::2], strict=False)
-    parts = [(_real(fields[1]) * _real(own), part) for own, part in pairs if part]
+    parts = [(_real(fields[1]) * _real(factor), part) for factor, part in pairs if part]
     data.sums[name.removesuffix("ADD"), fields[0]] = parts
 
 

@@ -39,7 +39,7 @@ _KINDS = {
 }
 
 # An integer array with more values than this numbers things instead of grouping them.
-_MOST_GROUPS = 1000
+_MAX_GROUPS = 1000
 
 
 def read_mesh(path: Path, unit: str) -> Mesh:
@@ -135,7 +135,7 @@ def _group_values(array: str, values: Array) -> list[tuple[str, int]]:
     distinct = np.unique(values).tolist()
     if distinct in ([0, 1], [1]):
         return [(array, 1)]
-    if len(distinct) > _MOST_GROUPS:
+    if len(distinct) > _MAX_GROUPS:
         return []
     return [(f"{array}_{value}", value) for value in distinct]
 

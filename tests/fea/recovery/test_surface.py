@@ -46,13 +46,13 @@ def test_midside_nodes_are_vertices():
 def test_a_node_within_is_no_vertex():
     mesh = box("hex8", (3, 3, 3))
     found = surface_of(mesh)
-    assert (len(mesh.points), len(found.nodes), found.whole) == (64, 56, 56)
+    assert (len(mesh.points), len(found.nodes), found.full_count) == (64, 56, 56)
 
 
 def test_a_large_surface_is_simplified_and_says_so():
     mesh = box("hex20", (12, 12, 12), SIDES)
     whole, found = surface_of(mesh), surface_of(mesh, most=500)
-    assert found.whole == len(whole.nodes) > 2000
+    assert found.full_count == len(whole.nodes) > 2000
     assert 200 < len(found.nodes) <= 500
     assert set(found.nodes.tolist()) <= set(whole.nodes.tolist())
     points = mesh.points[found.nodes]

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from wrenchbook.surrogate.build import Group
-from wrenchbook.surrogate.kernel.reasons import UNKNOWN_AT_REST, UNKNOWN_TOGETHER
+from wrenchbook.surrogate.kernel.reasons import UNKNOWN_AT_ZERO_LOAD, UNKNOWN_TOGETHER
 from wrenchbook.surrogate.methods import ENOUGH_FULL
 from wrenchbook.surrogate.table.axes import AXES, clean_wrenches
 from wrenchbook.surrogate.table.rows import CLEAN, Floats
@@ -47,7 +47,7 @@ class DoubtLaw:
         """
         loaded = {load for load in range(6) if abs(wrench[load]) > self._least[load]}
         if not loaded and self._evidence.rest_unknown:
-            return UNKNOWN_AT_REST
+            return UNKNOWN_AT_ZERO_LOAD
         if self._evidence.knows_interaction or any(loaded.issubset(axis.inputs) for axis in AXES):
             return ""
         tangents = " and no tangents" if self._evidence.full_needed == ENOUGH_FULL else ""
