@@ -139,9 +139,9 @@ class CalculixDat:
         times = {time for time, _ in last.values()}
         if len(times) > 1:
             raise OutputError(f"{name} ends with the two sets at different times: {sorted(times)}.")
-        (_, place), (_, rotation) = last["point"], last["rotation"]
+        (_, translation), (_, rotation) = last["point"], last["rotation"]
         counts = _UNKNOWNS.findall(_text(run.printed))
-        return Reading((*place, *rotation), int(counts[-1]) if counts else 0)
+        return Reading((*translation, *rotation), int(counts[-1]) if counts else 0)
 
     def complaint(self, run: DeckRun) -> Complaint | None:
         """Return the messages of ccx after ``*ERROR``; it may end with exit code 0 all the same."""
@@ -151,8 +151,8 @@ class CalculixDat:
         quoted = "; ".join(dict.fromkeys(errors))
         if len(quoted) > _MAX_QUOTED:
             quoted = quoted[:_MAX_QUOTED] + " ..."
-        apart = any(phrase in error for error in errors for phrase in _NO_EQUILIBRIUM)
-        return Complaint(quoted, apart)
+        no_equilibrium = any(phrase in error for error in errors for phrase in _NO_EQUILIBRIUM)
+        return Complaint(quoted, no_equilibrium)
 
     def stage(self, run: DeckRun) -> tuple[float, str] | None:
         """Return the last line of the .sta file: the increment and the time within the step."""

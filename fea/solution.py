@@ -37,9 +37,9 @@ class Solution:
     # are zero. NaN where it is unknown: a nonlinear deck.
     compliance: Array
     strain_energy: float  # J, of the stresses. NaN where it is unknown: a nonlinear deck
-    # J. Linear: that of all loads at their full size, without heat twice the strain energy.
-    # Nonlinear: the external work, and that of heat, along the load path by quadrature over the
-    # converged load steps, of fourth order. On the path it equals the strain energy (with heat but
+    # J. Linear: that of all loads at their full size, without temperature twice the strain energy.
+    # Nonlinear: the external work, and the thermal work, along the load path by quadrature over the
+    # converged load steps, of fourth order. It equals the strain energy (with a temperature but
     # for a part of the thermal strain's size), so that their difference measures the steps, not the
     # answer. NaN for a nonlinear deck.
     work: float

@@ -201,17 +201,17 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     errors.append(_ROUND * round_.change)
     # What straight edges across round surfaces change, and the cells round for 1 %.
     diagonal = np.diag(compliance)
-    share = float(np.abs(np.diag(round_.change)[diagonal > 0] / diagonal[diagonal > 0]).max())
+    ratio = float(np.abs(np.diag(round_.change)[diagonal > 0] / diagonal[diagonal > 0]).max())
     cause = (
-        f"straight edges across round surfaces, which turn by up to {np.degrees(round_.turn):.3g} "
-        f"degrees a cell, change it by {100 * share:.2g} %"
+        f"straight edges across round surfaces, which turn by up to {np.degrees(round_.angle):.3g} "
+        f"degrees a cell, change it by {100 * ratio:.2g} %"
     )
-    if share > FINE:
-        # The change grows with the square of the turn.
-        cells = int(np.ceil(2 * np.pi / (round_.turn * np.sqrt(FINE / share))))
+    if ratio > FINE:
+        # The change grows with the square of the angle.
+        cells = int(np.ceil(2 * np.pi / (round_.angle * np.sqrt(FINE / ratio))))
         cause = f"{cause}; with {cells} cells round it is 1 %"
     report = _report(compliance, np.array(errors), f"{basis}; {cause}")
-    rounded = {"mesh": np.abs(errors[-1]).tolist(), "share": share, "basis": cause}
+    rounded = {"mesh": np.abs(errors[-1]).tolist(), "share": ratio, "basis": cause}
     return report | {"rounded": rounded}
 
 
@@ -260,7 +260,7 @@ entry near zero, such as one that symmetry makes so, is chance. Of single loads 
 raises the outputs inside from 50 to 76 % to over 90 %."""
 
 _ROUND = 1.1
-"""On what bending the edges changes: the bow leaves out the fourth power of the turn, 2 % of the
+"""On what bending the edges changes: the bow leaves out the fourth power of the angle, 2 % of the
 change at 30 degrees and 4 % at 40."""
 
 

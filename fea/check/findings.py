@@ -10,8 +10,8 @@ moves a node at x by
 Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
 of section and interface, a distributed one that the interface moves as the section does in the
 mean (least squares), and locked freedoms hold the interface; each of several likewise. A bushing is
-tied to its group as an interface is, and held where its spring resists. What satisfies all of this
-is the null space of a small dense matrix.
+coupled to its group as an interface is, and held where its spring resists. What satisfies all of
+this is the null space of a small dense matrix.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     """Return a problem for each body that supports and coupling do not hold.
 
     component, bodies: what is looked at, and the bodies it falls into.
-    pairs: shape (k, 2), int64: indices of nodes in one place
+    pairs: shape (k, 2), int64: indices of coincident nodes
     (`fea.inspection.coincident_nodes`).
     """
     if bodies.count > _MAX_BODIES:
@@ -261,10 +261,10 @@ class _Equations:
     def _moves(self, nodes: Array) -> Array:
         return self._moves_of(self.component.mesh.points[nodes])
 
-    def _moves_of(self, places: Array) -> Array:
-        """Return N of each place, stacked, shape (3 k, 6)."""
-        x, y, z = ((places - self.centre) / self.extent).T
-        moves = np.zeros((len(places), 3, 6))
+    def _moves_of(self, points: Array) -> Array:
+        """Return N of each point, stacked, shape (3 k, 6)."""
+        x, y, z = ((points - self.centre) / self.extent).T
+        moves = np.zeros((len(points), 3, 6))
         moves[:, :, :3] = np.eye(3)
         moves[:, 0, 4], moves[:, 0, 5] = z, -y
         moves[:, 1, 3], moves[:, 1, 5] = -z, x
@@ -305,7 +305,7 @@ def _place(place: Array) -> str:
 
 
 _SAME = 1e-3  # relative: decks write constants to three digits and more
-_NEAR = 1e-6  # of the mesh's size: two places are one
+_NEAR = 1e-6  # of the mesh's size: two points coincide
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
 _COMPARED = ("youngs_modulus", "poisson_ratio", "density", "thermal_expansion", "yield_strength")
 

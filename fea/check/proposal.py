@@ -183,11 +183,11 @@ class _Proposal:
         return lines
 
     def interface(self, group: CoupledGroup) -> list[str]:
-        place = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
+        at = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
         locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
         return [
             f"section = {_text(group.group)}",
-            *([f"point = [{place}]"] if place else []),
+            *([f"point = [{at}]"] if at else []),
             f"coupling = {_text(group.kind)}",
             *([f"locked = [{locked}]"] if locked else []),
         ]

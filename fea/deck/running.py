@@ -128,7 +128,7 @@ def _ending(code: int) -> str:
 
 
 _GRACE = 2.0  # seconds between asking to end and killing; engines wait 5 s for us
-_LOOK_EVERY = 0.25  # seconds
+_POLL_EVERY = 0.25  # seconds
 # Reads until this program writes a line (all is well) or is gone, even by SIGKILL.
 _GUARD = 'read -r _ || kill -s KILL -- "-$0"'
 
@@ -173,7 +173,7 @@ def run_command(
                 if remaining <= 0.0:
                     raise OutOfTime
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    return child.wait(min(remaining, _LOOK_EVERY))
+                    return child.wait(min(remaining, _POLL_EVERY))
                 if watch is not None:
                     watch()
     finally:
@@ -256,8 +256,8 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
 
 
 _PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
-_LOOK = (
-    "The deck as it was run and all that the solver wrote are in {place} of the attempt's files."
+_FILES_HINT = (
+    "The deck as it was run and all that the solver wrote are in {folder} of the attempt's files."
 )
 
 
@@ -284,7 +284,7 @@ def timed_out(program: str, seconds: float) -> SolveFailed:
 def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:
     """Return the failure that a program reports, by its exit code or in its output."""
     return SolveFailed(
-        "solver_failed", f'"{program}" {ending}. It printed: {quoted}', _look(folder)
+        "solver_failed", f'"{program}" {ending}. It printed: {quoted}', _files_hint(folder)
     )
 
 
@@ -300,7 +300,7 @@ def not_converged(program: str, quoted: str) -> SolveFailed:
 
 def bad_output(message: str, folder: Path) -> SolveFailed:
     """Return the failure of output in which the interface's motion cannot be found."""
-    return SolveFailed("bad_output", message, _look(folder))
+    return SolveFailed("bad_output", message, _files_hint(folder))
 
 
 def bad_deck(message: str, remedy: str) -> SolveFailed:
@@ -339,6 +339,6 @@ def not_reciprocal(message: str) -> SolveFailed:
     )
 
 
-def _look(folder: Path) -> str:
+def _files_hint(folder: Path) -> str:
     # Not the whole path: it goes to clients, whom the server's folders do not concern.
-    return _LOOK.format(place=f"{folder.parent.name}/{folder.name}")
+    return _FILES_HINT.format(folder=f"{folder.parent.name}/{folder.name}")

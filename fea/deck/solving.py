@@ -71,9 +71,9 @@ def solve_deck(
     if bundle.deck is None:
         raise ValueError("the bundle has no deck")
     report = progress or (lambda fraction, message: None)
-    with _work_folder(folder) as place:
+    with _work_folder(folder) as work_folder:
         # Run the deck as often as it takes, and gather what is known.
-        runs = _Runs(bundle.deck, place, report, accept)
+        runs = _Runs(bundle.deck, work_folder, report, accept)
         if bundle.analysis.nonlinear:
             displacement, compliance = _nonlinear(runs, loads), np.full((6, 6), np.nan)
             work = np.nan
@@ -193,9 +193,9 @@ def _work_folder(folder: Path | None) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix="wrenchbook-deck-") as temporary:
             yield Path(temporary)
         return
-    place, number = Path(folder) / FOLDER, 1
-    while place.exists():
+    path, number = Path(folder) / FOLDER, 1
+    while path.exists():
         number += 1
-        place = Path(folder) / f"{FOLDER}-{number}"
-    place.mkdir(parents=True)
-    yield place.resolve()
+        path = Path(folder) / f"{FOLDER}-{number}"
+    path.mkdir(parents=True)
+    yield path.resolve()

@@ -72,8 +72,8 @@ def second_order(mesh: Mesh) -> Mesh:
     unique = np.unique(np.concatenate(pairs), axis=0)
     middles = np.full(len(unique), -1, dtype=np.int64)
     there = np.concatenate(known)
-    place, is_known = _find(unique, there[:, :2])
-    middles[place[is_known]] = there[is_known, 2]
+    index, is_known = _find(unique, there[:, :2])
+    middles[index[is_known]] = there[is_known, 2]
     pairs = unique
     points = np.concatenate([mesh.points, 0.5 * mesh.points[pairs[middles < 0]].sum(axis=1)])
     middles = middles.copy()
@@ -102,9 +102,9 @@ def _raised(block: CellBlock, pairs: Array, middles: Array) -> CellBlock:
     if block.kind not in SECOND:
         return block
     edges = np.sort(block.nodes[:, EDGES[block.kind]].reshape(-1, 2), axis=1)
-    place, _ = _find(pairs, edges)
+    index, _ = _find(pairs, edges)
     return CellBlock(
-        SECOND[block.kind], np.hstack([block.nodes, middles[place].reshape(len(block), -1)])
+        SECOND[block.kind], np.hstack([block.nodes, middles[index].reshape(len(block), -1)])
     )
 
 
@@ -114,5 +114,5 @@ def _find(pairs: Array, queries: Array) -> tuple[Array, Array]:
         return np.zeros(len(queries), dtype=np.int64), np.zeros(len(queries), dtype=bool)
     base = max(int(pairs.max()), int(queries.max(initial=0))) + 1
     keys, query_keys = pairs @ [base, 1], queries @ [base, 1]
-    place = np.minimum(np.searchsorted(keys, query_keys), len(keys) - 1)
-    return place, keys[place] == query_keys
+    index = np.minimum(np.searchsorted(keys, query_keys), len(keys) - 1)
+    return index, keys[index] == query_keys

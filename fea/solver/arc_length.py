@@ -108,13 +108,13 @@ class ArcPath:
                     middle = 0.5 * (self._point.size + ahead.size) / self._full
                     return Ending("bifurcation", middle, self._point.equilibrium)
                 length = float(np.linalg.norm(self._between(ahead)))
-                place = np.linspace(0.0, 1.0, 201)
+                s = np.linspace(0.0, 1.0, 201)
                 start, end = length / self._point.speed, -length / ahead.speed
                 cubic = (
-                    self._point.size * (1 + 2 * place) * (1 - place) ** 2
-                    + start * place * (1 - place) ** 2
-                    + ahead.size * place**2 * (3 - 2 * place)
-                    + end * place**2 * (place - 1)
+                    self._point.size * (1 + 2 * s) * (1 - s) ** 2
+                    + start * s * (1 - s) ** 2
+                    + ahead.size * s**2 * (3 - 2 * s)
+                    + end * s**2 * (s - 1)
                 )
                 return Ending("limit", float(cubic.max()) / self._full, self._point.equilibrium)
             if ahead.size >= self._full:
@@ -163,9 +163,9 @@ class ArcPath:
             tangent = system.linearise(balance, None if proper else step.aim)
             moved, edge = tangent.correction(balance)
             rate = self._rate(tangent)
-            ties = tangent.border.ties
-            along = float(np.vdot(normal, moved + ties @ edge))
-            shift = -along / float(np.vdot(normal, rate[0] + ties @ rate[1]))
+            constraint = tangent.border.constraint
+            along = float(np.vdot(normal, moved + constraint @ edge))
+            shift = -along / float(np.vdot(normal, rate[0] + constraint @ rate[1]))
             nodes, border, more = moved + shift * rate[0], edge + shift * rate[1], shift
             size += more
         return None
@@ -178,11 +178,11 @@ class ArcPath:
 
     def _point_at(self, size: float, equilibrium: Equilibrium) -> _Point:
         rate = self._rate(equilibrium.tangent)
-        field = rate[0] + equilibrium.tangent.border.ties @ rate[1]
+        field = rate[0] + equilibrium.tangent.border.constraint @ rate[1]
         return _Point(size, equilibrium, rate, float(np.linalg.norm(field)))
 
     def _field(self, point: _Point) -> Array:
-        return point.rate[0] + point.equilibrium.tangent.border.ties @ point.rate[1]
+        return point.rate[0] + point.equilibrium.tangent.border.constraint @ point.rate[1]
 
     def _between(self, ahead: _Point) -> Array:
         return ahead.equilibrium.balance.state.nodes - self._point.equilibrium.balance.state.nodes

@@ -60,7 +60,7 @@ class LoadPath:
     system: the equations.
     wrench: shape (k,): the inputs, as of `Balance.wrench`; not zero.
     progress: called with the fraction done and a message.
-    rest: the equilibrium at no wrench, under the component's own weight (`hang`); None without.
+    unloaded: the equilibrium at no wrench, under self-weight (`hang`); None without.
     history: all iterations, those of steps taken back as well.
     work: External work so far, J.
     """
@@ -70,7 +70,7 @@ class LoadPath:
         system: System,
         wrench: Array,
         progress: Progress | None = None,
-        rest: Equilibrium | None = None,
+        unloaded: Equilibrium | None = None,
     ) -> None:
         self._system = system
         self._wrench = wrench
@@ -81,8 +81,8 @@ class LoadPath:
         self.work = 0.0
         self._factor = 0.0
         self._step = FIRST_STEP
-        self._balance = system.balance_at_rest if rest is None else rest.balance
-        self._tangent = system.undeformed if rest is None else rest.tangent
+        self._balance = system.balance_at_rest if unloaded is None else unloaded.balance
+        self._tangent = system.undeformed if unloaded is None else unloaded.tangent
 
     def follow(
         self, check: Callable[[Balance], None], guess: CoupledState | None = None
@@ -241,10 +241,10 @@ class LoadPath:
         if self._system.body.expands:
             both, body = (self._balance, equilibrium.balance), self._system.body
             middle = 0.5 * sum(self._system.temperature(motion.wrench) for motion in both)
-            before, after = (body.heat(motion.state.nodes, middle)[1] for motion in both)
+            before, after = (body.thermal_rates(motion.state.nodes, middle)[1] for motion in both)
             advance.append(np.array([before - after]))
         moved = equilibrium.balance.state.nodes - self._balance.state.nodes
-        advance.append(contract(self._system.pull, moved[:, :, None])[:, 0])
+        advance.append(contract(self._system.body_force, moved[:, :, None])[:, 0])
         return float(self._direction @ np.concatenate(advance))
 
     def _reporter(self, target: float) -> Report:
@@ -258,21 +258,25 @@ class LoadPath:
 
 
 def hang(system: System, check: Callable[[Balance], None]) -> Equilibrium:
-    """Return the equilibrium under the component's own weight and no wrench.
+    """Return the equilibrium under self-weight and no wrench.
 
     system: with its weight.
     check: as of `LoadPath.follow`.
     Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench.
     """
     assert system.weight is not None
-    growing = System(system.body, system.coupling, pull=system.weight[:, :, None])
+    growing = System(system.body, system.coupling, body_force=system.weight[:, :, None])
     try:
         equilibrium = LoadPath(growing, np.eye(growing.inputs)[-1]).follow(check)
     except SolveFailed as failure:
-        message = f"Under its own weight alone, which grows in place of a wrench: {failure.message}"
+        message = f"Under self-weight alone, which grows in place of a wrench: {failure.message}"
         raise SolveFailed(failure.kind, message, failure.remedy) from None
     balance = system.balance(equilibrium.balance.state, np.zeros(system.inputs))
     tangent = Linearisation(
-        system.body, system.coupling, balance, equilibrium.tangent.tangent, system.pull
+        system.body,
+        system.coupling,
+        balance,
+        equilibrium.tangent.tangent,
+        system.body_force,
     )
     return Equilibrium(balance, tangent, equilibrium.iterations)

@@ -150,14 +150,14 @@ def correct(
     border.
     Raises Stuck if it is not finite, or a thousand times as large as the part.
     """
-    change = nodes + tangent.border.ties @ border
+    change = nodes + tangent.border.constraint @ border
     largest = np.abs(change).max(initial=0.0)
     if not (np.isfinite(border).all() and largest < _FAR * system.body.extent):
         raise Stuck("the iteration ran away")
     state = system.coupling.moved(balance.state, nodes, border)
     after = system.balance(state, balance.wrench)
     work = abs(float(np.vdot(balance.nodal, nodes) + balance.border @ border))
-    energy = np.sqrt(_quotient(work, 2 * (after.energy + after.heat[1])))
+    energy = np.sqrt(_quotient(work, 2 * (after.energy + after.thermal[1])))
     size = _quotient(np.abs(change).max(initial=0.0), np.abs(state.nodes).max(initial=0.0))
     return Correction(after, (balance.state.nodes + change, change), size, energy)
 

@@ -76,16 +76,16 @@ class Riding:
         Raises ValueError if there are other than none, three or six moments, or as the class does.
         """
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
-        place = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
+        position = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
         if moments.shape not in ((3,), (6,)):
             raise ValueError("the inertia is three numbers (xx, yy, zz) or six (.., xy, xz, yz)")
-        if place.shape != (3,):
+        if position.shape != (3,):
             raise ValueError("the centre of mass is three numbers, m")
         tensor = np.diag(moments[:3])
         if len(moments) == 6:
             xy, xz, yz = moments[3:]
             tensor = tensor + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
-        return cls(float(mass), tensor, place)
+        return cls(float(mass), tensor, position)
 
     @property
     def matrix(self) -> Array:
@@ -208,7 +208,7 @@ class Inertia:
         self._movable = system.body.movable
         self._nodes = system.body.size
         self._motions = system.coupling.motions
-        self._ties = self._start.border.ties[:, :, : self._motions]
+        self._constraint = self._start.border.constraint[:, :, : self._motions]
         self._multipliers = system.coupling.border - self._motions
         self.first = 3 * self._free.size
         self.size = self.first + self._motions
@@ -216,7 +216,7 @@ class Inertia:
     def fields(self, x: Array) -> tuple[Array, Array]:
         """Return all nodes' motion (n, 3), m, and the interfaces' (6 i,), m and rad."""
         border = x[self.first :]
-        nodes = self._ties @ border
+        nodes = self._constraint @ border
         moved = np.zeros_like(nodes)
         moved[self._free] = x[: self.first].reshape(-1, 3)
         nodes += self._movable.released(moved)
@@ -232,7 +232,7 @@ class Inertia:
         """Multiply by the mass matrix: shape (size,) to (size,), kg times the unit given."""
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
-        border = contract(self._ties, forces[:, :, None])[:, 0]
+        border = contract(self._constraint, forces[:, :, None])[:, 0]
         border[: self.active.size] += (self.interface_mass @ interface)[self.active]
         return np.concatenate([self._movable.released(forces)[self._free].ravel(), border])
 
@@ -287,8 +287,8 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
         entries = (weights @ products.reshape(len(products), -1)).reshape(len(block), size, size)
         rows = np.repeat(block.nodes, block.nodes.shape[1], axis=1)
         columns = np.tile(block.nodes, (1, block.nodes.shape[1]))
-        places = rows.ravel(), columns.ravel()
-        total = total + coo_array((entries.ravel(), places), shape=(count, count)).tocsr()
+        indices = rows.ravel(), columns.ravel()
+        total = total + coo_array((entries.ravel(), indices), shape=(count, count)).tocsr()
     return csr_array(total)
 
 
@@ -455,8 +455,8 @@ def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
         entries.append((gradients @ pulled.reshape(cells, 3 * points, count)).ravel())
         rows.append(np.repeat(nodes, count, axis=1).ravel())
         columns.append(np.tile(nodes, (1, count)).ravel())
-    places = np.concatenate(rows), np.concatenate(columns)
-    return csr_array(coo_array((np.concatenate(entries), places), (body.size, body.size)))
+    indices = np.concatenate(rows), np.concatenate(columns)
+    return csr_array(coo_array((np.concatenate(entries), indices), (body.size, body.size)))
 
 
 def _factor(value: float) -> float:

@@ -317,7 +317,7 @@ def keys_of(cls: type) -> dict[str, FieldInfo]:
 
 
 def tables_in(kind: Any) -> Iterator[type]:
-    """Yield the classes under `table` that a type has at one place."""
+    """Yield the classes under `table` that a type has at one path."""
     if isinstance(kind, type) and is_dataclass(kind):
         yield kind
     for each in get_args(kind) if get_origin(kind) is not Literal else ():

@@ -558,7 +558,7 @@ class Analysis:
     gravity: Annotated[Three | None, AfterValidator(_no_weight)] = key(
         "m/s^2", "[0, 0, -9.81]", default=None
     )
-    """own weight as a constant load, in the mesh's axes; each material needs `density`"""
+    """self-weight as a constant load, in the mesh's axes; each material needs `density`"""
     on_yield: Literal["warn", "fail"] = key("", '"fail"', default="warn")
     """where a `yield_strength` is exceeded: a note with the share of the volume beyond it, or a
     failed solve and no row"""

@@ -9,16 +9,16 @@ from dataclasses import dataclass, field
 from wrenchbook.fea.mesh.io.raw import Case, MeshFileError, Translated
 
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
-_LEFT = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
-_LEFT |= {"DA", "DK", "DL", "FK", "SFA", "SFL", "SFGRAD", "BFA", "BFK", "BFL", "BFV", "BFUNIF"}
-_LEFT |= {"TUNIF", "CMACEL", "CMOMEGA", "DOMEGA", "INISTATE"}
-_LEFT |= {"CEINTF", "CPINTF", "DSYM", "EKILL", "FCUM", "DCUM", "FSCALE", "DSCALE", "NROTAT"}
+_NOT_TAKEN = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
+_NOT_TAKEN |= {"DA", "DK", "DL", "FK", "SFA", "SFL", "SFGRAD", "BFA", "BFK", "BFL", "BFV", "BFUNIF"}
+_NOT_TAKEN |= {"TUNIF", "CMACEL", "CMOMEGA", "DOMEGA", "INISTATE"}
+_NOT_TAKEN |= {"CEINTF", "CPINTF", "DSYM", "EKILL", "FCUM", "DCUM", "FSCALE", "DSCALE", "NROTAT"}
 _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
 _FREEDOMS |= {"ALL": "123456", "FX": "1", "FY": "2", "FZ": "3", "MX": "4", "MY": "5", "MZ": "6"}
 
-# Places of a collapsed hexahedron's nodes, by which of its corners are one node.
+# Indices of a collapsed hexahedron's nodes, by which of its corners are one node.
 _WEDGE = [0, 1, 2, 4, 5, 6, 8, 9, 11, 12, 13, 15, 16, 17, 18]
 _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 
@@ -92,7 +92,7 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
         archive.end_step(f"LOAD STEP {len(archive.cases) + 1}")
     elif word in _SELECTIONS:
         archive.selected = word != "ALLSEL" and fields[:1] != ["ALL"]
-    elif word in _LEFT:
+    elif word in _NOT_TAKEN:
         archive.left[word] += 1
 
 
@@ -150,8 +150,8 @@ def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: 
             f"element {number} is a pyramid; mesh with hexahedra, wedges or tetrahedra"
         )
     if name in _HEX and nodes[2] == nodes[3]:
-        places = _TETRAHEDRON if nodes[4] == nodes[5] else _WEDGE
-        nodes = [nodes[i] for i in places if i < len(nodes)]
+        indices = _TETRAHEDRON if nodes[4] == nodes[5] else _WEDGE
+        nodes = [nodes[i] for i in indices if i < len(nodes)]
     if "0" in nodes:
         raise ValueError(f"element {number} lacks midside nodes; give it all, or none")
     integration = "R" if len(nodes) == 20 and not full else ""
@@ -194,9 +194,9 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     """Set or remove (DDELE, FDELE) what acts on a node, on each from it to NEND, or on a group."""
     if archive.branches:
         raise ValueError("it stands within *IF; write what holds without a condition")
-    node, label, *rest = (*fields, *[""] * 9)
+    node, label, *values = (*fields, *[""] * 9)
     removes, acting = word.endswith("DELE"), archive.held if word[0] == "D" else archive.forces
-    last, step = rest[:2] if removes else rest[2:4]
+    last, step = values[:2] if removes else values[2:4]
     nodes = archive.groups.get(node, [])
     if node.isdigit():
         nodes = [str(i) for i in range(int(node), int(last or node) + 1, int(step or 1))]
@@ -204,14 +204,14 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
         nodes = [row.partition(",")[0] for row in archive.nodes]
     elif not nodes:
         raise ValueError(f"{node} names nodes that the file does not list; write their numbers")
-    labels = [label or "ALL", *filter(None, rest[4:] if word == "D" else ())]
+    labels = [label or "ALL", *filter(None, values[4:] if word == "D" else ())]
     archive.left[f"{word} of {', '.join(labels)}"] += any(each not in _FREEDOMS for each in labels)
     ways = "".join(_FREEDOMS.get(each, "") for each in labels)
-    for place in ((each, way) for each in nodes for way in ways):
-        acting.pop(place, None)
+    for target in ((each, way) for each in nodes for way in ways):
+        acting.pop(target, None)
         if not removes:
-            acting[place] = float(rest[0] or 0)
-    moves = word == "D" and ways and float(rest[0] or 0) != 0.0
+            acting[target] = float(values[0] or 0)
+    moves = word == "D" and ways and float(values[0] or 0) != 0.0
     archive.left["D with a motion that is not 0"] += bool(moves)
 
 

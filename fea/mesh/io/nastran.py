@@ -168,8 +168,8 @@ def _real(field: str) -> float:
 def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
     if fields[1] not in ("", "0") or fields[5] not in ("", "0", "-1"):
         raise ValueError("it has a coordinate system of its own; write the file in the basic one")
-    places = ", ".join(f"{_real(each):.12g}" for each in fields[2:5])
-    data.nodes.append(f"{fields[0]}, {places}")
+    coordinates = ", ".join(f"{_real(each):.12g}" for each in fields[2:5])
+    data.nodes.append(f"{fields[0]}, {coordinates}")
     _hold(data, ("GRID", ""), fields[0], fields[6])
 
 
