@@ -17,7 +17,7 @@ Buffer = ctypes.Array[ctypes.c_char]
 
 Floats = NDArray[np.float64]
 
-MAX_VALUES, MAX_REASONS = 64, 32  # WB_MOST and WB_MOST_REASONS of wrenchbook.h
+MAX_VALUES, MAX_REASONS = 64, 32  # WB_MAX and WB_MAX_REASONS of wrenchbook.h
 FIELDS = 7  # of MAX_VALUES doubles each: inputs, outputs, total error and its four parts
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
 REASONS_AT = HEAD.size + FIELDS * MAX_VALUES * 8

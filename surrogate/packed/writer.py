@@ -222,7 +222,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used and group.has_axes:
         parts.append(("axes", axes_arrays(group.axes, group.members)))
-    for name, kriging in (("kriging", group.kriging), ("missed", residual_kriging)):
+    for name, kriging in (("kriging", group.kriging), ("residual", residual_kriging)):
         if kriging is not None:
             parts.append((name, _kriging_arrays(kriging)))
     for name, arrays in parts:
@@ -282,12 +282,12 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "span_loads", scaling.wrenches(kriging.span)
-    yield "shares", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
+    yield "factor_count", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
     factors = zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
     for number, (neighbourhoods, calibration) in enumerate(factors):
         sizes = stride, len(kriging.deviation), kriging.equations.n_derivatives
         for name, array in _factor_arrays(neighbourhoods, calibration, *sizes):
-            yield f"share{number}/{name}", array
+            yield f"factor{number}/{name}", array
 
 
 def _factor_arrays(
@@ -321,14 +321,14 @@ def _factor_arrays(
     is_output = np.isin(np.arange(outputs), factor.output_group.outputs)
     yield "outputs", is_output.astype(np.int32)
     yield "number", number
-    yield "places", columns
+    yield "equations", columns
     yield "panels", panels
-    yield "unsettled", unsettled
-    yield "least", least
+    yield "trend", unsettled
+    yield "min_variance", least
     yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
     yield "mean_covariance", factor.mean_covariance
     scale = np.zeros((len(calibration.sigma), outputs))
     scale[:, factor.output_group.outputs] = calibration.factors.reshape(len(scale), -1)
     yield "sigma", calibration.sigma
-    yield "factors", scale
-    yield "reach", np.array([calibration.max_sigma])
+    yield "scale", scale
+    yield "max_sigma", np.array([calibration.max_sigma])

@@ -96,7 +96,7 @@ def _cut_group(group: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> A
     if flags[_REFERENCE] & _BY_KRIGING:
         arrays |= _cut_kriging(group, "kriging/", need)
     if flags[_REFERENCE] & _BY_RESIDUAL:
-        arrays |= _cut_kriging(group, "missed/", need)
+        arrays |= _cut_kriging(group, "residual/", need)
     if not alone and "axes/vertex" in group:
         loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | asks_tangent
         arrays |= _cut_axes(group, loaded)
@@ -125,17 +125,17 @@ def _cut_rows(group: Arrays, need: Need) -> Arrays:
 def _cut_kriging(group: Arrays, name: str, need: Need) -> Arrays:
     """Return a kriging without the factors of outputs that the scene does not read."""
     arrays = {
-        key: array for key, array in group.items() if key.startswith(name) and "/share" not in key
+        key: array for key, array in group.items() if key.startswith(name) and "/factor" not in key
     }
     factors = [
-        f"{name}share{number}/"
-        for number in range(int(group[f"{name}shares"][0]))
-        if group[f"{name}share{number}/outputs"][list(need.outputs)].any()
-    ] or [f"{name}share0/"]
-    arrays[f"{name}shares"] = np.array([len(factors)], dtype=np.int32)
+        f"{name}factor{number}/"
+        for number in range(int(group[f"{name}factor_count"][0]))
+        if group[f"{name}factor{number}/outputs"][list(need.outputs)].any()
+    ] or [f"{name}factor0/"]
+    arrays[f"{name}factor_count"] = np.array([len(factors)], dtype=np.int32)
     for number, factor in enumerate(factors):
         arrays |= {
-            f"{name}share{number}/{key[len(factor) :]}": array
+            f"{name}factor{number}/{key[len(factor) :]}": array
             for key, array in group.items()
             if key.startswith(factor)
         }
