@@ -131,7 +131,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     if bundle.mesh is None or bundle.interface is None or not supported:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         if bundle.deck is not None:
-            message = "missing; the [deck] is solved by its own command, and nothing is meshed here"
+            message = "missing; the [deck] is solved by its command, and nothing is meshed here"
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
@@ -276,7 +276,7 @@ def _free_sliding(
     """Return the sliding nodes less those of a rigid coupling.
 
     It is a problem if locked freedoms do not hold a rigid section's sliding nodes, or if all nodes
-    of a distributed one slide, so that their mean is not free.
+    of a distributed section slide, so that their mean is not free.
     """
     nodes, projectors = sliding
     shared = np.isin(nodes, attached.section.node_ids)

@@ -163,9 +163,9 @@ _OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Cells that hang together by whole faces."""
+    """Cells that hang together by faces."""
 
-    count: int  # how many bodies there are; numbered from the one with the most cells
+    count: int  # how many bodies there are; numbered from the body with the most cells
     cells: Array  # number of cells of each, shape (count,), int64, dimensionless
     nodes: list[Array]  # the nodes of each, shape (k,), int64: indices, ascending
 
@@ -278,7 +278,7 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
 def stack_problems(component: ComponentModel) -> list[BundleProblem]:
     """Return a problem if hex20 cells of reduced integration follow each other singly.
 
-    Such a stack is a mechanism (hourglass) where it is straight. A curved one is held by its
+    Such a stack is a mechanism (hourglass) where it is straight. A curved stack is held by its
     curvature alone: an arch of 40 cells turned 24 times too far and buckled at 4e-5 of its load.
     """
     if component.analysis.integration != "reduced":
@@ -295,7 +295,7 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
 
 
 def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
-    """Return a warning for the unmerged nodes of each two bodies, and of slits within one.
+    """Return a warning for the unmerged nodes of each two bodies, and of slits within a body.
 
     mesh, bodies: a mesh, and what it falls into.
     pairs: shape (k, 2), int64: indices of coincident nodes
@@ -402,4 +402,4 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 def point_text(point: Array) -> str:
     """Write a point, shape (3,), in m, to four digits."""
-    return "(" + ", ".join(f"{x:.4g}" for x in point) + ")"
+    return "(" + ", ".join(f"{x:.4g}" for x in np.where(np.abs(point) < 1e-9, 0.0, point)) + ")"

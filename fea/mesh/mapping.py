@@ -60,7 +60,7 @@ def right_way_round(points: Array, block: CellBlock) -> CellBlock:
 
     Points have shape (n, 3), in m or any other unit.
 
-    Only a whole block is turned: a few cells inside out among others are a fault of the mesh.
+    Only a complete block is turned: a few cells inside out among others are a fault of the mesh.
     """
     if not len(block) or not (determinants(points, block) < 0.0).all():
         return block
