@@ -16,7 +16,7 @@ from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.material import AnyMaterial
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     FREEDOMS,
@@ -309,11 +309,10 @@ def _check_disjoint(
     for first, second in combinations(interfaces, 2):
         nodes = np.intersect1d(first.section.node_ids, second.section.node_ids)
         if nodes.size:
-            at = ", ".join(f"{x:.4g}" for x in mesh.points[nodes[0]])
             message = (
                 f'"{second.name or second.key}" shares {nodes.size} nodes with '
-                f'"{first.name or first.key}", such as the one at ({at}) m; a node can follow '
-                "one interface only, so take sections apart"
+                f'"{first.name or first.key}", such as the one at '
+                f"{point_text(mesh.points[nodes[0]])} m; a node can follow one interface only"
             )
             problems.append(BundleProblem(second.where, message))
 

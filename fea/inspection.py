@@ -36,7 +36,7 @@ from wrenchbook.fea.mesh.facets import EDGES, FACES, corners_of, facets_within, 
 from wrenchbook.fea.mesh.mapping import extreme_determinants
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 
 Array = np.ndarray
 
@@ -124,12 +124,11 @@ def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
     for measure in MEASURES:
         worst = measured[measure.name]
         if worst["bad"]:
-            at = ", ".join(f"{x:.4g}" for x in worst["at"])
             warnings.append(
                 f"{worst['bad']} cells are {measure.description} ({measure.name.replace('_', ' ')} "
                 f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
-                f"{worst['kind']} near ({at}) m, has {worst['worst']:.3g}); stresses and "
-                "stiffness there are not to be trusted"
+                f"{worst['kind']} near {point_text(worst['at'])} m, has {worst['worst']:.3g}); "
+                "stresses and stiffness there are not to be trusted"
             )
     return warnings
 
@@ -398,8 +397,3 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
         )
         problems.append(BundleProblem(f"{interface.key}.point", message))
     return problems
-
-
-def point_text(point: Array) -> str:
-    """Write a point, shape (3,), in m, to four digits."""
-    return "(" + ", ".join(f"{x:.4g}" for x in np.where(np.abs(point) < 1e-9, 0.0, point)) + ")"

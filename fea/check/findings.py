@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.inspection import Bodies, gap, point_text
+from wrenchbook.fea.inspection import Bodies, gap
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, HeldGroup, in_si
 from wrenchbook.fea.mesh.facets import group_nodes
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray

@@ -107,7 +107,7 @@ def _parts(component: ComponentModel) -> Iterator[tuple[str, Array, Array]]:
 
 
 def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Array:
-    """Return the largest fractions of the yield strength under unit loads (k,), each of one over it.
+    """Return the largest fractions of the yield strength under unit loads (k,), each over it.
 
     `fields` has shape (n, 3, k), m over each unit, in the body's axes. The von Mises stress is a
     seminorm, so that of a sum of loads is at most the sum of theirs (triangle inequality).

@@ -59,8 +59,8 @@ def read_nastran(text: str) -> Translated:
     data = _Bulk(nonlinear=_NONLINEAR.search(control) is not None)
     if factor := _MASS_FACTOR.search(text):
         data.mass_factor = _real(factor[1])
-    skipped = text.count("\n") - bulk.count("\n")
-    for number, name, fields in _cards(bulk.splitlines(), skipped):
+    lines_before = text.count("\n") - bulk.count("\n")
+    for number, name, fields in _cards(bulk.splitlines(), lines_before):
         if name == "ENDDATA":
             break
         taker = _TAKERS.get(name)
