@@ -1,7 +1,7 @@
 """The factors by which posterior deviations are multiplied to hold 95 % of the errors.
 
-A left-out row shows how wrong answers are that are as far from their rows as it was from its own,
-and nothing of answers further away. So rows are left out in groups (complete linkage in the metric
+A left-out row shows the errors of answers at the same distance from their rows, and nothing of
+answers further away. So rows are left out in groups (complete linkage in the metric
 of the length scales): at first each by itself, then with their neighbours, until the deviations at
 what is left out are as large as those at random wrenches of the loads that the rows span. Each
 level of grouping gives a deviation and a factor for it; in between the factor is interpolated.
@@ -31,27 +31,27 @@ from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
 
-# Levels whose deviations differ by less are one: where deviations are those of the nugget, groups
-# do not change them, and the largest factor is theirs.
+# Levels whose deviations differ by less are merged: where deviations are those of the nugget,
+# groups do not change them, and the largest factor is theirs.
 LEVEL_RATIO = 1.05
 
-QUERIES = 256  # places that stand for queries: their median is known to a tenth of its size
-# Of the distance within which rows are one: what the span leaves on both sides of a load that no
+QUERIES = 256  # random wrenches in place of queries: their median is known to a tenth of its size
+# Of the distance within which rows merge: what the span leaves on both sides of a load that no
 # row varies, and rounding.
 FIXED_WIDTH = 2.5
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The factor of the deviations of one factor's outputs.
+    """The factors of the deviations of an output group.
 
     Attributes
     ----------
     sigma : ndarray, shape (k,), process deviations
         Ascending; none where errors are not known.
     factors : ndarray, shape (k, q), dimensionless
-        What a deviation of `sigma` is multiplied by for a 95 % error bar, one an output.
-    reach : float, process deviations
+        What a deviation of `sigma` is multiplied by for a 95 % error bar, per output.
+    max_sigma : float, process deviations
         Beyond it errors are not known; 0 if they are nowhere.
     """
 
@@ -70,7 +70,7 @@ class Calibration:
         return self.max_sigma > 0
 
     def at(self, sigma: Floats) -> Floats:
-        """Return the factors (m, q) of deviations (m,), process deviations, within reach or not."""
+        """Return the factors (m, q) of deviations (m,), process deviations, known or not."""
         columns = [np.interp(sigma, self.sigma, column) for column in self.factors.T]
         return np.stack(columns, axis=1)
 
@@ -87,7 +87,7 @@ class Level(NamedTuple):
         See `LeftOutRows`.
     sigma : ndarray, shape (k,), process deviations
         As an answer at the row would have it.
-    places : int
+    n_derivatives : int
         Values and slopes of a row.
     outputs : int
         Of the table, all of which the confidence is for.
@@ -102,7 +102,7 @@ class Level(NamedTuple):
 
 
 def groupings(points: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[Labels]:
-    """Yield groups of places (n, 6), scaled by length scales: each alone, then fewer and larger."""
+    """Yield groups of points (n, 6), scaled by length scales: each alone, then fewer and larger."""
     count = len(points)
     tree = linkage(pdist(points), "complete") if count > 1 else np.empty((0, 4))
     n_groups, n_before = count, count + 1
@@ -128,11 +128,11 @@ def calibrate(
     levels : iterator of Level
         Taken for as long as left-out rows are nearer to the others than queries are to rows.
     outputs : int
-        How many a level has.
+        Number of outputs of a level.
     sigma_of_queries : ndarray, shape (m,), process deviations
         At random wrenches of the loads that the rows span.
     coefficients : float
-        Of the mean, that single rows settle too.
+        Of the mean, which single rows determine too.
     """
     typical_sigma = np.median(sigma_of_queries)
     far_sigma = np.quantile(sigma_of_queries, settings.query_quantile)
@@ -141,7 +141,7 @@ def calibrate(
     for level in levels:
         median = float(np.median(level.sigma))
         if median >= settings.comparable * typical_sigma:
-            min_factor = 0.0  # these rows are as far away as queries: their errors decide
+            min_factor = 0.0  # rows at the distance of queries: their errors decide
         new = _factors(level, coefficients if not sigma else 0.0, settings, sure=not comparable)
         if new is None:
             break
@@ -163,10 +163,10 @@ def calibrate(
 def _factors(
     level: Level, coefficients: float, settings: KrigingSettings, *, sure: bool
 ) -> Floats | None:
-    """Return the factors (q,) that hold 95 % of one level's errors; None if it shows no size.
+    """Return the factors (q,) that hold 95 % of a level's errors; None if it shows no size.
 
-    The ratios |error| / sigma have a size, one an output, and a tail, whose shape the outputs
-    share. The size comes from slopes as well as from values: seven numbers a row. Groups count
+    The ratios |error| / sigma have a size per output, and a tail of the same shape for all
+    outputs. The size comes from slopes as well as from values: seven numbers a row. Groups count
     alike, however many rows they have.
 
     Parameters
@@ -188,11 +188,11 @@ def _factors(
     # Values and slopes of a row are up to seven independent numbers; rows of one group are alike.
     scatter = np.maximum(scatter, 2 / level.n_derivatives if count == len(group) else 2.0)
     degrees = np.maximum(count - coefficients, 1.0)
-    # By how much sizes may be larger than groups show, (q,), in any output of the table. The
-    # degrees of freedom are those of a chi square whose variance is that of the mean square
-    # (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven
-    # times that where values and slopes of single rows are alike, and few where a few groups make
-    # most of the size.
+    # The factor by which sizes may exceed those of the groups, (q,), in any output of the table.
+    # The degrees of freedom are those of a chi square whose variance is that of the mean square
+    # (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven times
+    # that where values and slopes of single rows are alike, and few where a few groups make most of
+    # the size.
     widenings = widening(2 * degrees / scatter, level.outputs)
     factors = tail * size * (widenings if sure else 1.0)
     inside = (weights[:, None] * (ratios <= factors)).sum(axis=0) / count
@@ -203,7 +203,7 @@ def _factors(
 
 
 def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
-    """Return which rows load more than one axis, shape (n,)."""
+    """Return which rows load more than one load group, shape (n,)."""
     at_rest = scaling.loads(np.zeros((1, equations.loads)))
     loaded = np.abs(equations.x - at_rest) > CLEAN
     groups = equations.groups[:-1] > 0  # the last sees all loads
@@ -236,11 +236,11 @@ def calibrated(
         for labels in groupings(subset.x * np.sqrt(hyperparameters.inverse_squares), settings)
         if (level := _level(equations, neighbours, table, labels, rows)) is not None
     )
-    # Places like those of queries: spread over the span of rows, (m, 6), half ranges. Where
+    # Points like those of queries: spread over the span of rows, (m, 6), half ranges. Where
     # nearly all rows load one axis each, so do these.
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
-    # A load that no row varies stays as the rows have it: off that the mean is unsettled.
+    # A load that no row varies stays as the rows have it: off that the mean is not determined.
     fixed = high - low <= FIXED_WIDTH * NEAR
     low, high = np.where(fixed, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
@@ -249,7 +249,7 @@ def calibrated(
         queries = queries * groups[np.arange(QUERIES) % len(groups)]
     across = block(queries, equations.x, hyperparameters, 1, equations.n_derivatives)
     sigma = neighbours.deviations(queries, across.reshape(len(queries), -1))
-    # The mean's coefficients, which all rows settle: these in proportion.
+    # The mean's coefficients, which all rows determine: these in proportion.
     coefficients = (1 + scaling.active.sum()) * len(rows) / len(subset)
     return calibrate(levels, outputs, sigma, coefficients, settings)
 
@@ -261,9 +261,9 @@ def _level(
     labels: NDArray[np.intp],
     rows: NDArray[np.intp],
 ) -> Level | None:
-    """Return what some of a factor's rows show, left out in groups; None if they show nothing.
+    """Return errors and deviations of a factor's rows left out in groups; None without any.
 
-    Errors are of the whole factor; sigma, as in answers, of the nearest row's neighbourhood.
+    Errors are of the full factor; sigma, as in answers, of the nearest row's neighbourhood.
     """
     factor, subset = neighbours.factor, neighbours.factor.equations
     if len(np.unique(labels)) < 2:
@@ -289,14 +289,14 @@ def _level(
     if not len(known):
         return None
     sigma, known_rows = np.sqrt(squared[known]), rows[known]
-    own_noise = factor.output_group.noise[known_rows]
+    noise = factor.output_group.noise[known_rows]
     errors = out.errors[known_rows] / np.sqrt(factor.variance)
-    # A reading misses its answer by its own noise besides the error of the mean, and both
+    # An observation differs from its answer by its noise and by the error of the mean, and both
     # variances add up to that of its error: variances and noise have shape (k,), process
     # variances.
     variances = out.variances[known_rows]
-    errors = errors * np.sqrt(np.maximum(variances - own_noise, 0.0) / variances)[:, None]
+    errors = errors * np.sqrt(np.maximum(variances - noise, 0.0) / variances)[:, None]
     by_value = np.abs(errors) / sigma[:, None]
-    sizes = np.where((own_noise > 0)[:, None], by_value, out.sizes[known_rows])
+    sizes = np.where((noise > 0)[:, None], by_value, out.sizes[known_rows])
     outputs = equations.data.shape[2]
     return Level(labels[known_rows], errors, sizes, sigma, 1 + equations.loads, outputs)

@@ -1,4 +1,4 @@
-"""From rows to equations: scaled, in an order of their own."""
+"""From rows to equations: scaled, and sorted by wrench."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class TooFewRowsError(RowError):
 
 
 class TooManyRowsError(RowError):
-    """A table with more equations than one factor holds."""
+    """A table with more equations than a factor holds."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Scaling:
         Loads that can occur and that move something; the others take no part.
     offset, spread : ndarray, shape (6,), m and rad
         Mean and standard deviation of each output over the rows; a spread of none is 1.
-    silent : ndarray of bool, shape (6,)
+    constant : ndarray of bool, shape (6,)
         Outputs that vary by rounding only.
     space : Space
     """
@@ -53,7 +53,7 @@ class Scaling:
         return np.where(self.active, (wrenches - self.centre) / self.half, 0.0)
 
     def wrenches(self, points: Floats) -> Floats:
-        """Return wrenches (n, 6), N and N·m, at places in half ranges from the centre."""
+        """Return wrenches (n, 6), N and N·m, of points in half ranges from the centre."""
         return self.centre + points * self.half
 
 
@@ -62,23 +62,23 @@ DECIMALS = 12  # of scaled loads: a thousandth of the accuracy of error bars
 
 @dataclass(frozen=True)
 class Equations:
-    """What the rows of a table say, in scaled numbers, row by row: all are dimensionless.
+    """Values and derivatives of a table's rows, scaled, row by row: all are dimensionless.
 
     Attributes
     ----------
     x : ndarray, shape (n, 6), half ranges
     known : ndarray of bool, shape (n, p)
-        Which readings a row brings: its value, slopes, and second derivatives if any row has them.
+        Which a row brings: its value, slopes, and second derivatives if any row has them.
     data : ndarray, shape (n, p, 6), spreads
-        Readings of the six outputs; zero where not known.
+        Of the six outputs; zero where not known.
     measured : ndarray of bool, shape (n, 6)
         Which outputs a row brings.
     noise : ndarray, shape (n, 6), spreads squared
         Variance of the values.
-    readings : ndarray, shape (n, 6)
-        Readings of unstated noise whose mean a value is; 0 where noise is stated, or there is none.
+    observations : ndarray, shape (n, 6)
+        Number of observations of unknown noise whose mean a value is; 0 where noise is known.
     scatter : ndarray, shape (n, 6), spreads squared
-        Sum of these readings' squared differences from their mean.
+        Sum of these observations' squared differences from their mean.
     groups : ndarray, shape (g, n)
         Which loads each term of the covariance sees: `Space.kriging_groups`.
     """
@@ -102,7 +102,7 @@ class Equations:
 
     @property
     def n_derivatives(self) -> int:
-        """Readings that a row can bring: its value, its slopes, its second derivatives."""
+        """Numbers of an output that a row can bring: value, slopes, second derivatives."""
         return self.known.shape[1]
 
     @property
@@ -112,7 +112,7 @@ class Equations:
 
     @property
     def weights(self) -> int:
-        """Weights among the hyperparameters: one a term where rows bring second derivatives."""
+        """Weights among the hyperparameters: one per term where rows bring second derivatives."""
         return len(self.groups) if self.n_derivatives > 1 + self.loads else 1
 
     @property
@@ -126,9 +126,9 @@ class Equations:
         return replace(self, **{name: getattr(self, name)[which] for name in names})
 
     def with_observation_noise(self, variance: Floats) -> Equations:
-        """Return the equations with the noise of readings, whose variance is (6,), dimensionless.
+        """Return the equations with an observation's noise, variance (6,), dimensionless.
 
-        The mean of so many readings has that part of one's variance.
+        The variance of a mean of k observations is 1/k of theirs.
         """
         averaged = self.observations > 0
         added = np.where(averaged, variance / np.where(averaged, self.observations, 1.0), 0.0)
@@ -157,7 +157,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     Raises
     ------
     TooFewRowsError
-        If fewer rows than `min_rows` are left, or an output is measured by fewer.
+        If fewer rows than `min_rows` lie in it, or an output is measured by fewer.
     """
     measured = np.isfinite(rows.displacement)
     fewest = int(measured.sum(axis=0).min()) if len(rows) else 0
@@ -170,10 +170,10 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     offset = np.nanmean(rows.displacement, axis=0)
     spread = np.nanstd(rows.displacement, axis=0)
     largest = load_range.space.largest_of_kind(spread)
-    # An output that nothing moves is judged by its own size, where no other of its kind moves.
+    # An output that nothing moves is judged by its size, where no other of its kind moves.
     size = np.maximum(largest, np.abs(offset) * settings.rounding)
     constant = spread <= settings.rounding * size
-    # Loads that have a range and, where slopes tell, move some output.
+    # Loads that have a range and, where all rows have slopes, move some output.
     active = load_range.high > load_range.low
     tangents = rows.compliance[_with_slopes(rows)]
     if len(tangents) == len(rows):
@@ -200,7 +200,7 @@ def _with_slopes(rows: Rows) -> Mask:
 def equations_of(
     rows: Rows, scaling: Scaling, readings: Readings, settings: KrigingSettings = DEFAULTS
 ) -> Equations:
-    """Return the equations of rows of distinct wrenches, and of the readings behind each."""
+    """Return the equations of rows of distinct wrenches, and of the observations behind each."""
     with_slopes = _with_slopes(rows)
     curved = np.isfinite(rows.curvature).all(axis=1) & with_slopes & (rows.curvature.shape[1] > 0)
     measured = np.isfinite(rows.displacement)
@@ -241,5 +241,5 @@ def equations_of(
     )
     if scaling.active.all():
         return equations
-    # Rows that differ in nothing but loads without effect say the same.
+    # Rows that differ in nothing but loads without effect are equal.
     return equations.take(np.unique(close_groups(equations.x), return_index=True)[1])

@@ -1,18 +1,18 @@
-"""The factors of the covariance, by which every answer, deviation and left-out row is had.
+"""The factors of the covariance: answers, deviations and errors of left-out rows.
 
-Kept is T, the inverse of the lower Cholesky factor: the inverse of the covariance is T'T, a new row
+With T, the inverse of the lower Cholesky factor, the inverse of the covariance is T'T, a new row
 borders it, and answers are products. The mean's coefficients have a wide normal prior, of variance
-P; with A = F' T'T F + 1/P this is the usual universal kriging where rows settle the mean, and still
-defined where they do not.
+P; with A = F' T'T F + 1/P this is the usual universal kriging where rows determine the mean, and
+still defined where they do not.
 
 Rows are left out in groups without factorising anew. With Q = inv(K) - inv(K) F inv(A) F' inv(K)
 and b the equations of a group of rows (their values and slopes), the error of an answer that has
-not seen them, mean refitted and hyperparameters kept, is inv(Q_bb) (Q y)_b (Dubrule 1983); its
+not seen them, mean refitted and hyperparameters unchanged, is inv(Q_bb) (Q y)_b (Dubrule 1983); its
 posterior covariance is inv(Q_bb).
 
-Deviations are those of small factors over the nearest rows. A place's neighbours are taken in turn
+Deviations are those of small factors over the nearest rows. A point's neighbours are taken in turn
 by each of the four terms of the covariance: nearest over all loads, then over those of axis x, y
-and z. By all loads alone a table of clean rows would tell a wrench of six loads by one axis.
+and z. By all loads alone a table of clean rows would answer a wrench of six loads by one axis.
 Neighbourhoods belong to rows, their anchors, so that the factors are made before any query; a
 wrench takes that of its nearest row.
 """
@@ -34,7 +34,7 @@ from .settings import DEFAULTS, KrigingSettings
 
 Indices = NDArray[np.intp]
 
-ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
+ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of equal values
 
 
 class OutputGroup(NamedTuple):
@@ -55,7 +55,7 @@ class OutputGroup(NamedTuple):
 def output_groups(
     equations: Equations, variance: Floats, settings: KrigingSettings = DEFAULTS
 ) -> list[OutputGroup]:
-    """Return the outputs in groups that one factor answers.
+    """Return the outputs in groups, each with a factor.
 
     Parameters
     ----------
@@ -115,9 +115,9 @@ class Factor:
         return self.nugget * float(self.hyperparameters.prior(1)[0])
 
     def explained(self, across: Floats, terms: Floats) -> tuple[Floats, Floats]:
-        """Return T times the covariance with places, and of the mean's terms what rows leave.
+        """Return T times the covariance with points, and the unexplained part of the mean's terms.
 
-        Shapes (m, e) and (m, 7), of `across` (m, e) and `terms` (m, 7) at the places.
+        Shapes (m, e) and (m, 7), of `across` (m, e) and `terms` (m, 7) at the points.
         """
         reduced = across @ self.T.T
         return reduced, terms - reduced @ self.TF
@@ -134,7 +134,7 @@ class Factor:
 
 @dataclass(frozen=True)
 class KrigingFactor(Factor):
-    """The factor of some rows' equations, for the outputs that these rows tell alike.
+    """The factor of some rows' equations, for the outputs of one group.
 
     All numbers are dimensionless: loads are in half ranges, outputs in spreads.
 
@@ -162,9 +162,9 @@ class KrigingFactor(Factor):
     variance: Floats
 
     def explained_at(self, x: Floats, known: Mask) -> tuple[Floats, Floats]:
-        """Return what `explained` does, of the readings `known` (m, p) at places (m, 6)."""
-        own = self.equations
-        across = covariance(x, known, own.x, own.known, self.hyperparameters)
+        """Return what `explained` does, of the derivatives `known` (m, p) at points (m, 6)."""
+        v, known_v = self.equations.x, self.equations.known
+        across = covariance(x, known, v, known_v, self.hyperparameters)
         return self.explained(across, mean_terms(x, known))
 
     def of_data(self, data: Floats) -> KrigingFactor:
@@ -265,8 +265,8 @@ def factorise(
     return blank.of_data(subset.data[subset.known][:, group.outputs])
 
 
-# Added to the diagonal of a group's precision, of its mean: rows a hair apart leave it singular to
-# rounding.
+# Added to the diagonal of a group's precision, of its mean: rows at almost the same wrench leave it
+# singular to rounding.
 REGULAR = 1e-14
 
 
@@ -349,8 +349,8 @@ class LocalFactor(Factor):
 
     Attributes
     ----------
-    places : ndarray of int, shape (e,)
-        Its equations: the readings of all rows before, and which one of the row.
+    columns : ndarray of int, shape (e,)
+        Its equations among the values and derivatives, known or not, of all rows.
     numbers : ndarray of int, shape (e,)
         The same, among the equations of the table.
     """
@@ -359,24 +359,24 @@ class LocalFactor(Factor):
     numbers: Indices
 
     def squared_deviation(self, across: Floats, terms: Floats, mean_covariance: Floats) -> Floats:
-        """Return sigma squared (m,), over the process variance, each place by itself.
+        """Return sigma squared (m,), over the process variance, each point by itself.
 
         `across` (m, e) is the covariance with the equations, `terms` (m, 7) are the mean's. A
-        place's digits do not depend on which others there are.
+        point's digits do not depend on the other points.
         """
-        reduced, left = self.explained(across[:, None], terms[:, None])
-        return self.variance_of(reduced[:, 0], left[:, 0], mean_covariance)
+        reduced, unexplained = self.explained(across[:, None], terms[:, None])
+        return self.variance_of(reduced[:, 0], unexplained[:, 0], mean_covariance)
 
 
 class Neighbourhoods:
-    """The nearest rows of any place among those of a factor, and the small factors over them.
+    """The nearest rows of any point among those of a factor, and the small factors over them.
 
-    Rows are places among those of the factor.
+    Rows are indices of the factor's rows.
 
     Attributes
     ----------
     factor : KrigingFactor
-    around : tuple of LocalFactor
+    local_factors : tuple of LocalFactor
         The neighbourhood of each of the factor's rows.
     """
 
@@ -388,18 +388,18 @@ class Neighbourhoods:
         settings: KrigingSettings = DEFAULTS,
     ) -> None:
         """Take the table's equations, and `table` (a, a), the covariance of all a of them."""
-        own = factor.equations
+        x, known = factor.equations.x, factor.equations.known
         self.factor, self.settings = factor, settings
-        self.size = own.known.sum(axis=1)
-        self.plain_size = own.known[:, : 1 + own.loads].sum(axis=1)
+        self.size = known.sum(axis=1)
+        self.plain_size = known[:, : 1 + x.shape[1]].sum(axis=1)
         all_first = np.roll(factor.hyperparameters.groups, 1, axis=0)
         self.roots = np.sqrt(factor.hyperparameters.inverse_squares) * all_first
-        self.trees = [KDTree(own.x * root) for root in self.roots]
+        self.trees = [KDTree(x * root) for root in self.roots]
         self._numbers = numbers(equations.known)[factor.output_group.rows]
-        self.local_factors = tuple(self.local_factor(near, table) for near in self.members(own.x))
+        self.local_factors = tuple(self.local_factor(near, table) for near in self.members(x))
 
     def nearest(self, x: Floats) -> Indices:
-        """Return the row nearest to each place (m, 6) over all loads, shape (m,).
+        """Return the row nearest to each point (m, 6) over all loads, shape (m,).
 
         Of rows that are equally near the first.
         """
@@ -421,28 +421,28 @@ class Neighbourhoods:
     def members(
         self, x: Floats, labels: Indices | None = None, without: Indices | None = None
     ) -> list[Indices]:
-        """Return the neighbours of each place (m, 6), nearest first, that the settings allow.
+        """Return the neighbours of each point (m, 6), nearest first, that the settings allow.
 
         Parameters
         ----------
         labels : ndarray of int, shape (r,), optional
             Group of each row.
         without : ndarray of int, shape (m,), optional
-            For each place the label of the group that is left out.
+            For each point the label of the group that is left out.
         """
         largest = 0 if labels is None else int(np.bincount(labels).max())
         max_rows, n_curved = self.settings.deviation_rows, self.settings.deviation_curved
         max_equations = self.settings.deviation_solves * (1 + self.factor.equations.loads)
         count = min(max_rows + largest, len(self.size))
-        found = [
+        nearest = [
             np.asarray(tree.query(x * root, k=count)[1]).reshape(len(x), count)
             for tree, root in zip(self.trees, self.roots, strict=True)
         ]
         lists = []
-        for place, row in enumerate(np.stack(found, axis=2).reshape(len(x), -1).tolist()):
+        for index, row in enumerate(np.stack(nearest, axis=2).reshape(len(x), -1).tolist()):
             near = np.array(list(dict.fromkeys(row)), dtype=np.intp)
             if labels is not None and without is not None:
-                near = near[labels[near] != without[place]]
+                near = near[labels[near] != without[index]]
             near = near[:max_rows]
             size = np.append(self.size[near[:n_curved]], self.plain_size[near[n_curved:]])
             lists.append(near[np.cumsum(size) <= max_equations])
@@ -462,7 +462,7 @@ class Neighbourhoods:
             + np.arange(subset.n_derivatives)
         )[known]
         number = self._numbers[near][known]
-        made = _factored(
+        inverse = _factored(
             subset,
             factor.output_group.noise[near],
             table[np.ix_(number, number)],
@@ -470,12 +470,15 @@ class Neighbourhoods:
             factor.nugget,
             self.settings,
         )
-        return LocalFactor(factor.hyperparameters, made.nugget, made.T, made.TF, columns, number)
+        return LocalFactor(
+            factor.hyperparameters, inverse.nugget, inverse.T, inverse.TF, columns, number
+        )
 
     def deviations(self, x: Floats, across: Floats) -> Floats:
-        """Return the posterior deviation (m,), process deviations, at places (m, 6).
+        """Return the posterior deviation (m,), process deviations, at points (m, 6).
 
-        `across` (m, 7 n) is the covariance of their values with all places of all rows.
+        `across` (m, 7 n) is the covariance of their values with the values and derivatives
+        of all rows, known or not.
         """
         terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
         squared, nearest = np.empty(len(x)), self.nearest(x)

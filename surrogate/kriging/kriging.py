@@ -41,8 +41,8 @@ _BLAS = ThreadpoolController and ThreadpoolController().select(user_api="blas")
 
 # What one covariance times one weight may lose, relative: its squared distance, root, exponential
 # and polynomial some units in the last place each. The errors have either sign: sums of compiled
-# code and of arrays were apart by up to 2.1 eps times the sum of magnitudes.
-LOST = 4 * float(np.finfo(float).eps)
+# code and of arrays differed by up to 2.1 eps times the sum of magnitudes.
+ROUNDING_LOSS = 4 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +55,15 @@ class Kriging:
     scaling : Scaling
     hyperparameters : Hyperparameters
         Common to all outputs.
-    reading_variance : ndarray, shape (6,), spreads squared
-        Of one reading whose uncertainty nobody stated.
+    observation_variance : ndarray, shape (6,), spreads squared
+        Of an observation of unknown uncertainty.
     tangent : ndarray, shape (6, 6), SI
         Mean tangent of the rows: the derivative by loads that take no part.
     equations : Equations
     neighbourhoods : tuple of Neighbourhoods
-        One of each factor: outputs with the same rows and noise have one.
+        One per factor: outputs with the same rows and noise have one factor.
     calibrations : tuple of Calibration
-        One of each of `neighbourhoods`.
+        One per item of `neighbourhoods`.
     weights : ndarray, shape (n, p, 6), spreads
     coefficients : ndarray, shape (7, 6), spreads
     deviation : ndarray, shape (6,), spreads
@@ -104,7 +104,7 @@ class Kriging:
 
         Parameters
         ----------
-        readings : Readings, optional
+        observations : Readings, optional
             Behind each row, of rows of distinct wrenches; else rows at one wrench are merged.
 
         Raises
@@ -148,7 +148,7 @@ class Kriging:
             table = covariance(x, known, x, known, hyperparameters)
             values = np.zeros_like(known)
             values[:, 0] = True
-            rounding_errors = LOST * np.abs(table[values[known]])
+            rounding_errors = ROUNDING_LOSS * np.abs(table[values[known]])
             neighbourhoods: list[Neighbourhoods] = []
             calibrations: list[Calibration] = []
             for group in output_groups(equations, noise_scale, settings):
@@ -156,14 +156,14 @@ class Kriging:
                     factorise(equations, hyperparameters, group, settings, table),
                     group.outputs,
                 )
-                # The weights among the readings of all rows.
+                # The weights among the values and derivatives of all rows.
                 all_rows = np.zeros((*known.shape, len(outputs)))
                 all_rows[known & np.isin(np.arange(len(x)), group.rows)[:, None]] = factor.weights
                 weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
                 deviation[outputs] = np.sqrt(factor.variance)
                 rounding[outputs] = (rounding_errors @ np.abs(all_rows[known])).max(axis=0)
-                alone = left_out(factor, np.arange(len(group.rows)))
-                errors[np.ix_(group.rows, outputs)] = alone.errors
+                left_out_rows = left_out(factor, np.arange(len(group.rows)))
+                errors[np.ix_(group.rows, outputs)] = left_out_rows.errors
                 neighbours = Neighbourhoods(equations, factor, table, settings)
                 neighbourhoods.append(neighbours)
                 calibrations.append(
@@ -178,13 +178,13 @@ class Kriging:
 
     @property
     def detail(self) -> str:
-        """How it answers, in words."""
+        """Its rows and equations as a text."""
         rows, equations = len(self.equations), self.equations.count
         return f"kriging, one factor over {rows} rows ({equations} equations)"
 
     @property
     def observation_noise(self) -> Floats:
-        """Noise of one reading, 95 %, (6,), m and rad; NaN where all noise is stated or none."""
+        """Noise of an observation, 95 %, (6,), m and rad; NaN where it is known or zero."""
         noise = self.settings.half_width * np.sqrt(self.observation_variance) * self.scaling.spread
         return np.where(self.observation_variance > 0, noise, np.nan)
 
@@ -196,19 +196,19 @@ class Kriging:
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
         x, spread, offset = self.scaling.loads(wrenches), self.scaling.spread, self.scaling.offset
-        displacement, bars = np.empty((2, len(x), len(spread)))
+        displacement, error_bars = np.empty((2, len(x), len(spread)))
         with one_thread():
             for part in self._chunks(len(x)):
                 values, errors, known = self._scaled_answers(x[part])
                 size = (np.abs(values) + 1) * spread + np.abs(offset)
                 # Never below what rounding makes of an answer.
                 min_bar = np.maximum(self.settings.error_floor * size, self.rounding * spread)
-                bars[part] = np.where(known, np.maximum(errors * spread, min_bar), np.nan)
+                error_bars[part] = np.where(known, np.maximum(errors * spread, min_bar), np.nan)
                 displacement[part] = values * spread + offset
-        return displacement, bars
+        return displacement, error_bars
 
     def _scaled_answers(self, x: Floats) -> tuple[Floats, Floats, Mask]:
-        """Return values, errors, and whether the errors are known, (m, 6) each, at places (m, 6).
+        """Return values, errors, and whether the errors are known, (m, 6) each, at points (m, 6).
 
         Values and errors are in spreads. Errors are 95 % error bars; where they are not known, some
         answers err by more.
@@ -217,7 +217,7 @@ class Kriging:
         errors, known = np.empty((len(x), n_outputs)), np.empty((len(x), n_outputs), dtype=bool)
         across = block(x, self.equations.x, self.hyperparameters, 1, self.equations.n_derivatives)
         across = across.reshape(len(x), -1)
-        # Each place by itself: weights are up to 1e8 times their sum, and the order of a sum
+        # Each point by itself: weights are up to 1e8 times their sum, and the order of a sum
         # depends on the shape of the matrices.
         values = (across[:, None] @ self.weights.reshape(-1, n_outputs))[:, 0] + self.coefficients[
             0
@@ -242,12 +242,12 @@ class Kriging:
         """Return the error bars (n, 6), m and rad, at wrenches if others were solved too.
 
         As far as they are known or not: a design goes where they are not. Pending solves lower all
-        bars in the ratio of the factor that most rows tell of.
+        bars in the ratio of the factor over the most rows.
 
         Parameters
         ----------
         pending, at : ndarray, shapes (m, 6) and (n, 6), N and N·m
-            What is being solved (with slopes, if rows bring them), and where to tell the bars.
+            What is being solved (with slopes, if rows bring them), and where the bars are wanted.
         """
         others, x = self.scaling.loads(pending), self.scaling.loads(at)
         bars = np.empty((len(x), len(self.scaling.spread)))
@@ -319,6 +319,6 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     a^(1/n) of their interval with the probability 1 - a. A load that takes no part has no ends.
     """
     low, high = equations.x.min(axis=0), equations.x.max(axis=0)
-    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
-    ends = np.stack((low - beyond, high + beyond))
+    margin = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
+    ends = np.stack((low - margin, high + margin))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])

@@ -55,7 +55,7 @@ def snapped():
             path._length *= 0.5
             continue
         path._point, before = path._point_at(*found), point
-        moved = path._point.equilibrium.balance.state.nodes - before.found.balance.state.nodes
+        moved = path._point.equilibrium.balance.state.nodes - before.equilibrium.balance.state.nodes
         sign = np.sign(np.vdot(path._field(path._point), moved))
         sunk = path._point.equilibrium.balance.state.interface[2]
         path._length *= 1.4 if path._point.equilibrium.iterations < 6 else 1.0
