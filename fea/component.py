@@ -16,7 +16,7 @@ from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.material import AnyMaterial
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     FREEDOMS,
@@ -131,7 +131,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     if bundle.mesh is None or bundle.interface is None or not supported:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         if bundle.deck is not None:
-            message = "missing; the [deck] is solved by its own command, and nothing is meshed here"
+            message = "missing; the [deck] is solved by its command, and nothing is meshed here"
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
@@ -276,7 +276,7 @@ def _free_sliding(
     """Return the sliding nodes less those of a rigid coupling.
 
     It is a problem if locked freedoms do not hold a rigid section's sliding nodes, or if all nodes
-    of a distributed one slide, so that their mean is not free.
+    of a distributed section slide, so that their mean is not free.
     """
     nodes, projectors = sliding
     shared = np.isin(nodes, attached.section.node_ids)
@@ -309,11 +309,10 @@ def _check_disjoint(
     for first, second in combinations(interfaces, 2):
         nodes = np.intersect1d(first.section.node_ids, second.section.node_ids)
         if nodes.size:
-            at = ", ".join(f"{x:.4g}" for x in mesh.points[nodes[0]])
             message = (
                 f'"{second.name or second.key}" shares {nodes.size} nodes with '
-                f'"{first.name or first.key}", such as the one at ({at}) m; a node can follow '
-                "one interface only, so take sections apart"
+                f'"{first.name or first.key}", such as the one at '
+                f"{point_text(mesh.points[nodes[0]])} m; a node can follow one interface only"
             )
             problems.append(BundleProblem(second.where, message))
 

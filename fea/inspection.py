@@ -36,7 +36,7 @@ from wrenchbook.fea.mesh.facets import EDGES, FACES, corners_of, facets_within, 
 from wrenchbook.fea.mesh.mapping import extreme_determinants
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 
 Array = np.ndarray
 
@@ -124,12 +124,11 @@ def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
     for measure in MEASURES:
         worst = measured[measure.name]
         if worst["bad"]:
-            at = ", ".join(f"{x:.4g}" for x in worst["at"])
             warnings.append(
                 f"{worst['bad']} cells are {measure.description} ({measure.name.replace('_', ' ')} "
                 f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
-                f"{worst['kind']} near ({at}) m, has {worst['worst']:.3g}); stresses and "
-                "stiffness there are not to be trusted"
+                f"{worst['kind']} near {point_text(worst['at'])} m, has {worst['worst']:.3g}); "
+                "stresses and stiffness there are not to be trusted"
             )
     return warnings
 
@@ -163,9 +162,9 @@ _OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Cells that hang together by whole faces."""
+    """Cells that hang together by faces."""
 
-    count: int  # how many bodies there are; numbered from the one with the most cells
+    count: int  # how many bodies there are; numbered from the body with the most cells
     cells: Array  # number of cells of each, shape (count,), int64, dimensionless
     nodes: list[Array]  # the nodes of each, shape (k,), int64: indices, ascending
 
@@ -278,7 +277,7 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
 def stack_problems(component: ComponentModel) -> list[BundleProblem]:
     """Return a problem if hex20 cells of reduced integration follow each other singly.
 
-    Such a stack is a mechanism (hourglass) where it is straight. A curved one is held by its
+    Such a stack is a mechanism (hourglass) where it is straight. A curved stack is held by its
     curvature alone: an arch of 40 cells turned 24 times too far and buckled at 4e-5 of its load.
     """
     if component.analysis.integration != "reduced":
@@ -295,7 +294,7 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
 
 
 def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
-    """Return a warning for the unmerged nodes of each two bodies, and of slits within one.
+    """Return a warning for the unmerged nodes of each two bodies, and of slits within a body.
 
     mesh, bodies: a mesh, and what it falls into.
     pairs: shape (k, 2), int64: indices of coincident nodes
@@ -398,8 +397,3 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
         )
         problems.append(BundleProblem(f"{interface.key}.point", message))
     return problems
-
-
-def point_text(point: Array) -> str:
-    """Write a point, shape (3,), in m, to four digits."""
-    return "(" + ", ".join(f"{x:.4g}" for x in point) + ")"

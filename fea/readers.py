@@ -1,7 +1,7 @@
 """Readers of the interface's motion in the files of an outside solver.
 
 Built in are "calculix-dat", of what ``*NODE PRINT`` writes into the .dat file of ccx, and
-"numbers", of six numbers in a file. A new one is a small class with the members of `DeckReader`,
+"numbers", of six numbers in a file. A new reader is a small class with the members of `DeckReader`,
 offered under the entry point group "wrenchbook.deck_readers":
 
     [project.entry-points."wrenchbook.deck_readers"]
@@ -48,7 +48,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Complaint:
-    """An error that a solver reports: its own words, and whether it found no equilibrium."""
+    """An error that a solver reports: its text, and whether it found no equilibrium."""
 
     quoted: str
     not_converged: bool = False

@@ -48,7 +48,7 @@ class Solution:
     seconds: float
     # The iterations, in order; empty for a linear solve and a zero wrench
     history: tuple[Iteration, ...]
-    # Shape (n, 3), m: displacement of each mesh point, in the mesh's own axes; none for a deck
+    # Shape (n, 3), m: displacement of each mesh point, in the mesh's axes; none for a deck
     nodes: Array
     notes: tuple[str, ...] = ()  # what an engineer should know about how the answer was found
     # Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck
@@ -70,7 +70,7 @@ Loads = Sequence[float] | Array | Mapping[str, float | Sequence[float] | Array]
 def checked_wrench(
     wrench: Loads, names: Sequence[str] = ("",), further: Sequence[str] = ()
 ) -> Array:
-    """Return all inputs as an array of its own, shape (6 i + f,): N and N·m, then f others.
+    """Return all inputs as a new array, shape (6 i + f,): N and N·m, then f others.
 
     Parameters
     ----------

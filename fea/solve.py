@@ -119,7 +119,7 @@ class Solver:
         self._system = system_of(self.component, self._active)
 
     def inputs(self, wrench: Loads) -> Array:
-        """Return the inputs of `solve` as an array of its own, shape (k,).
+        """Return the inputs of `solve` as a new array, shape (k,).
 
         Raises
         ------
@@ -197,7 +197,7 @@ class Solver:
     def craig_bampton(self, modes: int) -> CraigBampton:
         """Return the part's stiffness and mass, of its frames and some modes, unloaded.
 
-        The first frame is the held interface's, or else the mesh's own, for the supports.
+        The first frame is the held interface's, or else the mesh's axes, for the supports.
 
         Raises
         ------
@@ -280,8 +280,8 @@ class Solver:
         Raises
         ------
         ValueError
-            If the wrench is not six finite numbers an interface, names an unknown one, or lacks
-            a further input.
+            If the wrench is not six finite numbers an interface, names an unknown interface, or
+            lacks a further input.
         SolveFailed
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """

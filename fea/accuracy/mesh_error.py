@@ -45,7 +45,7 @@ STRAIGHT = 1e-3
 digits too; across a round surface that turns by 0.5 degrees it bows out by as much."""
 
 _PARTS = (1.0, 0.5, 0.25, 0.125)
-"""Of the bow, in turn: in flat cells the whole one can turn a cell inside out, and the compliance
+"""Of the bow, in turn: in flat cells the full bow can turn a cell inside out, and the compliance
 changes in proportion."""
 
 
@@ -184,7 +184,7 @@ class RecoveredError(NamedTuple):
     sizes: Array
 
     def coarsening(self, other: Mesh) -> Array:
-        """Cell sizes of another mesh over those of this one where each input's error is, (k,).
+        """Cell sizes of another mesh over those of this mesh where each input's error is, (k,).
 
         A mesher that is given twice the size keeps cells at short edges smaller than that.
         """

@@ -147,7 +147,7 @@ class ElasticBody:
         ]
 
     def leaves_from(self, number: int) -> list[int]:
-        """Return the numbers of some leaves from one on, enough to be worth making at once."""
+        """Return the numbers of some leaves from `number` on, enough to be worth making at once."""
         counts = self._leaf_cells
         first = int(np.searchsorted(counts[0], number))
         last = int(np.searchsorted(counts[1], counts[1][first] + _AT_A_TIME))
@@ -189,11 +189,11 @@ class ElasticBody:
         """Return the tangent stiffness.
 
         displacement: shape (n, 3), m; None for the undeformed state.
-        step: of Newton's method, the last one: the displacement it aimed at and the change, both
-        linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is the one
+        step: of Newton's method, the last: the displacement it aimed at and the change, both
+        linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is that
         extrapolated linearly from the state before that step: the iteration of Magisano, Leonetti
         and Garcea ("mixed integration points", 2017). Slender parts need several times fewer
-        iterations with it, as a large step's false membrane strain no longer stiffens the next one.
+        iterations with it, as a large step's false membrane strain no longer stiffens the next.
         The two tangents agree as the steps vanish.
         """
         return Tangent(self, displacement, step)

@@ -49,7 +49,7 @@ class Linearisation:
     With the body's stiffness K, the border's columns C and block D, it solves
     [[K, C], [C^T, D]] by the Schur complement S = D - C^T K^-1 C.
 
-    `interface_ratio` is what elimination left of the border's stiffness, relative to its own; near
+    `interface_ratio` is what elimination left of the border's stiffness, relative to it; near
     roundoff nothing holds the interface.
     """
 
@@ -93,7 +93,7 @@ class Linearisation:
 
     @property
     def interface_ratio(self) -> float:
-        """Least eigenvalue of the condensed stiffness, scaled by the border's own diagonal."""
+        """Least eigenvalue of the condensed stiffness, scaled by the border's diagonal."""
         return self._softest_interface[0]
 
     @property

@@ -13,6 +13,7 @@ from wrenchbook.fea.assembly.body import ElasticBody, Tangent
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.coupling import CoupledState, Coupling
 from wrenchbook.fea.failure import SolveFailed, ill_conditioned, mechanism
+from wrenchbook.fea.spec.problems import point_text
 
 Array = np.ndarray
 
@@ -121,8 +122,7 @@ class System:
             energy = softest_energy(self.body, start.tangent)
             weakest = factor.weakest
             node = self.body.dissection.nodes[weakest // 3] if weakest >= 0 else 0
-            at = ", ".join(f"{x:.4g}" for x in self._points[node])
-            raise unheld(f"Near ({at}) m the mesh", energy)
+            raise unheld(f"Near {point_text(self._points[node])} m the mesh", energy)
         if not np.isfinite(start.compliance).all():
             raise unheld("The interface", 0.0)
         if start.interface_ratio < _MIN_PIVOT:

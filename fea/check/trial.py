@@ -76,7 +76,7 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
 
 
 def largest(compliance: Array, low: Array, high: Array) -> Array:
-    """Return max |C w| over a box of inputs, each output's own, shape (6 i,), m and rad."""
+    """Return max |C w| over a box of inputs, for each output, shape (6 i,), m and rad."""
     ends = np.stack([compliance * low, compliance * high])
     most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
     return np.maximum(np.abs(most), np.abs(least))
@@ -85,7 +85,7 @@ def largest(compliance: Array, low: Array, high: Array) -> Array:
 def deflection_warnings(
     component: ComponentModel, deflection: list[float] | None
 ) -> list[BundleProblem]:
-    """Return warnings where the whole load range moves the part by nothing, or by too much."""
+    """Return warnings where the full load range moves the part by nothing, or by too much."""
     if deflection is None:
         return []
     moved, problems = np.array(deflection), []
@@ -200,7 +200,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     """Return the largest stress of each material under the load range, and what to know of it.
 
     To first order stresses are linear in the wrench, and the von Mises stress is a norm of them:
-    no wrench of the range has a larger one than the worst of its corners.
+    no wrench of the range has a larger stress than the worst of its corners.
 
     solver: Nothing is made of a component whose bundle tells no `yield_strength`.
     nonlinear: whether a nonlinear component is solved at that corner; else its stresses stay first
@@ -255,7 +255,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
 def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
     """Return the largest stress, Pa, and the first corner and point (of `unit`) that have it.
 
-    The sum of the loads' own stresses bounds that of all: most points need not be looked at.
+    The sum of single loads' stresses bounds that of all: most points need not be looked at.
     """
     loads = np.abs(corners).max(axis=0)
     bound = sum(load * von_mises(unit[:, :, i]) for i, load in enumerate(loads))

@@ -61,7 +61,7 @@ class Border(NamedTuple):
 class SectionCoupling(ABC):
     """How one interface holds its section: the base class of `Rigid` and `Distributed`.
 
-    All is in the interface's own frame, from its point: `points` of the section's nodes, (s, 3), m,
+    All is in the interface's frame, from its point: `points` of the section's nodes, (s, 3), m,
     undeformed. States, forces and fields are those of these nodes alone; the border is six
     freedoms, locked ones too, and the `multipliers`.
     """
@@ -117,8 +117,8 @@ class _Attachment(NamedTuple):
     """A section's indices in the body and in the border.
 
     `rotation` times a vector of the body is the interface's, None if equal; `freedoms` are those of
-    this interface among all; `chosen` are the unknowns among the section's own border, and `border`
-    where they are in the whole one. `spring` is a bushing's stiffness, (6, 6); it has no wrench.
+    this interface among all; `chosen` are the unknowns among the section's border, and `border`
+    where these are in the body's. `spring` is a bushing's stiffness, (6, 6), without a wrench.
     """
 
     section: SectionCoupling
@@ -146,11 +146,11 @@ class _Attachment(NamedTuple):
 class Coupling:
     """Interfaces and bushings: one border of their freedoms, of anchors, and of multipliers.
 
-    Nodes and forces are in the body's frame, each interface's displacement and wrench in its own.
+    Nodes and forces are in the body's frame, displacements and wrenches in the interfaces'.
     A bushing moves by q, translation and rotation vector, and stores q^T K q / 2: its force, and
     the moment that works on the rotation vector, are K q, and K is its tangent at any rotation.
     A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
-    border moves all components, leave one that has.
+    border moves all components, leave a stiffness that is.
 
     size: number of the body's nodes.
     sections: for each interface its coupling, its section's nodes, shape (s,), and its axes in

@@ -179,7 +179,7 @@ class Distributed(SectionCoupling):
         columns[:, :, 6:9] = self._weights[:, None, None] * np.eye(3)
         columns[:, :, 9:] = -weighted_arms
         block = np.zeros((2 * PER_INTERFACE, 2 * PER_INTERFACE))
-        # Write the border's own derivatives, less those of the spin itself.
+        # Write the border's derivatives, less those of the spin itself.
         centre = skew(turned.centre) @ turned.spin
         inertia = turned.inertia()
         turning = -skew(turned.force) @ skew(turned.centre) + np.einsum(

@@ -42,7 +42,7 @@ def missing_placeholders(deck: bytes) -> list[str]:
 def filled(deck: bytes, loads: Sequence[float]) -> bytes:
     """Return a deck's text with six numbers in place of the placeholders.
 
-    A number has 20 characters at the most, which is all that CalculiX reads of one.
+    A number has 20 characters at the most, which is all that CalculiX reads.
 
     Raises SolveFailed: ``bad_deck`` if a placeholder is missing: its load would have no effect.
     """
@@ -144,7 +144,7 @@ def run_command(
     timeout: float,
     watch: Callable[[], None] | None = None,
 ) -> int:
-    """Run a program in `folder` and return its exit code, minus the signal if one ended it.
+    """Run a program in `folder` and return its exit code, minus the signal that ended it.
 
     The environment (OMP_NUM_THREADS and the like) is passed on as it is. When this returns or
     raises, whatever it raises, the program and all that it started in its process group are gone;
@@ -194,7 +194,7 @@ def _guarded(group: int) -> Iterator[None]:
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # what ends our own process group must not end the guard
+        start_new_session=True,  # what ends our process group must not end the guard
     )
     try:
         yield
@@ -312,7 +312,7 @@ def moment_unsettled(runs: int, gap: float) -> SolveFailed:
     """Return the failure of the search for the conjugate moment."""
     return SolveFailed(
         "not_converged",
-        f"After {runs} runs the deck's moment is still {gap:.1e} off the required one.",
+        f"After {runs} runs the deck's moment is still {gap:.1e} off the required moment.",
         'If the deck takes moments about fixed axes, say moment = "spatial" in [deck]; else the '
         "part turns too much for its moment.",
     )
@@ -340,5 +340,5 @@ def not_reciprocal(message: str) -> SolveFailed:
 
 
 def _files_hint(folder: Path) -> str:
-    # Not the whole path: it goes to clients, whom the server's folders do not concern.
+    # Not the full path: it goes to clients, whom the server's folders do not concern.
     return _FILES_HINT.format(folder=f"{folder.parent.name}/{folder.name}")

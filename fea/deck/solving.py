@@ -19,10 +19,10 @@ from wrenchbook.fea.tensors import spin_per_vector
 Array = np.ndarray
 
 FOLDER = "deck"
-"""Subfolder of the work folder; below it each run of the command has a folder of its own."""
+"""Subfolder of the work folder; below it each run of the command has a separate folder."""
 
 _MOMENT_GAP = 1e-5
-"""Largest relative difference between the moment that acted and the required one."""
+"""Largest relative difference between the moment that acted and the required moment."""
 
 _MAX_RUNS = 12  # 20 degrees take half of them
 _LINEAR_GAP = 1e-5  # CalculiX prints seven digits
@@ -40,7 +40,7 @@ def solve_deck(
     """Solve a component for one wrench with its deck.
 
     A linear component runs the deck seven times: for the wrench, and for six single loads, which
-    make its compliance and show whether the deck is linear at all. A nonlinear one runs it once
+    make its compliance and show whether the deck is linear at all. A nonlinear deck runs it once
     where it takes spatial moments, else until the conjugate moment fits the rotation (two or three
     times for small rotations); its compliance and strain energy are unknown: NaN.
 
@@ -54,7 +54,7 @@ def solve_deck(
     progress
         Called with the fraction done and a message.
     folder
-        Where the files of every run stay, below ``deck``; without one they are deleted.
+        Where the files of every run stay, below ``deck``; without it they are deleted.
     accept
         Raises if a displacement (shape (6,), m and rad) is beyond what may be answered.
 
@@ -188,7 +188,7 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
 
 @contextlib.contextmanager
 def _work_folder(folder: Path | None) -> Iterator[Path]:
-    """Make the folder of this solve; a number is added if an earlier one is there."""
+    """Make the folder of this solve; a number is added if it exists."""
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="wrenchbook-deck-") as temporary:
             yield Path(temporary)

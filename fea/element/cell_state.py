@@ -102,7 +102,7 @@ class CellState(ABC):
 
         The fields have shape (k, cells, 3, nodes), m. With E_a = sym(F^T grad a) and
         E_ab = sym(grad a^T grad b) the derivatives are the integral of
-        E_ab : C : E_c + E_bc : C : E_a + E_ca : C : E_b, and of the law's own part.
+        E_ab : C : E_c + E_bc : C : E_a + E_ca : C : E_b, and of the law's part.
         """
         dF, dE, wdS = self.changes(fields)
         rows = _by_field(dF)

@@ -76,7 +76,7 @@ class _State(DenseState):
         """Replace the stress and the pressure by their linear extrapolations.
 
         The pressure in the moduli too: with the true forces this is Newton's method for
-        displacement and pressure as unknowns of their own, the pressure condensed. The pressure of
+        displacement and pressure as separate unknowns, the pressure condensed. The pressure of
         the new state itself is off by kappa times the square of the step, which at a ratio of
         0.4999 takes the iteration ten times as many steps.
         """

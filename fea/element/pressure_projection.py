@@ -33,7 +33,7 @@ PRESSURES = {"hex20": 4, "hex27": 4}
 """Kinds of cells that project, and their number of pressure functions: 1 and the coordinates."""
 
 ROUNDING = 1e-9
-"""Of a Poisson's ratio: one that was computed, 0.49 and a rounding error, is at its limit."""
+"""Of a Poisson's ratio: a computed ratio, 0.49 and a rounding error, is at its limit."""
 
 LARGEST_RATIO = {
     "hex8": 0.4,
@@ -54,7 +54,7 @@ singular), hex20 by 10 % with the projection, and full integration of any kind b
 
 
 def locking(block: CellBlock, poisson: Array) -> str:
-    """Return which cells of a block would lock, in words; an empty string if none would.
+    """Return which cells of a block would lock, as text; an empty string if none would.
 
     block: the cells.
     poisson: shape (cells,), dimensionless: their Poisson's ratios.
@@ -94,7 +94,7 @@ def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
         return ()
     return (
         f"{cells} cells of a nearly incompressible material (Poisson's ratio over "
-        f"{NEARLY_INCOMPRESSIBLE:g}) have a linear pressure of their own.",
+        f"{NEARLY_INCOMPRESSIBLE:g}) have a separate linear pressure.",
     )
 
 

@@ -268,7 +268,7 @@ def _pulls(component: ComponentModel) -> Iterator[str]:
 
 
 def placeholders(name: str) -> tuple[str, ...]:
-    """Return where the wrench of an interface goes, its name empty if it is the only one."""
+    """Return where the wrench of an interface goes, its name empty if it is the only interface."""
     return tuple(f"${name}.{word[1:]}" if name else word for word in PLACEHOLDERS)
 
 
@@ -291,7 +291,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def _rows(numbers: Iterable[int], more: bool = False) -> Iterator[str]:
-    """Yield whole numbers, some a line; with `more` a comma says that a line goes on."""
+    """Yield integers, some a line; with `more` a comma says that a line goes on."""
     texts = [str(number) for number in numbers]
     lines = [", ".join(texts[i : i + _PER_LINE]) for i in range(0, len(texts), _PER_LINE)]
     for i, line in enumerate(lines):
@@ -303,7 +303,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m wrenchbook.fea.export.calculix", description=__doc__
     )
-    parser.add_argument("bundle", type=Path, help="a bundle's folder, or a .toml file like its own")
+    parser.add_argument(
+        "bundle", type=Path, help="a bundle's folder, or a .toml file like its component.toml"
+    )
     path = parser.parse_args(arguments).bundle
     try:
         if path.is_dir():

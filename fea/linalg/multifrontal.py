@@ -107,7 +107,7 @@ def products(left: Array, right: Array, square: Callable[[Array], Array] | None)
 
 
 def add_leaf(target: Condensed, matrix: Array) -> None:
-    """Take a leaf's own stiffness of its boundary, shape (n, n), N/m, from minus the condensed."""
+    """Take a leaf's stiffness of its boundary, shape (n, n), N/m, from minus the condensed."""
     for (a, b), block in zip(pairwise(target.starts), target.blocks, strict=True):
         block -= matrix[a:, a:b]
 
@@ -306,7 +306,7 @@ class _LUFront:
 def _eliminate(dissection: Dissection, leaf: Leaf, kind: type) -> tuple[list, Array]:
     """Factorise front by front; a condensed part is dropped once its parent has taken it.
 
-    Returns the fronts and the diagonal of the whole matrix.
+    Returns the fronts and the diagonal of the matrix.
     """
     diagonal = np.zeros(dissection.unknowns)
     fronts: list = []

@@ -27,7 +27,7 @@ import numpy as np
 Array = np.ndarray
 
 _LEAF_NODES = 256
-"""Of its cells, each counting its own: 12 hex20 or 25 tet10.
+"""Summed over its cells: 12 hex20 or 25 tet10.
 
 Fewer make more fronts, whose calls then take longer than their arithmetic (half of a flange of
 tetrahedra at 12); more fill in (the factor holds a fifth more at 32 hex20).
@@ -163,7 +163,7 @@ class Substructure:
     stop: int = 0
     # Shape (b,), int64: ascending positions of the unknowns handed on to the parent
     boundary: Array = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    # For each child, shape (b of the child,), int64: where its boundary lies among this one's
+    # For each child, shape (b of the child,), int64: where its boundary lies among this part's
     # unknowns (eliminated first, then the boundary).
     indices: tuple[Array, ...] = ()
 

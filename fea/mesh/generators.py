@@ -78,7 +78,7 @@ def disc(radius: float, core: int) -> PlaneMesh:
 
     Its outline is 4 `core` parabolas, whose nodes all lie on one circle. That circle is a little
     larger than `radius` (0.6 % for ``core = 1``, 0.04 % for ``core = 2``), so that the section has
-    the area of the true one; with its nodes on the true circle 5 quadrilaterals would have 2.4 %
+    the true circle's area; with its nodes on the true circle 5 quadrilaterals would have 2.4 %
     less stiffness in torsion.
 
     radius: m.

@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.fea.failure import inverted_elements
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 
 Array = np.ndarray
 
@@ -60,7 +60,7 @@ def right_way_round(points: Array, block: CellBlock) -> CellBlock:
 
     Points have shape (n, 3), in m or any other unit.
 
-    Only a whole block is turned: a few cells inside out among others are a fault of the mesh.
+    Only a complete block is turned: a few cells inside out among others are a fault of the mesh.
     """
     if not len(block) or not (determinants(points, block) < 0.0).all():
         return block
@@ -78,11 +78,10 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
     for block in mesh.blocks:
         bad = folded_cells(mesh.points, block)
         if bad.size:
-            middle = mesh.points[block.nodes[bad[0]]].mean(axis=0)
-            at = ", ".join(f"{x:.6g}" for x in middle)
+            at = point_text(mesh.points[block.nodes[bad[0]]].mean(axis=0))
             message = (
                 f"{bad.size} of {len(block)} {block.kind} cells are turned inside out or flat at a "
-                f"node or within, one of them near ({at}) m; mesh more finely there, put its "
+                f"node or within, one of them near {at} m; mesh more finely there, put its "
                 "nodes in the file format's order or its midside nodes on the middle of their "
                 "edges, and write collapsed cells as wedges or tetrahedra"
             )

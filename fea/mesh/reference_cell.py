@@ -1,8 +1,8 @@
 """Reference elements: shape functions and quadrature, in VTK node order.
 
 The shape functions and points are scikit-fem's. They are tabulated once for each kind and rule, in
-the node order of `fea.mesh.mesh`; the map to the real cell is then the isoparametric one of the
-cell's own nodes (`fea.mesh.mapping`), which sets neither the sign of a determinant nor the position
+the node order of `fea.mesh.mesh`; the map to the real cell is then the isoparametric map of the
+cell's nodes (`fea.mesh.mapping`), which sets neither the sign of a determinant nor the position
 of a midside node by convention.
 """
 

@@ -1,7 +1,7 @@
 """A coarser or finer mesh: made again from a generator or geometry, or its cells halved.
 
-Each cell becomes eight, each facet four. The new nodes lie on the cell's own isoparametric map, so
-curved edges keep their shape and the finer mesh holds every field of the coarser one.
+Each cell becomes eight, each facet four. The new nodes lie on the cell's isoparametric map, so
+curved edges keep their shape and the finer mesh holds every field of the coarser mesh.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def halved(mesh: Mesh) -> Mesh:
     all of whose nodes it has.
     """
     # A sum of random 64-bit numbers of the corners names a point, whichever cell it is seen from:
-    # of a million points two share one with a probability of 3e-8.
+    # of a million points two share a number with a probability of 3e-8.
     names = np.random.default_rng(0).integers(2**64, size=len(mesh.points), dtype=np.uint64)
     parents = [(block.nodes, _pattern(block.kind)) for block in mesh.blocks]
     keys = [_keys(names, nodes, pattern) for nodes, pattern in parents]

@@ -29,7 +29,7 @@ MAX_POINTS = 20_000
 class SolveFields:
     """Surface and stresses of one solve, in the undeformed frame of the first interface."""
 
-    # Whether the slopes are the whole answer: fields = slopes @ inputs, a temperature among them
+    # Whether the slopes are the complete answer: fields = slopes @ inputs, a temperature among them
     # from its reference.
     linear: bool
     # vertices, triangles: shape (v, 3), m, undeformed, and (t, 3), int32

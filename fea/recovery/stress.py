@@ -62,7 +62,7 @@ def cauchy_stress(
     displacement: shape (n, 3), m.
     tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
     temperature: K from the reference.
-    loads: how many inputs there are before the temperature, where that is one.
+    loads: how many inputs there are before the temperature, where that is an input.
     Returns stresses: shape (p, 6), Pa: xx, yy, zz, xy, xz, yz. changes: shape (p, 6, k), Pa per
     unit of each.
     """
@@ -107,7 +107,7 @@ def _parts(component: ComponentModel) -> Iterator[tuple[str, Array, Array]]:
 
 
 def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Array:
-    """Return the largest shares of the yield strength under unit loads (k,), each of one over it.
+    """Return the largest fractions of the yield strength under unit loads (k,), each over it.
 
     `fields` has shape (n, 3, k), m over each unit, in the body's axes. The von Mises stress is a
     seminorm, so that of a sum of loads is at most the sum of theirs (triangle inequality).
@@ -125,7 +125,7 @@ def _strengths(component: ComponentModel) -> Array:
 
 
 def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -> str:
-    """Return which share of the part's volume yields, in words; none if nothing does.
+    """Return which fraction of the part's volume yields, as text; none if nothing does.
 
     By the von Mises stress at the integration points. Materials here do not yield, so the answer
     is too stiff beyond that.

@@ -33,12 +33,12 @@ _MIN_COSINE = 0.7  # cosine of a path that bends no more than it should in one s
 class Ending(NamedTuple):
     """Why the path was not followed further."""
 
-    # ``"reached"``: the whole load, by stable states all along; ``"limit"``: the load has a maximum
+    # ``"reached"``: the full load, by stable states all along; ``"limit"``: the load has a maximum
     # on the path; ``"bifurcation"``: the states become unstable while the load still grows;
     # ``"lost"``: no equilibrium was found further on.
     kind: str
     factor: float  # of the load: the greatest that was found to have a stable state on this path
-    equilibrium: Equilibrium  # the last state found, beyond the whole load if it was reached
+    equilibrium: Equilibrium  # the last state found, beyond the full load if it was reached
 
 
 class _Point(NamedTuple):
@@ -55,7 +55,7 @@ class ArcPath:
 
     system: the equations.
     direction: shape (k,): the inputs per unit of the size.
-    whole: the size of the full load.
+    full: the size of the full load.
     start: a stable equilibrium at the load factor `factor`, with its tangent.
     step: Change of the load factor to begin with.
     report: called with a load factor; returns a function that is called after each iteration.
@@ -82,9 +82,9 @@ class ArcPath:
         self._length = self._first
 
     def follow(self, accept: Callable[[Equilibrium, float], None]) -> Ending:
-        """Step until the whole load is reached or cannot be.
+        """Step until the full load is reached or cannot be.
 
-        accept: called with each stable state below the whole load, and its factor.
+        accept: called with each stable state below the full load, and its factor.
         """
         for _ in range(_MAX_STEPS):
             ahead = self._step()

@@ -46,7 +46,7 @@ def linear_response(system: System) -> LinearResponse:
 
     Raises SolveFailed: ``mechanism``; ``ill_conditioned`` if the compliance is not symmetric, or
     not equal to its strain energies, by more than 1e-6, or corrections do not get small. The
-    condition alone does not decide: a plate of 1:100 has one of 1e11, and the corrections bring its
+    condition alone does not decide: that of a plate of 1:100 is 1e11, and the corrections bring its
     answer to full accuracy.
     """
     fields, border, correction = _refined(system, system.undeformed)

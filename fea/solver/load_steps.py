@@ -33,7 +33,7 @@ Array = np.ndarray
 FIRST_STEP = 1.0
 """Load factor tried first."""
 GROWTH = 2.0
-"""How much longer the next step is after one that converged quickly."""
+"""How much longer the next step is after a step that converged quickly."""
 
 _MIN_STEP = 1.0 / 32
 _FEW_ITERATIONS = 8
@@ -50,12 +50,12 @@ class _Refused(Exception):  # noqa: N818 - load control gives up; the path's len
 class LoadPath:
     """Follows one wrench from nothing to its full size.
 
-    The first step tries the whole load: with the tangents of `fea.solver.newton` most parts
+    The first step tries the full load: with the tangents of `fea.solver.newton` most parts
     converge at once. A step is taken back and halved if Newton's method gets stuck, if the state
     it finds is unstable or turned inside out, or if the tangents at both its ends do not explain
     how far it went: a load step that jumps onto another branch of equilibria moves further than
     either tangent says. Where no step is short enough the path is followed by its length
-    (`fea.solver.arc_length`), to the whole load or to the load at which the part gives way.
+    (`fea.solver.arc_length`), to the full load or to the load at which the part gives way.
 
     system: the equations.
     wrench: shape (k,): the inputs, as of `Balance.wrench`; not zero.
@@ -90,8 +90,8 @@ class LoadPath:
         """Step to the full wrench.
 
         check: called with each converged balance; raises SolveFailed to stop.
-        guess: a state near the one sought, such as that of a nearby wrench. What it leads to must
-        pass as one step from no load to the whole; else it is as if there were no guess.
+        guess: a state near the equilibrium, such as that of a nearby wrench. What it leads to must
+        pass as one step from no load to the full; else it is as if there were no guess.
         Raises SolveFailed: ``not_converged``, ``snap_through`` or ``ill_conditioned``, or what
         `check` raises; with the history and the last state.
         """
@@ -153,7 +153,7 @@ class LoadPath:
         raise gave_way(ending.kind, ending.factor) or refused
 
     def _settle(self, beyond: Equilibrium) -> Equilibrium | None:
-        """Go back from a state just beyond the whole load to the whole load."""
+        """Go back from a state just beyond the full load to the full load."""
         start = self._system.reload(beyond.balance, self._wrench)
         try:
             equilibrium = find_equilibrium(self._system, start, beyond.tangent, self._reporter(1.0))

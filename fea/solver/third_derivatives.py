@@ -71,7 +71,7 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
     system: the equations.
     balance, tangent: a state in balance, and the tangent there.
     Result: shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
-    where one is that of a locked freedom.
+    where an index is that of a locked freedom.
     """
     state, inputs, coupling = balance.state, balance.wrench, system.coupling
     active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))

@@ -2,9 +2,9 @@
 
 A rigid mass may ride on the interface. The frames of the reduced part (Craig and Bampton 1968) are
 the base, which the supports or the held interface stand on, and the other interfaces; each has six
-freedoms, a translation and a rotation vector in its own axes. Unit motions of a frame while the
+freedoms, a translation and a rotation vector in its axes. Unit motions of a frame while the
 others stand still are the static shapes; to them come the lowest modes of the part with all frames
-held, of unit mass each. The base's shapes are rigid motions of the whole part less what these move
+held, of unit mass each. The base's shapes are rigid motions of the part less what these move
 of the interfaces, so that rigid motions cost no energy.
 
 Linear buckling asks at how many times a load the straight part has a second equilibrium:
@@ -12,8 +12,8 @@ K x = -f G x with the stiffness K of the undeformed part and its stiffness G und
 that load, G_ia,kb = delta_ik integral of dN_a . sigma dN_b (Zienkiewicz and Taylor, volume 2,
 section 11.6). The largest eigenvalues of K^-1 (-G) are 1/f; the same modes with the opposite sign
 are those of the opposite load. They come of a subspace iteration (Bathe 1996, section 11.6), K^-1
-by the factor that solves are made with. A rigid link's own second-order motion is left out: exact
-for an interface point in its section, not for one on a long lever.
+by the factor that solves are made with. A rigid link's second-order motion is left out: exact
+for an interface point in its section, not for a point on a long lever.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ class Inertia:
         return nodes, interface
 
     def border(self, x: Array) -> Array:
-        """Return the whole border's motion, shape (border, 1); its multipliers are zero."""
+        """Return the full border's motion, shape (border, 1); its multipliers are zero."""
         return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
 
     def times(self, x: Array) -> Array:
@@ -273,7 +273,7 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
 
     mesh: the cells, in any frame.
     density: for each block of the mesh, shape (cells,), kg/m^3.
-    Returns csr_array: shape (n, n), kg; the sum of its entries is the whole mass.
+    Returns csr_array: shape (n, n), kg; the sum of its entries is the total mass.
     """
     count = len(mesh.points)
     total = csr_array((count, count))
@@ -342,7 +342,7 @@ def craig_bampton(
         raise ValueError(f"there are 1 to {inertia.size - freedoms - 1} modes, not {modes}")
     shapes, compliance = static_shapes(inertia)
     squares, motions = _held_modes(inertia, shapes, modes)
-    # Each frame's motion (6, 6), in its own axes, by that of the first frame.
+    # Each frame's motion (6, 6), in its axes, by that of the first frame.
     turned = np.hstack([np.zeros((3, 3)), axes.T])
     motions_of = [
         np.vstack([eigenvalues @ _rigid((point - origin)[None], axes)[0], eigenvalues @ turned])

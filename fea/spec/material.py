@@ -155,7 +155,7 @@ class Orthotropic(Solid):
     def directions(self, points: Array) -> Array:
         """Return the directions 1, 2 and 3 at points (..., 3), m: shape (..., 3, 3), in rows.
 
-        Points and directions are in the mesh's axes. On the axis itself any radial one will do.
+        Points and directions are in the mesh's axes. On the axis any radial direction will do.
         """
         if self.cylinder is None:
             return np.broadcast_to(self.axes, (*points.shape[:-1], 3, 3))

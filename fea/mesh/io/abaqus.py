@@ -240,7 +240,7 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
 
 def _take_nodes(deck: Deck, keyword: Keyword) -> None:
     if keyword.options.get("SYSTEM", "R").upper() != "R":
-        raise MeshFileError("is in a system of its own; give global Cartesian coordinates")
+        raise MeshFileError("is in a local system; give global Cartesian coordinates")
     deck.node_lines.append((len(deck.nodes), keyword.line))
     labels = []
     for row in keyword.rows:

@@ -319,13 +319,13 @@ def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         if not 1 <= int(freedom) <= 6:
             raise ValueError(f"{freedom} is no force or moment")
         for entry in ((label, int(freedom) - 1) for label in labels):
-            before = step.forces[entry][1] if entry in step.begun else 0.0  # a step's own add up
+            before = step.forces[entry][1] if entry in step.begun else 0.0  # a step's forces add up
             step.forces[entry] = key, before + float(value)
             step.begun.add(entry)
 
 
 def _take_step(reader: _Reader, _: Deck, keyword: Keyword) -> None:
-    """Begin a step where the last general one ends, or a load case where its step stands."""
+    """Begin a step where the last general step ends, or a load case where its step stands."""
     kinds, kind = ("general",), "perturbation" if "PERTURBATION" in keyword.options else "general"
     if keyword.word == "LOAD CASE":
         kinds, kind = ("general", "perturbation"), "load case"
@@ -402,7 +402,7 @@ def _directions(freedoms: set[int]) -> str:
 
 
 def _set_of(reader: _Reader, deck: Deck, labels: list[int], name: str) -> str:
-    """Return the key of the set of these nodes, a new one if the deck has none."""
+    """Return the key of the set of these nodes, a new key if the deck has none."""
     nodes = frozenset(labels)
     if nodes not in reader.sets:
         while name.upper() in deck.node_sets:

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from wrenchbook.fea.mesh.io.raw import Case, MeshFileError, Translated
 
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
-_NOT_TAKEN = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
-_NOT_TAKEN |= {"DA", "DK", "DL", "FK", "SFA", "SFL", "SFGRAD", "BFA", "BFK", "BFL", "BFV", "BFUNIF"}
-_NOT_TAKEN |= {"TUNIF", "CMACEL", "CMOMEGA", "DOMEGA", "INISTATE"}
-_NOT_TAKEN |= {"CEINTF", "CPINTF", "DSYM", "EKILL", "FCUM", "DCUM", "FSCALE", "DSCALE", "NROTAT"}
+_SKIPPED = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
+_SKIPPED |= {"DA", "DK", "DL", "FK", "SFA", "SFL", "SFGRAD", "BFA", "BFK", "BFL", "BFV", "BFUNIF"}
+_SKIPPED |= {"TUNIF", "CMACEL", "CMOMEGA", "DOMEGA", "INISTATE"}
+_SKIPPED |= {"CEINTF", "CPINTF", "DSYM", "EKILL", "FCUM", "DCUM", "FSCALE", "DSCALE", "NROTAT"}
 _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
@@ -92,8 +92,8 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
         archive.end_step(f"LOAD STEP {len(archive.cases) + 1}")
     elif word in _SELECTIONS:
         archive.selected = word != "ALLSEL" and fields[:1] != ["ALL"]
-    elif word in _NOT_TAKEN:
-        archive.left[word] += 1
+    elif word in _SKIPPED:
+        archive.skipped[word] += 1
 
 
 def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
@@ -105,7 +105,7 @@ def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
         values = [row[start + i * size : start + (i + 1) * size].strip() or "0" for i in range(6)]
         archive.nodes.append(f"{row[:width].strip()}, {', '.join(values[:3])}")
         if any(map(float, values[3:])):
-            archive.left["nodes with axes of their own"] += 1
+            archive.skipped["nodes with local axes"] += 1
 
 
 def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
@@ -142,7 +142,7 @@ def _fixed(row: str, width: int) -> list[str]:
 def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: list[str]) -> None:
     name, _, full = kind.partition(" ")
     if name not in (*_HEX, *_TET):
-        archive.left[f"elements of type {name}"] += 1
+        archive.skipped[f"elements of type {name}"] += 1
         return
     archive.sections[region] = region
     if name in _HEX and nodes[4] == nodes[5] and nodes[2] != nodes[3]:
@@ -165,7 +165,7 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
     while len(numbers) < count:
         numbers += map(int, _fixed(next(rows), width))
     if not fields[1].startswith("NODE"):
-        archive.left[f"component {fields[0]} of elements"] += 1
+        archive.skipped[f"component {fields[0]} of elements"] += 1
         return
     members = archive.groups[fields[0]]
     for number in numbers:
@@ -183,11 +183,11 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
         if word == "MP" or int(fields[4]) == 1:  # else a table's later rows
             constants[_CONSTANTS[label]] = value
         first = constants.get(_CONSTANTS[label], "")
-        archive.left[f"{label} at further temperatures"] += any(
+        archive.skipped[f"{label} at further temperatures"] += any(
             each != first for each in (value, *more) if each
         )
     elif label == "EY":
-        archive.left["orthotropic constants"] += 1
+        archive.skipped["orthotropic constants"] += 1
 
 
 def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
@@ -205,14 +205,16 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     elif not nodes:
         raise ValueError(f"{node} names nodes that the file does not list; write their numbers")
     labels = [label or "ALL", *filter(None, values[4:] if word == "D" else ())]
-    archive.left[f"{word} of {', '.join(labels)}"] += any(each not in _FREEDOMS for each in labels)
+    archive.skipped[f"{word} of {', '.join(labels)}"] += any(
+        each not in _FREEDOMS for each in labels
+    )
     ways = "".join(_FREEDOMS.get(each, "") for each in labels)
     for target in ((each, way) for each in nodes for way in ways):
         acting.pop(target, None)
         if not removes:
             acting[target] = float(values[0] or 0)
     moves = word == "D" and ways and float(values[0] or 0) != 0.0
-    archive.left["D with a motion that is not 0"] += bool(moves)
+    archive.skipped["D with a motion that is not 0"] += bool(moves)
 
 
 def _clear(archive: _Archive, fields: list[str], _: Iterator[str]) -> None:

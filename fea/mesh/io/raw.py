@@ -189,7 +189,7 @@ class Translated:
         Lines of couplings.
     cases
         Each a step.
-    left
+    skipped
         How often each thing occurs that is not in the deck.
     decide
         What the file leaves open.
@@ -204,7 +204,7 @@ class Translated:
     groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     couplings: list[str] = field(default_factory=list)
     cases: list[Case] = field(default_factory=list)
-    left: Counter[str] = field(default_factory=Counter)
+    skipped: Counter[str] = field(default_factory=Counter)
     decide: list[str] = field(default_factory=list)
     nonlinear: bool = False
 
