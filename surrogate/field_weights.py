@@ -1,12 +1,12 @@
 """Weights of rows for whole fields: the kriging's, applied to any number of values at once.
 
-The posterior mean of a kriging is linear in what the rows tell: with the covariance c of the value
-at w with all values and slopes of the rows, f(w) = lambda' y with
+The posterior mean of a kriging is linear in the rows' values and slopes: with the covariance c of
+the value at w with all values and slopes of the rows, f(w) = lambda' y with
 
     lambda = T' (T c + TF M u),   u = (mean's terms at w) - TF' T c,
 
-in the words of `surrogate.kriging.factor`. One lambda serves every vertex of a surface and every
-integration point of a body, with the length scales that the table's own outputs have settled.
+with the symbols of `surrogate.kriging.factor`. One lambda serves every vertex of a surface and
+every integration point of a body, with the length scales of the table's outputs.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from .kriging.correlation import Hyperparameters
 from .kriging.equations import DECIMALS, Equations
-from .kriging.factor import KrigingFactor, Share, factorise, left_out
+from .kriging.factor import KrigingFactor, OutputGroup, factorise, left_out
 from .kriging.settings import DEFAULTS, KrigingSettings
 from .table.rows import Floats, LoadRange
 
@@ -50,12 +50,12 @@ class FieldWeights:
         Parameters
         ----------
         hyperparameters : Hyperparameters, optional
-            Of the table's kriging; without one, those that its estimate starts from.
+            Of the table's kriging; else those that its estimate starts from.
 
         Raises
         ------
         SingularCovarianceError
-            If two rows are at one wrench.
+            If two rows are at the same wrench.
         """
         (count, loads), groups = wrenches.shape, load_range.space.kriging_groups
         if hyperparameters is None:
@@ -66,8 +66,8 @@ class FieldWeights:
         blank, none = np.zeros((count, 1 + loads, 1)), np.zeros((count, 1))  # no values, no noise
         x, measured = _scaled(wrenches, load_range), np.ones((count, 1), dtype=bool)
         equations = Equations(x, known, blank, measured, none, none, none, groups)
-        share = Share(np.arange(1), np.arange(count), np.zeros(count))
-        factor = factorise(equations, hyperparameters, share, settings)
+        group = OutputGroup(np.arange(1), np.arange(count), np.zeros(count))
+        factor = factorise(equations, hyperparameters, group, settings)
         return cls(np.array(wrenches, dtype=float), load_range, factor)
 
     def at(self, wrench: Floats) -> tuple[Floats, float]:
@@ -80,10 +80,12 @@ class FieldWeights:
         x = _scaled(np.asarray(wrench, dtype=float).reshape(1, -1), self.load_range)
         value = np.zeros((1, known.shape[1]), dtype=bool)
         value[:, 0] = True
-        reduced, left = factor.explained_at(x, value)
+        reduced, unexplained = factor.explained_at(x, value)
         weights = np.zeros(known.shape)
-        weights[known] = factor.T.T @ (reduced[0] + factor.TF @ factor.mean_covariance @ left[0])
-        sigma = np.sqrt(factor.variance_of(reduced, left, factor.mean_covariance)[0])
+        weights[known] = factor.T.T @ (
+            reduced[0] + factor.TF @ factor.mean_covariance @ unexplained[0]
+        )
+        sigma = np.sqrt(factor.variance_of(reduced, unexplained, factor.mean_covariance)[0])
         return weights * np.append(1.0, self.load_range.scale), float(sigma)
 
     def left_out(self, values: Floats) -> tuple[Floats, Floats]:
@@ -102,15 +104,15 @@ class FieldWeights:
         for start in range(0, size, COLUMNS):
             part = slice(start, start + COLUMNS)
             data = (values[:, :, part] * scale)[self.factor.equations.known]
-            found = left_out(self.factor.of_data(data), np.arange(count))
-            errors[:, part], variances = found.errors, found.variances
+            left_out_rows = left_out(self.factor.of_data(data), np.arange(count))
+            errors[:, part], variances = left_out_rows.errors, left_out_rows.variances
         return errors, np.sqrt(variances)
 
 
-def nearest_rows(wrenches: Floats, wrench: Floats, load_range: LoadRange, most: int) -> list[int]:
-    """Return the places of the rows, (k, 6), nearest to a wrench (6,), N and N·m, ascending."""
-    apart = np.linalg.norm((wrenches - wrench) / load_range.scale, axis=1)
-    return sorted(np.argsort(apart, kind="stable")[:most].tolist())
+def nearest_rows(wrenches: Floats, wrench: Floats, load_range: LoadRange, count: int) -> list[int]:
+    """Return the indices of the rows, (k, 6), nearest to a wrench (6,), N and N·m, ascending."""
+    distances = np.linalg.norm((wrenches - wrench) / load_range.scale, axis=1)
+    return sorted(np.argsort(distances, kind="stable")[:count].tolist())
 
 
 def _scaled(wrenches: Floats, load_range: LoadRange) -> Floats:

@@ -46,14 +46,14 @@ def filled_cells(
     filled = []
     for block, number, chosen, law, projected in sorted_cells(mesh, materials, numbers):
         part = CellBlock(block.kind, block.nodes[chosen])
-        one_each = [materials[i] for i in number[chosen]]
+        cell_materials = [materials[i] for i in number[chosen]]
         gradients = cell_gradients(mesh.points, part, integration)
         modes = None
         if projected:
             modes = volume_modes(mesh.points, part, gradients.weights, integration)
         values = reference_element(part.kind, integration).values
-        places = values @ mesh.points[part.nodes] @ frame + start
-        filled.append((part, _stiffness(law, gradients, one_each, modes, (frame, places))))
+        points = values @ mesh.points[part.nodes] @ frame + start
+        filled.append((part, _stiffness(law, gradients, cell_materials, modes, (frame, points))))
     return filled
 
 
@@ -94,11 +94,15 @@ def _stiffness(
     else:
         expansion = _by_cell(
             _directions(materials, where),
-            lambda one, own: (own.swapaxes(-1, -2) * np.array(one.thermal_expansion)) @ own,
+            lambda material, rows: (
+                (rows.swapaxes(-1, -2) * np.array(material.thermal_expansion)) @ rows
+            ),
         )
     if law == "orthotropic":
         parts = _directions(materials, where)
-        elasticity = _by_cell(parts, lambda one, own: turned_elasticity(_own(one).elasticity, own))
+        elasticity = _by_cell(
+            parts, lambda material, rows: turned_elasticity(_orthotropic(material).elasticity, rows)
+        )
         return OrthotropicStiffness(gradients, elasticity, expansion=expansion)
     kind = NeoHookeanStiffness if law == "neo-hookean" else Stiffness
     young = np.array([material.youngs_modulus for material in materials])
@@ -113,10 +117,10 @@ def _directions(
 ) -> list[tuple[AnyMaterial, Array, Array]]:
     """Return each material, its cells (k,) and its directions there, (k, points or 1, 3, 3).
 
-    `where` is the frame of the result, (3, 3), and the integration points' places in the bundle's
+    `where` is the frame of the result, (3, 3), and the integration points in the bundle's
     axes, (cells, points, 3), m. Directions that are everywhere the same stand once a cell.
     """
-    frame, places = where
+    frame, points = where
     groups = []
     for chosen in {id(material): material for material in materials}.values():
         cells = np.array([k for k, material in enumerate(materials) if material is chosen])
@@ -124,7 +128,7 @@ def _directions(
         if orthotropic is None:
             directions = np.broadcast_to(np.eye(3), (len(cells), 1, 3, 3))
         else:
-            at = places[cells] if orthotropic.cylinder else places[cells, :1]
+            at = points[cells] if orthotropic.cylinder else points[cells, :1]
             directions = orthotropic.directions(at) @ frame.T
         groups.append((chosen, cells, directions))
     return groups
@@ -142,6 +146,6 @@ def _by_cell(
     return out
 
 
-def _own(material: AnyMaterial) -> Orthotropic:
+def _orthotropic(material: AnyMaterial) -> Orthotropic:
     assert material.orthotropic is not None
     return material.orthotropic

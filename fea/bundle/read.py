@@ -51,7 +51,7 @@ __all__ = [
 FILE_NAME = "component.toml"
 
 _LINE = re.compile(r"\(at line (\d+), column (\d+)\)")
-_MOST_BYTES = 256 * 1024  # hundreds of faces chosen by number, of a geometry file
+_MAX_BYTES = 256 * 1024  # hundreds of faces chosen by number, of a geometry file
 # Begins where a word does, so that a long word is looked at once.
 _LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")
 _OR_HELD = ", or held = true in one [[interface]]: its reaction then balances the loads"
@@ -71,13 +71,13 @@ def read_bundle(folder: str | Path) -> Bundle:
     path = folder / FILE_NAME
     try:
         with path.open("rb") as file:
-            content = file.read(_MOST_BYTES + 1)
+            content = file.read(_MAX_BYTES + 1)
     except OSError as error:
         folder_is = f"{folder} is no folder" if not folder.is_dir() else f"not in {folder}"
         message = f"cannot be read ({error.strerror}: {folder_is}); name a folder with this file"
         raise BundleError([BundleProblem(FILE_NAME, message)]) from None
-    if len(content) > _MOST_BYTES:
-        message = f"is longer than {_MOST_BYTES} bytes; a component.toml names its files by name"
+    if len(content) > _MAX_BYTES:
+        message = f"is longer than {_MAX_BYTES} bytes; a component.toml names its files by name"
         raise BundleError([BundleProblem(FILE_NAME, message)])
     # The parser keeps the path to each part of a key: 23 GB for one of 100,000 parts.
     if long_key := _LONG_KEY.search(content):
@@ -246,7 +246,7 @@ class _Reader:
         return interfaces
 
     def range(self, several: list[Any]) -> DeclaredRange | None:
-        """Return ``[range]``, or the ranges of several interfaces one behind the other."""
+        """Return ``[range]``, or the ranges of several interfaces in their order."""
         if "range" in self.table and several:
             self.wrong(
                 "range", "each [[interface]] has its own; write range = {force, moment} there"
@@ -270,7 +270,7 @@ class _Reader:
         return DeclaredRange(low, high)
 
     def analysis(self, mesh: MeshSource | None) -> Analysis | None:
-        """Return ``[analysis]``; a component without one claims nothing, so: nonlinear.
+        """Return ``[analysis]``; a component without it claims nothing, so: nonlinear.
 
         The integration of an input deck's 20-node hexahedra is the default of its component.
         """
@@ -322,7 +322,9 @@ class _Reader:
             return
         interfaces = self.table.get("interface")
         several = isinstance(interfaces, list)
-        held = several and any(isinstance(one, dict) and one.get("held") for one in interfaces)
+        held = several and any(
+            isinstance(table, dict) and table.get("held") for table in interfaces
+        )
         for key in _SOLVER_TABLES:
             if "mesh" in self.table:
                 if key not in self.table and not (held and key == "supports"):

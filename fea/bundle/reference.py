@@ -44,8 +44,8 @@ def _tidy(part: Any) -> Any:
         return [_tidy(each) for each in part if each != {"type": "null"}]
     if not isinstance(part, dict):
         return part
-    kept = {k: v for k, v in part.items() if k not in _OURS or isinstance(v, dict)}
-    tidy = {key: _tidy(value) for key, value in kept.items()}
+    described = {k: v for k, v in part.items() if k not in _OURS or isinstance(v, dict)}
+    tidy = {key: _tidy(value) for key, value in described.items()}
     if len(tidy.get("anyOf", ())) == 1:
         tidy |= tidy.pop("anyOf")[0]
     if part.get("default", ...) is None:
@@ -65,8 +65,10 @@ def descriptions(cls: type) -> dict[str, str]:
         (source,) = ast.parse(inspect.getsource(each)).body
         for entry, text in pairwise(getattr(source, "body", ())):
             match entry, text:
-                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(words))):
-                    texts[name] = " ".join(words.split())
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(
+                    ast.Constant(str(documentation))
+                ):
+                    texts[name] = " ".join(documentation.split())
     names = {info.alias: name for name, info in vars(cls)["__pydantic_fields__"].items()}
     return {key: texts[names.get(key, key)] for key in keys_of(cls)}
 
@@ -76,7 +78,7 @@ _OURS = ("toml", "absent", "write", "among", "title")
 
 def tables() -> dict[str, list[type]]:
     """Return the models of each table by its heading, in the order of the file."""
-    found: dict[str, list[type]] = {"component.toml": [ComponentFile]}
+    by_heading: dict[str, list[type]] = {"component.toml": [ComponentFile]}
     waiting = [("", [ComponentFile])]
     for path, classes in waiting:
         for key, infos in _fields(classes).items():
@@ -86,9 +88,9 @@ def tables() -> dict[str, list[type]]:
             name = f"{path}.{key}" if path else key
             name += ".NAME" if get_origin(kind) is Mapping else ""
             single = get_origin(kind) is Mapping or _has_single(kind)
-            found[f"[{name}]" if single else f"[[{name}]]"] = below
+            by_heading[f"[{name}]" if single else f"[[{name}]]"] = below
             waiting.append((name, below))
-    return found
+    return by_heading
 
 
 def _has_single(kind: Any) -> bool:

@@ -90,7 +90,7 @@ def converge(options: argparse.Namespace) -> Reply:
     study = json.loads(file.read_text(encoding="utf-8"))
     if options.plot is not None:
         write_plot(study, options.plot)
-    # A line a mesh, the order, and what the component's own mesh lacks of each response.
+    # A line a mesh, the order, and what the component's mesh lacks of each response.
     rows = [("response, SI", study["outputs"])]
     for count, size, values in zip(study["nodes"], study["sizes"], study["values"], strict=True):
         rows.append((f"{count} nodes, {1e3 * size:.4g} mm", [f"{value:.6g}" for value in values]))
@@ -146,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         status, reply, text = options.run(options)
-    except (BundleError, SolveFailed, ValueError, OSError, MemoryError) as error:
+    except options.errors as error:
         text = str(error)
         status, reply = 1, {"error": {"title": type(error).__name__, "detail": text}}
     print(json.dumps(reply) if options.json else text)
@@ -157,9 +157,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="wrenchbook")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    def command(run: Any, description: str) -> Any:
+    def command(run: Any, description: str, *further: type[Exception]) -> Any:
         subparser = commands.add_parser(run.__name__, description=description)
-        subparser.set_defaults(run=run, usage_error=subparser.error)
+        errors = (BundleError, SolveFailed, OSError, MemoryError, *further)
+        subparser.set_defaults(run=run, errors=errors, usage_error=subparser.error)
         subparser.add_argument(
             "--json", action="store_true", help="one line of JSON instead of text"
         )
@@ -173,9 +174,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--schema", action="store_true", help="the JSON schema of component.toml, for editors")
     add("folder", type=Path, metavar="FOLDER", nargs="?", help="folder of the component bundle")
 
-    add = command(
-        converge, "Solve a part on finer meshes: order, limit, and the error of its own mesh."
-    )
+    text = "Solve a part on finer meshes: order, limit, and the error of its mesh."
+    add = command(converge, text, ValueError)
     add(
         "--finer",
         type=Path,
@@ -186,7 +186,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--plot", type=Path, help="write errors over cell sizes as a page, .html")
     add("folder", type=Path, help="folder of the component bundle")
 
-    add = command(condense, "Write stiffness and mass of frames and modes (Craig-Bampton) as npz.")
+    text = "Write stiffness and mass of frames and modes (Craig-Bampton) as npz."
+    add = command(condense, text, ValueError)
     add("--modes", type=int, default=10, help="modes with all frames held (default 10)")
     add("folder", type=Path, help="folder of the component bundle")
     add("out", type=Path, help="the file to write, .npz")

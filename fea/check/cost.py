@@ -28,11 +28,11 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.pressure_projection import NEARLY_INCOMPRESSIBLE
 from wrenchbook.fea.linalg.nested_dissection import dissect
 
-_MOST_CELLS = 100_000
+_MAX_CELLS = 100_000
 """Beyond this many cells the operations are guessed from the unknowns, as of a cube."""
 
 _NONLINEAR = 2.5  # times the work of a linear solve
-_PROJECTED = 2.0  # times that where pressure is an unknown of its own: more, and larger, matrices
+_PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and larger, matrices
 
 
 def estimate(component: ComponentModel) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     free[component.fixed_nodes] = False
     unknowns = 3 * int(free.sum())
     entries = sum(len(block) * (3 * block.nodes.shape[1]) ** 2 for block in mesh.blocks)
-    if sum(len(block) for block in mesh.blocks) <= _MOST_CELLS:
+    if sum(len(block) for block in mesh.blocks) <= _MAX_CELLS:
         cells = [nodes for block in mesh.blocks for nodes in block.nodes]
         centres = np.concatenate([mesh.points[block.nodes].mean(axis=1) for block in mesh.blocks])
         operations = numbers = 0.0
@@ -58,7 +58,7 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
         operations, numbers = 37e9 * (unknowns / 34611) ** 2, 28e6 * (unknowns / 34611) ** (4 / 3)
     count = sum(len(block) for block in mesh.blocks)
     work = 7.2e-8 * entries + 1e-5 * count * np.log2(count + 1) + operations / 19e9
-    # Some cells take the pressure for an unknown of its own.
+    # Some cells take the pressure as a separate unknown.
     kinds = {"hex20", "hex27"} & set(mesh.cell_counts)
     ratios = [
         material.poisson_ratio for material in component.materials if material.law != "orthotropic"

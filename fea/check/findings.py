@@ -8,10 +8,10 @@ moves a node at x by
     N(x) q = t + theta x (x - centre).
 
 Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
-of section and interface, a distributed one that the interface moves as the section does in the
+of section and interface, a distributed coupling that the interface moves as the section does in the
 mean (least squares), and locked freedoms hold the interface; each of several likewise. A bushing is
-tied to its group as an interface is, and held where its spring resists. What satisfies all of this
-is the null space of a small dense matrix.
+coupled to its group as an interface is, and held where its spring resists. What satisfies all of
+this is the null space of a small dense matrix.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.inspection import Bodies, gap, place_in_words
+from wrenchbook.fea.inspection import Bodies, gap
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, HeldGroup, in_si
 from wrenchbook.fea.mesh.facets import group_nodes
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
-_MOST_BODIES = 40
-_MOST_REPORTED = 5
+_MAX_BODIES = 40
+_MAX_REPORTED = 5
 
 
 def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
@@ -45,7 +45,7 @@ def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
             "size": np.ptp(mesh.points[bodies.nodes[number]], axis=0).tolist(),
             "middle": middle(mesh.points[bodies.nodes[number]]).tolist(),
         }
-        for number in range(min(bodies.count, _MOST_BODIES))
+        for number in range(min(bodies.count, _MAX_BODIES))
     ]
 
 
@@ -53,10 +53,10 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     """Return a problem for each body that supports and coupling do not hold.
 
     component, bodies: what is looked at, and the bodies it falls into.
-    pairs: shape (k, 2), int64: indices of nodes in one place
+    pairs: shape (k, 2), int64: indices of coincident nodes
     (`fea.inspection.coincident_nodes`).
     """
-    if bodies.count > _MOST_BODIES:
+    if bodies.count > _MAX_BODIES:
         message = (
             f"falls into {bodies.count} parts that share no face with each other; merge the nodes "
             "in the mesher before exporting"
@@ -67,14 +67,14 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     if not loose:
         return []
     if bodies.count == 1:
-        mechanism = f"the part is a mechanism, {_motions_in_words(component, motions[0])}"
+        mechanism = f"the part is a mechanism, {_motions_text(component, motions[0])}"
         if len(component.sliding[0]) or component.bushings:
             return [BundleProblem("supports", f"{mechanism}; hold these as well")]
         message = f"{mechanism}; fix at least three points that are not on one line"
         return [BundleProblem("supports.fixed", message)]
-    problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MOST_REPORTED]]
-    if len(loose) > _MOST_REPORTED:
-        problems.append(BundleProblem("mesh", f"{len(loose) - _MOST_REPORTED} more parts are free"))
+    problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MAX_REPORTED]]
+    if len(loose) > _MAX_REPORTED:
+        problems.append(BundleProblem("mesh", f"{len(loose) - _MAX_REPORTED} more parts are free"))
     return problems
 
 
@@ -85,13 +85,13 @@ def _free_part(
     size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points[nodes], axis=0))
     message = (
         f"part {number + 1} of {bodies.count} ({bodies.cells[number]} cells, {size} mm, middle at "
-        f"{place_in_words(middle(mesh.points[nodes]))} m) is free: "
-        f"{_motions_in_words(component, motions)}. {_neighbour(mesh, bodies, number, pairs)}"
+        f"{point_text(middle(mesh.points[nodes]))} m) is free: "
+        f"{_motions_text(component, motions)}. {_neighbour(mesh, bodies, number, pairs)}"
     )
     return BundleProblem("mesh", message)
 
 
-def _motions_in_words(component: ComponentModel, motions: Array) -> str:
+def _motions_text(component: ComponentModel, motions: Array) -> str:
     if len(motions) == 6:
         return "it can move in all six ways, nothing holds it"
     points = component.mesh.points
@@ -154,7 +154,7 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
 
 
 def describe(motion: Array, centre: Array, extent: float) -> str:
-    """Return a motion of `free_motions` in words.
+    """Return a motion of `free_motions` as text.
 
     The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
     """
@@ -164,7 +164,7 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
     square = rotation @ rotation
     at = centre + np.cross(rotation, shift) / square
     pitch = shift @ rotation / square
-    line = f"turn about the line through {_place(at)} m along {_direction(rotation)}"
+    line = f"turn about the line through {point_text(at)} m along {_direction(rotation)}"
     return line if abs(pitch) < 1e-6 * extent else f"{line}, sliding along it"
 
 
@@ -261,10 +261,10 @@ class _Equations:
     def _moves(self, nodes: Array) -> Array:
         return self._moves_of(self.component.mesh.points[nodes])
 
-    def _moves_of(self, places: Array) -> Array:
-        """Return N of each place, stacked, shape (3 k, 6)."""
-        x, y, z = ((places - self.centre) / self.extent).T
-        moves = np.zeros((len(places), 3, 6))
+    def _moves_of(self, points: Array) -> Array:
+        """Return N of each point, stacked, shape (3 k, 6)."""
+        x, y, z = ((points - self.centre) / self.extent).T
+        moves = np.zeros((len(points), 3, 6))
         moves[:, :, :3] = np.eye(3)
         moves[:, 0, 4], moves[:, 0, 5] = z, -y
         moves[:, 1, 3], moves[:, 1, 5] = -z, x
@@ -297,15 +297,11 @@ def size_of(points: Array) -> float:
 def _direction(vector: Array) -> str:
     unit = vector / np.linalg.norm(vector)
     largest = unit[np.abs(unit).argmax()]
-    return _place(np.round(unit * np.sign(largest), 4) + 0.0)
-
-
-def _place(place: Array) -> str:
-    return "(" + ", ".join(f"{x:.4g}" for x in np.where(np.abs(place) < 1e-9, 0.0, place)) + ")"
+    return point_text(np.round(unit * np.sign(largest), 4) + 0.0)
 
 
 _SAME = 1e-3  # relative: decks write constants to three digits and more
-_NEAR = 1e-6  # of the mesh's size: two places are one
+_NEAR = 1e-6  # of the mesh's size: two points coincide
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
 _COMPARED = ("youngs_modulus", "poisson_ratio", "density", "thermal_expansion", "yield_strength")
 
@@ -325,7 +321,7 @@ def listing(deck: DeckContent) -> dict[str, Any]:
 
 
 def _instead(name: str) -> str:
-    """Return the element solved in place of a deck's, in words; empty where it is the same."""
+    """Name the element solved in place of a deck's; empty where it is the same."""
     solid = _SOLID.fullmatch(name)
     if solid is None:
         return ""

@@ -102,12 +102,12 @@ class CellState(ABC):
 
         The fields have shape (k, cells, 3, nodes), m. With E_a = sym(F^T grad a) and
         E_ab = sym(grad a^T grad b) the derivatives are the integral of
-        E_ab : C : E_c + E_bc : C : E_a + E_ca : C : E_b, and of the law's own part.
+        E_ab : C : E_c + E_bc : C : E_a + E_ca : C : E_b, and of the law's part.
         """
         dF, dE, wdS = self.changes(fields)
         rows = _by_field(dF)
-        products = [_by_field(dF @ own) @ rows.T for own in wdS]  # grad a (C : E_c) : grad b
-        return every_place(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
+        products = [_by_field(dF @ stress) @ rows.T for stress in wdS]  # grad a (C : E_c) : grad b
+        return symmetrised(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
 
     def third_of_law(self, fields: Array, strain: Array) -> Array:
         """Return what C's change adds to `third`, J: shape (k, k, k), or 0 of a constant C.
@@ -124,9 +124,9 @@ class CellState(ABC):
         dF, _, changes = self.changes(fields)
         wdS = np.moveaxis(changes, 0, 2)
         FdS = _each_transposed(wdS.reshape(dF.shape) @ F_T)
-        one_side = (dF @ self.wS + 0.5 * FdS) @ F_T
+        half = (dF @ self.wS + 0.5 * FdS) @ F_T
         growth = dF.reshape(*shape, 9) @ np.linalg.inv(F_T).reshape(*shape[:2], 9, 1)
-        changes = ((one_side + _each_transposed(one_side)) * scale).reshape(*shape, 3, 3)
+        changes = ((half + _each_transposed(half)) * scale).reshape(*shape, 3, 3)
         changes -= stress[:, :, None] * growth[..., None]
         return stress, np.moveaxis(changes, 2, 0)
 
@@ -149,8 +149,8 @@ def green_strain(H: Array) -> Array:
     return 0.5 * (H + H.swapaxes(-1, -2) + H.swapaxes(-1, -2) @ H)
 
 
-def every_place(product: Array) -> Array:
-    """Sum products symmetric in their first two indices over the third's three places: (k, k, k).
+def symmetrised(product: Array) -> Array:
+    """Sum products symmetric in their first two indices over the positions of the third: (k, k, k).
 
     The unit stays what it is.
     """

@@ -33,8 +33,8 @@ from wrenchbook.fea.element.cell_state import (
     CellState,
     DenseState,
     Which,
-    every_place,
     green_strain,
+    symmetrised,
 )
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness, projected_gram, weighted
 from wrenchbook.fea.tensors import COLUMNS, ROWS
@@ -69,14 +69,14 @@ class _State(DenseState):
         with np.errstate(invalid="ignore", divide="ignore"):
             self.scale = self.weights * self.shear * np.exp(-2.0 / 3.0 * np.log1p(self.growth))
         self.pressure = self._pressure(self.growth)
-        self.own = 2.0 * _times(self.scale, self.inverse @ _deviator(self.E))
-        self.wS = self.own + _times(self.pressure * self.J, self.inverse)
+        self.deviatoric = 2.0 * _times(self.scale, self.inverse @ _deviator(self.E))
+        self.wS = self.deviatoric + _times(self.pressure * self.J, self.inverse)
 
     def extrapolate(self, step: Array) -> None:
         """Replace the stress and the pressure by their linear extrapolations.
 
         The pressure in the moduli too: with the true forces this is Newton's method for
-        displacement and pressure as unknowns of their own, the pressure condensed. The pressure of
+        displacement and pressure as separate unknowns, the pressure condensed. The pressure of
         the new state itself is off by kappa times the square of the step, which at a ratio of
         0.4999 takes the iteration ten times as many steps.
         """
@@ -87,8 +87,8 @@ class _State(DenseState):
         strain = aimed - before.E
         growth = before.J * np.sum(before.inverse * strain, axis=(-2, -1))
         self.pressure = before.pressure + before._pressure(growth)
-        own = before.own + before._own_change(strain)
-        self.wS = own + _times(self.pressure * self.J, self.inverse)
+        deviatoric = before.deviatoric + before._deviatoric_change(strain)
+        self.wS = deviatoric + _times(self.pressure * self.J, self.inverse)
 
     def weighted_change(self, strain: Array) -> Array:
         growth = self.J * np.sum(self.inverse * strain, axis=(-2, -1))
@@ -99,7 +99,7 @@ class _State(DenseState):
         count, X = len(fields), self.inverse @ strain
         rows = X.swapaxes(-1, -2).reshape(count, -1)
         XX = X[:, None] @ X
-        t, s, p = (np.trace(own, axis1=-2, axis2=-1) for own in (X, strain, XX))
+        t, s, p = (np.trace(tensor, axis1=-2, axis2=-1) for tensor in (X, strain, XX))
         third = self.scale * (1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1))  # tr C / 3
         pressed, P = self.pressure * self.J, self.J * self._pressure(self.J * t)
         along = (pressed - 4.0 / 9.0 * third) / 3.0 * t + 4.0 / 9.0 * self.scale * s + P
@@ -107,14 +107,14 @@ class _State(DenseState):
         alone = _times(8.0 * (pressed - third), XX).reshape(count, count, -1) @ rows.T
         pairs = np.stack([t[:, None] * t, p]).reshape(2, count, count, -1)
         sums = pairs @ np.stack([along, twice]).reshape(2, 1, count, -1).swapaxes(-1, -2)
-        return alone + every_place(np.asarray(sums.sum(axis=0)))
+        return alone + symmetrised(np.asarray(sums.sum(axis=0)))
 
     def _pressure(self, growth: Array) -> Array:
         """Return the pressure of J - 1, shape (..., cells, points), times the weights."""
         projected = self.first_lame * weighted(growth, self.weights, self.modes)
-        return projected + self._own_pressure(growth)
+        return projected + self._local_pressure(growth)
 
-    def _own_pressure(self, growth: Array) -> Array:
+    def _local_pressure(self, growth: Array) -> Array:
         return 2.0 / 3.0 * self.shear * self.weights * growth
 
     def _at_pressure(self, strain: Array) -> Array:
@@ -122,17 +122,17 @@ class _State(DenseState):
         inside = self.inverse @ strain @ self.inverse
         along = np.sum(self.inverse * strain, axis=(-2, -1))
         pressed = _times(along, self.inverse) - 2.0 * inside
-        return self._own_change(strain) + _times(self.pressure * self.J, pressed)
+        return self._deviatoric_change(strain) + _times(self.pressure * self.J, pressed)
 
-    def _own_change(self, strain: Array) -> Array:
+    def _deviatoric_change(self, strain: Array) -> Array:
         """Return the change with E of the stress that keeps no volume."""
         inside = self.inverse @ strain @ self.inverse
         along = np.sum(self.inverse * strain, axis=(-2, -1))
         third = 1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1)  # tr C / 3
         trace = np.trace(strain, axis1=-2, axis2=-1)
-        own = _times(third, inside) - _times(along / 3.0, np.eye(3))
-        own += _times(third * along / 3.0 - trace / 3.0, self.inverse)
-        return 2.0 * _times(self.scale, own)
+        deviatoric = _times(third, inside) - _times(along / 3.0, np.eye(3))
+        deviatoric += _times(third * along / 3.0 - trace / 3.0, self.inverse)
+        return 2.0 * _times(self.scale, deviatoric)
 
     def moduli(self) -> Array:
         strains = np.broadcast_to(UNIT_STRAINS[:, None, None], (6, *self.E.shape))
@@ -140,7 +140,7 @@ class _State(DenseState):
             changes = self.weighted_change(strains)
         else:  # what is projected has no modulus at a point: see `tangent`
             growth = self.J * np.sum(self.inverse * strains, axis=(-2, -1))
-            pressed = _times(self._own_pressure(growth) * self.J, self.inverse)
+            pressed = _times(self._local_pressure(growth) * self.J, self.inverse)
             changes = self._at_pressure(strains) + pressed
         return np.moveaxis(changes[..., ROWS, COLUMNS], 0, -1)
 
@@ -160,9 +160,9 @@ class _State(DenseState):
         third = 1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1)
         e = _times(1.0 / third, _deviator(self.E))
         less = 8.0 * np.linalg.det(e) - 2.0 * np.sum(e * e, axis=(-2, -1))
-        own = 1.5 * self.shear * np.expm1(-np.log1p(less) / 3.0)
-        own = np.where(self.J > 0.0, own, np.nan)
-        return float(np.vdot(self.weights, own) + 0.5 * np.vdot(self.pressure, self.growth))
+        density = 1.5 * self.shear * np.expm1(-np.log1p(less) / 3.0)
+        density = np.where(self.J > 0.0, density, np.nan)
+        return float(np.vdot(self.weights, density) + 0.5 * np.vdot(self.pressure, self.growth))
 
 
 def _deviator(strain: Array) -> Array:

@@ -10,13 +10,18 @@ from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.facets import outer_surface
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress, stress_of
+from wrenchbook.fea.recovery.stress import (
+    cauchy_stress,
+    integration_points,
+    small_stress,
+    stress_of,
+)
 from wrenchbook.fea.solution import Solution
 from wrenchbook.fea.tensors import von_mises
 
 Array = np.ndarray
 
-MOST_POINTS = 20_000
+MAX_POINTS = 20_000
 """Integration points whose stresses are kept, some 1.5 MB a row; of more only the largest is."""
 
 
@@ -24,19 +29,19 @@ MOST_POINTS = 20_000
 class SolveFields:
     """Surface and stresses of one solve, in the undeformed frame of the first interface."""
 
-    # Whether the slopes are the whole answer: fields = slopes @ inputs, a temperature among them
+    # Whether the slopes are the complete answer: fields = slopes @ inputs, a temperature among them
     # from its reference.
     linear: bool
     # vertices, triangles: shape (v, 3), m, undeformed, and (t, 3), int32
     vertices: Array
     triangles: Array
-    whole_vertices: int  # of the outer surface before it was simplified
+    full_vertices: int  # of the outer surface before it was simplified
     # displacement, displacement_slopes: Shapes (v, 3), m, and (v, 3, k), m/N, m/(N·m) and m/K: its
     # change with the inputs.
     displacement: Array
     displacement_slopes: Array
     # stress, stress_slopes: Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, k),
-    # Pa/N, Pa/(N·m), Pa/K; p = 0 where there are more points than `MOST_POINTS`.
+    # Pa/N, Pa/(N·m), Pa/K; p = 0 where there are more points than `MAX_POINTS`.
     stress: Array
     stress_slopes: Array
     # places, materials: Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`
@@ -44,11 +49,11 @@ class SolveFields:
     materials: Array
     regions: tuple[str, ...]  # the materials' regions
     # largest, largest_at, largest_region: the largest von Mises stress over all integration points,
-    # Pa, its place, m, and region.
+    # Pa, its point, m, and region.
     largest: float
     largest_at: tuple[float, float, float]
     largest_region: str
-    weight: bool = False  # whether the component's own weight acts
+    weight: bool = False  # whether self-weight acts
 
 
 def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
@@ -62,8 +67,8 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     nodes = solution.nodes @ axes.T
     assert solution.tangents is not None
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
-    places, materials = places_of(component, body.points)
-    shown = slice(None) if len(places) <= MOST_POINTS else slice(0)
+    points, materials = integration_points(component, body.points)
+    shown = slice(None) if len(points) <= MAX_POINTS else slice(0)
     stress, changes = _stresses(component, body, solution, slopes, shown)
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
@@ -73,16 +78,16 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         linear=linear,
         vertices=body.points[surface.nodes],
         triangles=surface.triangles,
-        whole_vertices=surface.whole,
+        full_vertices=surface.full_count,
         displacement=nodes[surface.nodes],
         displacement_slopes=slopes[surface.nodes],
         stress=stress[shown],
         stress_slopes=changes[shown] if shown.stop is None else changes[:0],
-        places=places[shown],
+        places=points[shown],
         materials=materials[shown],
         regions=regions,
         largest=float(equivalent[worst]),
-        largest_at=(float(places[worst, 0]), float(places[worst, 1]), float(places[worst, 2])),
+        largest_at=(float(points[worst, 0]), float(points[worst, 1]), float(points[worst, 2])),
         largest_region=regions[int(materials[worst])],
         weight=hangs,
     )
@@ -104,7 +109,7 @@ def _stresses(
     return cauchy_stress(body, nodes, fields, temperature, loads)
 
 
-MOST_VERTICES = 40_000
+MAX_VERTICES = 40_000
 """Vertices kept of a surface: a row's field then takes some 2 MB, and JSON of it some 10 MB."""
 
 # Facets as seen from outside; quadratic ones are split through their midside nodes.
@@ -126,10 +131,10 @@ class Surface:
 
     nodes: Array  # shape (v,), int64: which node of the mesh each vertex is
     triangles: Array  # shape (t, 3), int32: vertices, anticlockwise seen from outside
-    whole: int  # how many nodes the outer surface has; more than the vertices if it was simplified
+    full_count: int  # nodes of the outer surface; more than the vertices if it was simplified
 
 
-def surface_of(mesh: Mesh, most: int = MOST_VERTICES) -> Surface:
+def surface_of(mesh: Mesh, most: int = MAX_VERTICES) -> Surface:
     """Return the outer surface, simplified if it has more than `most` vertices.
 
     A simplified surface has fewer vertices, each a node of the mesh where it was, so that its

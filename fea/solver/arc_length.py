@@ -19,33 +19,33 @@ from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, ta
 
 Array = np.ndarray
 
-_MOST_STEPS = 80
-_MOST_ITERATIONS = 10
+_MAX_STEPS = 80
+_MAX_ITERATIONS = 10
 _FEW_ITERATIONS = 5
 _GROWTH = 1.6
 _LEAST = 1.0 / 256  # of the first step
 _FINE = 1.0 / 8  # of the first step: short enough to tell a limit point from a bifurcation
 _REACH = 0.01  # of the part's size: the furthest that a node may go in one step
 _LONGEST = 8.0  # times the first step
-_LEAST_COSINE = 0.7  # cosine of a path that bends no more than it should in one step
+_MIN_COSINE = 0.7  # cosine of a path that bends no more than it should in one step
 
 
 class Ending(NamedTuple):
     """Why the path was not followed further."""
 
-    # ``"reached"``: the whole load, by stable states all along; ``"limit"``: the load has a maximum
+    # ``"reached"``: the full load, by stable states all along; ``"limit"``: the load has a maximum
     # on the path; ``"bifurcation"``: the states become unstable while the load still grows;
     # ``"lost"``: no equilibrium was found further on.
     kind: str
     factor: float  # of the load: the greatest that was found to have a stable state on this path
-    found: Equilibrium  # the last state found, beyond the whole load if it was reached
+    equilibrium: Equilibrium  # the last state found, beyond the full load if it was reached
 
 
 class _Point(NamedTuple):
     """One equilibrium on the path; `rate` is the motion per unit of the load's size."""
 
     size: float
-    found: Equilibrium
+    equilibrium: Equilibrium
     rate: tuple[Array, Array]
     speed: float
 
@@ -55,7 +55,7 @@ class ArcPath:
 
     system: the equations.
     direction: shape (k,): the inputs per unit of the size.
-    whole: the size of the full load.
+    full: the size of the full load.
     start: a stable equilibrium at the load factor `factor`, with its tangent.
     step: Change of the load factor to begin with.
     report: called with a load factor; returns a function that is called after each iteration.
@@ -65,7 +65,7 @@ class ArcPath:
         self,
         system: System,
         direction: Array,
-        whole: float,
+        full: float,
         factor: float,
         start: Equilibrium,
         step: float,
@@ -73,20 +73,20 @@ class ArcPath:
     ) -> None:
         self._system = system
         self._direction = direction
-        self._whole = whole
+        self._full = full
         self._report = report
-        self._point = self._point_at(factor * whole, start)
+        self._point = self._point_at(factor * full, start)
         furthest = _REACH * system.body.extent * self._point.speed
         farthest_node = np.abs(self._field(self._point)).max(initial=0.0)
-        self._first = min(step * whole * self._point.speed, furthest / max(farthest_node, 1e-300))
+        self._first = min(step * full * self._point.speed, furthest / max(farthest_node, 1e-300))
         self._length = self._first
 
     def follow(self, accept: Callable[[Equilibrium, float], None]) -> Ending:
-        """Step until the whole load is reached or cannot be.
+        """Step until the full load is reached or cannot be.
 
-        accept: called with each stable state below the whole load, and its factor.
+        accept: called with each stable state below the full load, and its factor.
         """
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             ahead = self._step()
             if ahead is None:
                 if self._length < _LEAST * self._first:
@@ -95,35 +95,35 @@ class ArcPath:
             step = self._between(ahead)
             product = float(np.linalg.norm(step)) * ahead.speed
             course = float(np.vdot(self._field(ahead), step)) / product if product > 0 else 1.0
-            if abs(course) < _LEAST_COSINE and self._length > _LEAST * self._first:
+            if abs(course) < _MIN_COSINE and self._length > _LEAST * self._first:
                 self._length *= 0.5
                 continue
             past_limit = course < 0
-            if past_limit or not ahead.found.tangent.stable:
+            if past_limit or not ahead.equilibrium.tangent.stable:
                 if not past_limit and self._length > _FINE * self._first:
                     self._length *= 0.5
                     continue
                 # Place the critical factor between two points, by a cubic in the path's length.
                 if not past_limit:
-                    middle = 0.5 * (self._point.size + ahead.size) / self._whole
-                    return Ending("bifurcation", middle, self._point.found)
+                    middle = 0.5 * (self._point.size + ahead.size) / self._full
+                    return Ending("bifurcation", middle, self._point.equilibrium)
                 length = float(np.linalg.norm(self._between(ahead)))
-                place = np.linspace(0.0, 1.0, 201)
+                s = np.linspace(0.0, 1.0, 201)
                 start, end = length / self._point.speed, -length / ahead.speed
                 cubic = (
-                    self._point.size * (1 + 2 * place) * (1 - place) ** 2
-                    + start * place * (1 - place) ** 2
-                    + ahead.size * place**2 * (3 - 2 * place)
-                    + end * place**2 * (place - 1)
+                    self._point.size * (1 + 2 * s) * (1 - s) ** 2
+                    + start * s * (1 - s) ** 2
+                    + ahead.size * s**2 * (3 - 2 * s)
+                    + end * s**2 * (s - 1)
                 )
-                return Ending("limit", float(cubic.max()) / self._whole, self._point.found)
-            if ahead.size >= self._whole:
-                return Ending("reached", 1.0, ahead.found)
-            accept(ahead.found, ahead.size / self._whole)
+                return Ending("limit", float(cubic.max()) / self._full, self._point.equilibrium)
+            if ahead.size >= self._full:
+                return Ending("reached", 1.0, ahead.equilibrium)
+            accept(ahead.equilibrium, ahead.size / self._full)
             self._point = ahead
-            if ahead.found.iterations <= _FEW_ITERATIONS:
+            if ahead.equilibrium.iterations <= _FEW_ITERATIONS:
                 self._length = min(_GROWTH * self._length, _LONGEST * self._first)
-        return Ending("lost", self._point.size / self._whole, self._point.found)
+        return Ending("lost", self._point.size / self._full, self._point.equilibrium)
 
     def _step(self) -> _Point | None:
         """Find the next point; None, with the length halved, if there is none that near."""
@@ -142,18 +142,18 @@ class ArcPath:
         self, nodes: Array, border: Array, size: float, normal: Array
     ) -> tuple[float, Equilibrium] | None:
         """Bring a predicted state into balance within the plane normal to the predictor."""
-        system, balance = self._system, self._point.found.balance
-        tangent = self._point.found.tangent
+        system, balance = self._system, self._point.equilibrium.balance
+        tangent = self._point.equilibrium.tangent
         tangent.release()  # `rate` is known
         proper = False
-        for iteration in range(1, _MOST_ITERATIONS + 1):
+        for iteration in range(1, _MAX_ITERATIONS + 1):
             balance = system.reload(balance, size * self._direction)
             try:
                 step = correct(system, balance, tangent, nodes, border)
             except Stuck:
                 return None
             balance = step.balance
-            self._report(size / self._whole)(iteration, balance.norm)
+            self._report(size / self._full)(iteration, balance.norm)
             if not np.isfinite(balance.norm):
                 return None
             if proper and step.converged:
@@ -163,9 +163,9 @@ class ArcPath:
             tangent = system.linearise(balance, None if proper else step.aim)
             moved, edge = tangent.correction(balance)
             rate = self._rate(tangent)
-            ties = tangent.border.ties
-            along = float(np.vdot(normal, moved + ties @ edge))
-            shift = -along / float(np.vdot(normal, rate[0] + ties @ rate[1]))
+            constraint = tangent.border.constraint
+            along = float(np.vdot(normal, moved + constraint @ edge))
+            shift = -along / float(np.vdot(normal, rate[0] + constraint @ rate[1]))
             nodes, border, more = moved + shift * rate[0], edge + shift * rate[1], shift
             size += more
         return None
@@ -178,11 +178,11 @@ class ArcPath:
 
     def _point_at(self, size: float, equilibrium: Equilibrium) -> _Point:
         rate = self._rate(equilibrium.tangent)
-        field = rate[0] + equilibrium.tangent.border.ties @ rate[1]
+        field = rate[0] + equilibrium.tangent.border.constraint @ rate[1]
         return _Point(size, equilibrium, rate, float(np.linalg.norm(field)))
 
     def _field(self, point: _Point) -> Array:
-        return point.rate[0] + point.found.tangent.border.ties @ point.rate[1]
+        return point.rate[0] + point.equilibrium.tangent.border.constraint @ point.rate[1]
 
     def _between(self, ahead: _Point) -> Array:
-        return ahead.found.balance.state.nodes - self._point.found.balance.state.nodes
+        return ahead.equilibrium.balance.state.nodes - self._point.equilibrium.balance.state.nodes

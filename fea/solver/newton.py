@@ -37,12 +37,12 @@ SAME_STATE = 1e-10
 On that spring a tangent changes by 500 times the correction: this leaves 5e-8 of a compliance.
 """
 
-MOST_ITERATIONS = 16
+MAX_ITERATIONS = 16
 
 _NEARLY = 1e-3
-_MOST_CHORDS = 3  # by when one that shrinks tenfold is below what a new tangent needs
+_MAX_CHORDS = 3  # by when a correction that shrinks tenfold is below what a new tangent needs
 _CHORD_GAIN = 0.1  # a correction that shrinks less says that the tangent has changed
-_MOST_IDLE = 3
+_MAX_IDLE = 3
 _FAR_ROTATION = 2.0  # rad: a rotation vector is of no use near half a turn
 _FAR = 1e3  # times the size of the part
 
@@ -98,7 +98,7 @@ def find_equilibrium(
     balance: Balance,
     tangent: Linearisation,
     report: Report,
-    most: int = MOST_ITERATIONS,
+    most: int = MAX_ITERATIONS,
 ) -> Equilibrium:
     """Iterate from a state out of balance.
 
@@ -125,8 +125,8 @@ def find_equilibrium(
         if proper and step.converged:
             return Equilibrium(balance, tangent_after(system, step, tangent), iteration)
         sizes.append(step.size)
-        recent = sizes[-_MOST_IDLE:]
-        if len(recent) == _MOST_IDLE and max(recent) < _NEARLY and min(recent) > 0.5 * max(recent):
+        recent = sizes[-_MAX_IDLE:]
+        if len(recent) == _MAX_IDLE and max(recent) < _NEARLY and min(recent) > 0.5 * max(recent):
             raise Stuck(
                 f"corrections stay at {recent[-1]:.0e} of the displacement: roundoff",
                 at_roundoff=True,
@@ -134,7 +134,7 @@ def find_equilibrium(
         proper = step.nearly
         balance = _settled(system, step, tangent) if proper else balance
         if iteration == 1:
-            tangent.release()  # the caller keeps it: its factor would be there with each next one
+            tangent.release()  # the caller keeps it: its factor would be there with each next
         tangent = system.linearise(balance, None if proper else step.aim)
     raise Stuck(f"no equilibrium after {most} iterations")
 
@@ -144,20 +144,20 @@ def correct(
 ) -> Correction:
     """Apply a correction and measure it.
 
-    balance: the state before, under the wrench of the new one.
+    balance: the state before, under the wrench of the new state.
     tangent: what gave the correction.
     nodes, border: Shapes (n, 3), m, and (border,): the correction of the free nodes and of the
     border.
     Raises Stuck if it is not finite, or a thousand times as large as the part.
     """
-    change = nodes + tangent.border.ties @ border
+    change = nodes + tangent.border.constraint @ border
     largest = np.abs(change).max(initial=0.0)
     if not (np.isfinite(border).all() and largest < _FAR * system.body.extent):
         raise Stuck("the iteration ran away")
     state = system.coupling.moved(balance.state, nodes, border)
     after = system.balance(state, balance.wrench)
     work = abs(float(np.vdot(balance.nodal, nodes) + balance.border @ border))
-    energy = np.sqrt(_quotient(work, 2 * (after.energy + after.heat[1])))
+    energy = np.sqrt(_quotient(work, 2 * (after.energy + after.thermal[1])))
     size = _quotient(np.abs(change).max(initial=0.0), np.abs(state.nodes).max(initial=0.0))
     return Correction(after, (balance.state.nodes + change, change), size, energy)
 
@@ -168,7 +168,7 @@ def _settled(system: System, step: Correction, tangent: Linearisation) -> Balanc
     These cost a solve with factors at hand and no new ones (the modified Newton method). They prove
     nothing, but the tangent proper at a better state needs one correction less.
     """
-    for _ in range(_MOST_CHORDS):
+    for _ in range(_MAX_CHORDS):
         try:
             again = correct(system, step.balance, tangent, *tangent.correction(step.balance))
         except Stuck:

@@ -156,7 +156,7 @@ class SurfaceGeometry(NamedTuple):
 
     vertices: Array  # (v, 3), m
     triangles: Array  # (t, 3)
-    whole_vertices: int  # of the surface before it was simplified
+    full_vertices: int  # of the surface before it was simplified
     places: Array  # (p, 3), m
     materials: Array  # (p,)
     regions: tuple[str, ...]  # of the materials
@@ -185,7 +185,7 @@ def leave(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
     """
     names = "vertices", "triangles", "places", "materials"
     geometry = pack(
-        {"whole_vertices": fields.whole_vertices, "regions": list(fields.regions)},
+        {"whole_vertices": fields.full_vertices, "regions": list(fields.regions)},
         {name: Column(getattr(fields, name)) for name in names},
     )
     meta = {
@@ -220,7 +220,7 @@ def read_geometry(content: bytes) -> SurfaceGeometry:
     meta, columns = unpack(content)
     vertices, regions = int(meta["whole_vertices"]), tuple(meta["regions"])
     return SurfaceGeometry(
-        **columns, whole_vertices=vertices, regions=regions, digest=digest_of(content)
+        **columns, full_vertices=vertices, regions=regions, digest=digest_of(content)
     )
 
 

@@ -41,7 +41,7 @@ from wrenchbook.service.formats.rig import (
 )
 from wrenchbook.service.formats.xlsx import read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
-from wrenchbook.surrogate.findings.find import MOST, find
+from wrenchbook.surrogate.findings.find import MAX_ROWS, find
 from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.rows import Rows, joined, unknown_column
 from wrenchbook.surrogate.table.space import DEFAULT, Space
@@ -163,7 +163,7 @@ class FindingsSample:
         """Take the next rows of the file."""
         self.parts.append(piece.take(np.arange(self._skip, len(piece), self._stride)))
         self._skip = (self._skip - len(piece)) % self._stride
-        if sum(map(len, self.parts)) > 2 * MOST:
+        if sum(map(len, self.parts)) > 2 * MAX_ROWS:
             rows = joined(self.parts)
             self.parts = [rows.take(np.arange(0, len(rows), 2))]
             if len(rows) % 2:  # the last row is in the sample: the next is two strides on

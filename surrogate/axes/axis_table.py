@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ..calibration import common_quantile, conformal_factor, widening
-from ..table.axes import APART, AxisRows, has_levels, hashes
+from ..table.axes import MIN_STEP, AxisRows, has_levels, hashes
 from ..table.rows import ROUNDING, SMALLEST, Floats, LoadRange
 from .triangulation import Indices, Triangulation, recovered_slopes
 
@@ -336,7 +336,7 @@ class AxisTable:
     @cached_property
     def together(self) -> int:
         """How many points have several loads at once."""
-        return int(((np.abs(self.rows.points) > APART).sum(axis=1) > 1).sum())
+        return int(((np.abs(self.rows.points) > MIN_STEP).sum(axis=1) > 1).sum())
 
     @property
     def shows_together(self) -> bool:

@@ -10,13 +10,13 @@ from ..table.rows import Floats, Rows
 from ..table.space import OUTPUTS
 from .response import NORMAL, Cause, RigFinding, RobustFit
 
-FEWEST = 30  # rows: with fewer an order shows by chance
+MIN_ROWS = 30  # rows: with fewer an order shows by chance
 PART = 0.01  # of the output's range: what is smaller is within a usual tolerance
-SHARE = 0.15  # of the residuals' variance that the cause must explain
+MIN_EXPLAINED = 0.15  # of the residuals' variance that the cause must explain
 DEVIATIONS = 8.0  # of the estimate: errors of neighbours in time are not independent
 # For an error bar, which a wrong guess makes wider and no worse.
-PROBABLE_SHARE, PROBABLE_DEVIATIONS = 0.01, 4.0
-OWN = 0.1  # of the variance of the cause's sign or time that the loads do not explain
+PROBABLE_EXPLAINED, PROBABLE_DEVIATIONS = 0.01, 4.0
+MIN_INDEPENDENT = 0.1  # of the variance of the cause's sign or time that the loads do not explain
 STEP = 0.25  # of the largest usual step: smaller steps have no direction
 
 MESSAGES = {
@@ -46,10 +46,10 @@ class SequenceErrors(NamedTuple):
 
 def sequence_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
     """Return findings of drift and hysteresis; rows are in the order of measurement."""
-    found, findings = sequence_errors(rows, response), list[RigFinding]()
+    errors, findings = sequence_errors(rows, response), list[RigFinding]()
     causes: tuple[tuple[Cause, str, Floats], ...] = (
-        ("drift", "drift", found.drift),
-        ("hysteresis", "loop", found.loop),
+        ("drift", "drift", errors.drift),
+        ("hysteresis", "loop", errors.loop),
     )
     for cause, entry, sizes in causes:
         over = np.flatnonzero(np.abs(sizes) > PART * response.range)  # worth a remark
@@ -68,15 +68,15 @@ def sequence_errors(rows: Rows, response: RobustFit, *, probable: bool = False) 
 
     `probable` ones too, or only those that are sure.
     """
-    found = SequenceErrors(np.zeros(6), np.zeros(6))
-    if len(rows) < FEWEST:
-        return found
+    errors = SequenceErrors(np.zeros(6), np.zeros(6))
+    if len(rows) < MIN_ROWS:
+        return errors
     time = np.linspace(-0.5, 0.5, len(rows))
-    limits = (PROBABLE_SHARE, PROBABLE_DEVIATIONS) if probable else (SHARE, DEVIATIONS)
+    limits = (PROBABLE_EXPLAINED, PROBABLE_DEVIATIONS) if probable else (MIN_EXPLAINED, DEVIATIONS)
     for output in range(6):
         residual = response.residual[:, output]
         known = np.isfinite(residual)
-        if known.sum() < FEWEST or response.range[output] <= 0:
+        if known.sum() < MIN_ROWS or response.range[output] <= 0:
             continue
         sign = directions(response.expected[:, output])
         effects = effects_of(
@@ -85,8 +85,8 @@ def sequence_errors(rows: Rows, response: RobustFit, *, probable: bool = False) 
             np.stack((time, sign), axis=1)[known],
             *limits,
         )
-        found.drift[output], found.loop[output] = effects[0], abs(2.0 * effects[1])
-    return found
+        errors.drift[output], errors.loop[output] = effects[0], abs(2.0 * effects[1])
+    return errors
 
 
 def directions(expected: Floats) -> Floats:
@@ -97,32 +97,34 @@ def directions(expected: Floats) -> Floats:
 
 
 def effects_of(
-    terms: Floats, residual: Floats, causes: Floats, share: float, deviations: float
+    terms: Floats, residual: Floats, causes: Floats, fraction: float, deviations: float
 ) -> Floats:
     """Return the coefficient of each cause (n, c) in the residuals (n,); 0 where none is sure.
 
     Each cause counts by what the loads and the other causes do not explain of it. It must explain a
-    share of the residuals' variance, and be so many of its own deviations.
+    fraction of the residuals' variance, and be so many of its standard deviations.
     """
-    found = np.zeros(causes.shape[1])
+    effects = np.zeros(causes.shape[1])
     clipped = np.clip(residual, -_limit(residual), _limit(residual))
-    for place in range(causes.shape[1]):
-        others = np.concatenate((terms, np.delete(causes, place, axis=1)), axis=1)
-        cause = causes[:, place]
+    for column in range(causes.shape[1]):
+        others = np.concatenate((terms, np.delete(causes, column, axis=1)), axis=1)
+        cause = causes[:, column]
         total = float(((cause - cause.mean()) ** 2).sum())
-        own = cause - others @ np.linalg.lstsq(others, cause, rcond=1e-9)[0]
-        left = clipped - others @ np.linalg.lstsq(others, clipped, rcond=1e-9)[0]
-        square = float(own @ own)
-        if total <= 0 or square < OWN * total:
+        independent = cause - others @ np.linalg.lstsq(others, cause, rcond=1e-9)[0]
+        target = clipped - others @ np.linalg.lstsq(others, clipped, rcond=1e-9)[0]
+        square = float(independent @ independent)
+        if total <= 0 or square < MIN_INDEPENDENT * total:
             continue
-        slope = float(own @ left) / square
-        rest = left - slope * own
-        explained = 1.0 - float(rest @ rest) / max(float(left @ left), np.finfo(float).tiny)
+        slope = float(independent @ target) / square
+        remainder = target - slope * independent
+        explained = 1.0 - float(remainder @ remainder) / max(
+            float(target @ target), np.finfo(float).tiny
+        )
         free = max(len(residual) - others.shape[1] - 1, 1)
-        error = np.sqrt(float(rest @ rest) / free / square)
-        if explained > share and abs(slope) > deviations * error:
-            found[place] = slope
-    return found
+        error = np.sqrt(float(remainder @ remainder) / free / square)
+        if explained > fraction and abs(slope) > deviations * error:
+            effects[column] = slope
+    return effects
 
 
 def _limit(residual: Floats) -> float:

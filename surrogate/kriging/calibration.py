@@ -1,7 +1,7 @@
 """The factors by which posterior deviations are multiplied to hold 95 % of the errors.
 
-A left-out row shows how wrong answers are that are as far from their rows as it was from its own,
-and nothing of answers further away. So rows are left out in groups (complete linkage in the metric
+A left-out row shows the errors of answers at the same distance from their rows, and nothing of
+answers further away. So rows are left out in groups (complete linkage in the metric
 of the length scales): at first each by itself, then with their neighbours, until the deviations at
 what is left out are as large as those at random wrenches of the loads that the rows span. Each
 level of grouping gives a deviation and a factor for it; in between the factor is interpolated.
@@ -31,33 +31,33 @@ from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
 
-# Levels whose deviations differ by less are one: where deviations are those of the nugget, groups
-# do not change them, and the largest factor is theirs.
-APART = 1.05
+# Levels whose deviations differ by less are merged: where deviations are those of the nugget,
+# groups do not change them, and the largest factor is theirs.
+LEVEL_RATIO = 1.05
 
-QUERIES = 256  # places that stand for queries: their median is known to a tenth of its size
-# Of the distance within which rows are one: what the span leaves on both sides of a load that no
+QUERIES = 256  # random wrenches in place of queries: their median is known to a tenth of its size
+# Of the distance within which rows merge: what the span leaves on both sides of a load that no
 # row varies, and rounding.
-STILL = 2.5
+FIXED_WIDTH = 2.5
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The factor of the deviations of one factor's outputs.
+    """The factors of the deviations of an output group.
 
     Attributes
     ----------
     sigma : ndarray, shape (k,), process deviations
         Ascending; none where errors are not known.
     factors : ndarray, shape (k, q), dimensionless
-        What a deviation of `sigma` is multiplied by for a 95 % error bar, one an output.
-    reach : float, process deviations
+        What a deviation of `sigma` is multiplied by for a 95 % error bar, per output.
+    max_sigma : float, process deviations
         Beyond it errors are not known; 0 if they are nowhere.
     """
 
     sigma: Floats
     factors: Floats
-    reach: float
+    max_sigma: float
 
     @classmethod
     def unknown(cls, outputs: int, settings: KrigingSettings = DEFAULTS) -> Calibration:
@@ -67,10 +67,10 @@ class Calibration:
     @property
     def known(self) -> bool:
         """Whether left-out rows show how large errors are."""
-        return self.reach > 0
+        return self.max_sigma > 0
 
     def at(self, sigma: Floats) -> Floats:
-        """Return the factors (m, q) of deviations (m,), process deviations, within reach or not."""
+        """Return the factors (m, q) of deviations (m,), process deviations, known or not."""
         columns = [np.interp(sigma, self.sigma, column) for column in self.factors.T]
         return np.stack(columns, axis=1)
 
@@ -87,7 +87,7 @@ class Level(NamedTuple):
         See `LeftOutRows`.
     sigma : ndarray, shape (k,), process deviations
         As an answer at the row would have it.
-    places : int
+    n_derivatives : int
         Values and slopes of a row.
     outputs : int
         Of the table, all of which the confidence is for.
@@ -97,21 +97,21 @@ class Level(NamedTuple):
     errors: Floats
     sizes: Floats
     sigma: Floats
-    places: int = 7
+    n_derivatives: int = 7
     outputs: int = 6
 
 
-def groupings(places: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[Labels]:
-    """Yield groups of places (n, 6), scaled by length scales: each alone, then fewer and larger."""
-    count = len(places)
-    tree = linkage(pdist(places), "complete") if count > 1 else np.empty((0, 4))
-    target, before = count, count + 1
-    while target >= settings.least_groups:
-        labels = fcluster(tree, target, "maxclust") if len(tree) else np.ones(count, dtype=int)
-        if labels.max() < before:
-            before = int(labels.max())
+def groupings(points: Floats, settings: KrigingSettings = DEFAULTS) -> Iterator[Labels]:
+    """Yield groups of points (n, 6), scaled by length scales: each alone, then fewer and larger."""
+    count = len(points)
+    tree = linkage(pdist(points), "complete") if count > 1 else np.empty((0, 4))
+    n_groups, n_before = count, count + 1
+    while n_groups >= settings.min_groups:
+        labels = fcluster(tree, n_groups, "maxclust") if len(tree) else np.ones(count, dtype=int)
+        if labels.max() < n_before:
+            n_before = int(labels.max())
             yield np.asarray(labels, dtype=np.intp)
-        target = min(int(target / settings.group_growth), target - 1)
+        n_groups = min(int(n_groups / settings.group_growth), n_groups - 1)
 
 
 def calibrate(
@@ -128,44 +128,45 @@ def calibrate(
     levels : iterator of Level
         Taken for as long as left-out rows are nearer to the others than queries are to rows.
     outputs : int
-        How many a level has.
+        Number of outputs of a level.
     sigma_of_queries : ndarray, shape (m,), process deviations
         At random wrenches of the loads that the rows span.
     coefficients : float
-        Of the mean, that single rows settle too.
+        Of the mean, which single rows determine too.
     """
-    typical, enough = np.median(sigma_of_queries), np.quantile(sigma_of_queries, settings.enough)
-    sigma, factors, reach, resembles = [], [], 0.0, False
-    most, least = np.zeros(1), settings.half_width
+    typical_sigma = np.median(sigma_of_queries)
+    far_sigma = np.quantile(sigma_of_queries, settings.query_quantile)
+    sigma, factors, max_sigma, comparable = [], [], 0.0, False
+    factors_so_far, min_factor = np.zeros(1), settings.half_width
     for level in levels:
-        middle = float(np.median(level.sigma))
-        if middle >= settings.resembling * typical:
-            least = 0.0  # these rows are as far away as queries: their errors decide
-        found = _factors(level, coefficients if not sigma else 0.0, settings, sure=not resembles)
-        if found is None:
+        median = float(np.median(level.sigma))
+        if median >= settings.comparable * typical_sigma:
+            min_factor = 0.0  # rows at the distance of queries: their errors decide
+        new = _factors(level, coefficients if not sigma else 0.0, settings, sure=not comparable)
+        if new is None:
             break
-        resembles |= middle >= settings.resembling * typical
-        most = np.maximum(most, np.maximum(found, least))
-        reach = max(reach, float(np.quantile(level.sigma, settings.far)))
-        if sigma and middle <= APART * sigma[-1]:
-            factors[-1] = most
+        comparable |= median >= settings.comparable * typical_sigma
+        factors_so_far = np.maximum(factors_so_far, np.maximum(new, min_factor))
+        max_sigma = max(max_sigma, float(np.quantile(level.sigma, settings.max_sigma_quantile)))
+        if sigma and median <= LEVEL_RATIO * sigma[-1]:
+            factors[-1] = factors_so_far
         else:
-            sigma.append(middle)
-            factors.append(most)
-        if reach >= enough and resembles:
+            sigma.append(median)
+            factors.append(factors_so_far)
+        if max_sigma >= far_sigma and comparable:
             break
-    if not sigma or sigma[-1] < settings.barely_resembling * typical:
+    if not sigma or sigma[-1] < settings.barely_comparable * typical_sigma:
         return Calibration.unknown(outputs, settings)
-    return Calibration(np.array(sigma), np.array(factors), reach)
+    return Calibration(np.array(sigma), np.array(factors), max_sigma)
 
 
 def _factors(
     level: Level, coefficients: float, settings: KrigingSettings, *, sure: bool
 ) -> Floats | None:
-    """Return the factors (q,) that hold 95 % of one level's errors; None if it shows no size.
+    """Return the factors (q,) that hold 95 % of a level's errors; None if it shows no size.
 
-    The ratios |error| / sigma have a size, one an output, and a tail, whose shape the outputs
-    share. The size comes from slopes as well as from values: seven numbers a row. Groups count
+    The ratios |error| / sigma have a size per output, and a tail of the same shape for all
+    outputs. The size comes from slopes as well as from values: seven numbers a row. Groups count
     alike, however many rows they have.
 
     Parameters
@@ -185,24 +186,24 @@ def _factors(
     size = np.sqrt(np.where(square > 0, square, 1.0))
     scatter = (squares**2).mean(axis=0) / size**4 - 1
     # Values and slopes of a row are up to seven independent numbers; rows of one group are alike.
-    scatter = np.maximum(scatter, 2 / level.places if count == len(group) else 2.0)
-    least = np.maximum(count - coefficients, 1.0)
-    # By how much sizes may be larger than groups show, (q,), in any output of the table. The
-    # degrees of freedom are those of a chi square whose variance is that of the mean square
-    # (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven
-    # times that where values and slopes of single rows are alike, and few where a few groups make
-    # most of the size.
-    widened = widening(2 * least / scatter, level.outputs)
-    factors = tail * size * (widened if sure else 1.0)
+    scatter = np.maximum(scatter, 2 / level.n_derivatives if count == len(group) else 2.0)
+    degrees = np.maximum(count - coefficients, 1.0)
+    # The factor by which sizes may exceed those of the groups, (q,), in any output of the table.
+    # The degrees of freedom are those of a chi square whose variance is that of the mean square
+    # (Satterthwaite 1946): as many as groups where each brings one normal number, up to seven times
+    # that where values and slopes of single rows are alike, and few where a few groups make most of
+    # the size.
+    widenings = widening(2 * degrees / scatter, level.outputs)
+    factors = tail * size * (widenings if sure else 1.0)
     inside = (weights[:, None] * (ratios <= factors)).sum(axis=0) / count
     # Below the deviation that the nugget allows errors are rounding, whose size means nothing.
     matter = (np.abs(level.errors) > np.sqrt(settings.nugget)).any(axis=0)
-    bad = (widened > settings.most_widened) | (inside < settings.least_inside)
+    bad = (widenings > settings.max_widening) | (inside < settings.min_inside)
     return None if (matter & bad).any() else factors
 
 
 def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
-    """Return which rows load more than one axis, shape (n,)."""
+    """Return which rows load more than one load group, shape (n,)."""
     at_rest = scaling.loads(np.zeros((1, equations.loads)))
     loaded = np.abs(equations.x - at_rest) > CLEAN
     groups = equations.groups[:-1] > 0  # the last sees all loads
@@ -211,82 +212,91 @@ def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
 
 def calibrated(
     equations: Equations,
-    spread: Neighbourhoods,
+    neighbours: Neighbourhoods,
     table: Floats,
     scaling: Scaling,
     span: Floats,
     settings: KrigingSettings,
 ) -> Calibration:
-    """Return by how much a share's deviations are multiplied for its error bars."""
-    own, outputs = spread.factor.equations, len(spread.factor.share.outputs)
-    if not own.known[:, 1:].any() and not has_levels(own.x[:, scaling.active]):
+    """Return the factors of a group's deviations for 95 % error bars."""
+    subset, outputs = (
+        neighbours.factor.equations,
+        len(neighbours.factor.output_group.outputs),
+    )
+    if not subset.known[:, 1:].any() and not has_levels(subset.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
-    full = full_rows(own, scaling)
+    full = full_rows(subset, scaling)
     # Queries load all axes too, and rows at the corners of one axis err more.
-    rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(own))
+    rows = np.flatnonzero(full) if full.sum() >= settings.full_rows else np.arange(len(subset))
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
     rows = rows[np.unique(chosen.round().astype(np.intp))]
-    hyperparameters = spread.factor.hyperparameters
+    hyperparameters = neighbours.factor.hyperparameters
     levels = (
         level
-        for labels in groupings(own.x * np.sqrt(hyperparameters.inverse_squares), settings)
-        if (level := _level(equations, spread, table, labels, rows)) is not None
+        for labels in groupings(subset.x * np.sqrt(hyperparameters.inverse_squares), settings)
+        if (level := _level(equations, neighbours, table, labels, rows)) is not None
     )
-    # Places like those of queries: spread over the span of rows, (m, 6), half ranges. Where
+    # Points like those of queries: spread over the span of rows, (m, 6), half ranges. Where
     # nearly all rows load one axis each, so do these.
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
-    # A load that no row varies stays as the rows have it: off that the mean is unsettled.
-    still = high - low <= STILL * NEAR
-    low, high = np.where(still, (low + high) / 2, [low, high])
+    # A load that no row varies stays as the rows have it: off that the mean is not determined.
+    fixed = high - low <= FIXED_WIDTH * NEAR
+    low, high = np.where(fixed, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
     if full.sum() < min(settings.full_rows, len(full) / 2):
         groups = scaling.space.kriging_groups[:-1]
         queries = queries * groups[np.arange(QUERIES) % len(groups)]
-    across = block(queries, equations.x, hyperparameters, 1, equations.places)
-    sigma = spread.deviations(queries, across.reshape(len(queries), -1))
-    # The mean's coefficients, which all rows settle: these in proportion.
-    coefficients = (1 + scaling.active.sum()) * len(rows) / len(own)
+    across = block(queries, equations.x, hyperparameters, 1, equations.n_derivatives)
+    sigma = neighbours.deviations(queries, across.reshape(len(queries), -1))
+    # The mean's coefficients, which all rows determine: these in proportion.
+    coefficients = (1 + scaling.active.sum()) * len(rows) / len(subset)
     return calibrate(levels, outputs, sigma, coefficients, settings)
 
 
 def _level(
     equations: Equations,
-    spread: Neighbourhoods,
+    neighbours: Neighbourhoods,
     table: Floats,
     labels: NDArray[np.intp],
     rows: NDArray[np.intp],
 ) -> Level | None:
-    """Return what some of a factor's rows show, left out in groups; None if they show nothing.
+    """Return errors and deviations of a factor's rows left out in groups; None without any.
 
-    Errors are of the whole factor; sigma, as in answers, of the nearest row's neighbourhood.
+    Errors are of the full factor; sigma, as in answers, of the nearest row's neighbourhood.
     """
-    factor, own = spread.factor, spread.factor.equations
+    factor, subset = neighbours.factor, neighbours.factor.equations
     if len(np.unique(labels)) < 2:
         return None
     out = left_out(factor, labels)
-    anchors = spread.nearest_others(rows, labels)
-    squared, number = np.full(len(rows), np.nan), numbers(equations.known)[factor.share.rows, 0]
-    lists = spread.members(own.x[anchors], labels, labels[rows])
-    for place, (row, near) in enumerate(zip(rows, lists, strict=True)):
-        local = spread.local_factor(near, table)
-        across, terms = table[number[row], local.numbers], np.append(1.0, own.x[row])
-        found = local.squared_deviation(across[None], terms[None], out.mean_covariances[row])
-        squared[place] = found[0] + factor.least
+    anchors = neighbours.nearest_others(rows, labels)
+    squared, value_numbers = (
+        np.full(len(rows), np.nan),
+        numbers(equations.known)[factor.output_group.rows, 0],
+    )
+    lists = neighbours.members(subset.x[anchors], labels, labels[rows])
+    for index, (row, near) in enumerate(zip(rows, lists, strict=True)):
+        local = neighbours.local_factor(near, table)
+        across, terms = (
+            table[value_numbers[row], local.numbers],
+            np.append(1.0, subset.x[row]),
+        )
+        variance = local.squared_deviation(across[None], terms[None], out.mean_covariances[row])
+        squared[index] = variance[0] + factor.min_variance
     # With hardly more rows than the mean has terms, rounding leaves no variance to speak of.
     finite = np.isfinite(out.errors[rows]).all(axis=1)
     known = np.flatnonzero((squared > 0) & finite)
     if not len(known):
         return None
     sigma, known_rows = np.sqrt(squared[known]), rows[known]
-    own_noise = factor.share.noise[known_rows]
+    noise = factor.output_group.noise[known_rows]
     errors = out.errors[known_rows] / np.sqrt(factor.variance)
-    # A reading misses its answer by its own noise besides the error of the mean, and both
+    # An observation differs from its answer by its noise and by the error of the mean, and both
     # variances add up to that of its error: variances and noise have shape (k,), process
     # variances.
     variances = out.variances[known_rows]
-    errors = errors * np.sqrt(np.maximum(variances - own_noise, 0.0) / variances)[:, None]
+    errors = errors * np.sqrt(np.maximum(variances - noise, 0.0) / variances)[:, None]
     by_value = np.abs(errors) / sigma[:, None]
-    sizes = np.where((own_noise > 0)[:, None], by_value, out.sizes[known_rows])
+    sizes = np.where((noise > 0)[:, None], by_value, out.sizes[known_rows])
     outputs = equations.data.shape[2]
     return Level(labels[known_rows], errors, sizes, sigma, 1 + equations.loads, outputs)

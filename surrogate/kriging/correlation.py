@@ -1,4 +1,4 @@
-"""The covariance of values and derivatives: Matern 7/2, one term an axis and one of all loads.
+"""The covariance of values and derivatives: Matern 7/2, a term per load group and one of all.
 
 With scaled loads x and v, inverse squared lengths t and the squared scaled distance over the loads
 of a group, q = sum t_a (x_a - v_a)^2, the covariance of values is
@@ -7,7 +7,8 @@ of a group, q = sum t_a (x_a - v_a)^2, the covariance of values is
 
 Slopes and second derivatives are its derivatives by x and by v (Morris, Mitchell and Ylvisaker
 1993). Each is a derivative by x - v, whose sign is that of the number of derivatives by v, so one
-list of derivatives up to the fourth holds the covariance of any two readings.
+list of derivatives up to the fourth holds the covariance of any two of a row's values and
+derivatives.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ NUMBERS = 4_000_000  # of derivatives of pairs of rows at once: 32 MB
 
 @dataclass(frozen=True, eq=False)
 class Hyperparameters:
-    """What the likelihood settles: one set for all outputs, or of one output its own.
+    """What the likelihood determines, for all outputs of a table.
 
     Attributes
     ----------
@@ -84,28 +85,30 @@ class Hyperparameters:
         weights[-len(self.weights) :] = self.weights
         return self.groups * self.inverse_squares, weights
 
-    def prior(self, places: int) -> Floats:
-        """Return the variances of one row's readings, shape (places,), dimensionless."""
-        return self._prior[:places]
+    def prior(self, count: int) -> Floats:
+        """Return the variances of a row's value and derivatives, shape (count,), dimensionless."""
+        return self._prior[:count]
 
     @cached_property
     def _prior(self) -> Floats:
         """At q = 0: -2 t_a m' of slopes, 4 t_a t_b m'' of second derivatives, thrice if a = b."""
         (rates, weights), loads = self.terms, self.groups.shape[1]
-        value, once, twice = (one[0] for one in matern(np.zeros(1), 2, self.smoothness))
+        value, once, twice = (
+            derivative[0] for derivative in matern(np.zeros(1), 2, self.smoothness)
+        )
         pairs = 4 * twice * (1 + 2 * np.eye(loads)) * ((weights * rates.T) @ rates)
         slopes = -2 * once * weights @ rates
         return np.concatenate(([value * weights.sum()], slopes, pairs[np.triu_indices(loads)]))
 
 
-def places_of(loads: int, order: int) -> int:
-    """Return how many readings a row has: its value, slopes and so on up to an order."""
+def derivative_count(loads: int, order: int) -> int:
+    """Return the number of derivatives of a row up to an order, its value included."""
     return sum(1 for _ in indices(loads, order))
 
 
-def order_of(places: int, loads: int) -> int:
-    """Return the order of the derivatives that so many readings of a row are."""
-    return 0 if places == 1 else 1 if places == 1 + loads else 2
+def order_of(count: int, loads: int) -> int:
+    """Return the highest order of so many derivatives of a row, its value included."""
+    return 0 if count == 1 else 1 if count == 1 + loads else 2
 
 
 @cache
@@ -120,11 +123,11 @@ def indices(loads: int, order: int) -> tuple[Index, ...]:
 
 @cache
 def joins(loads: int, here: int, there: int) -> tuple[NDArray[np.intp], Floats]:
-    """Return which derivative by x - v two readings' covariance is, (here, there), and its sign."""
+    """Return which derivative by x - v a covariance is, (here, there), and its sign."""
     order = order_of(here, loads) + order_of(there, loads)
-    place = {index: number for number, index in enumerate(indices(loads, order))}
+    position = {index: number for number, index in enumerate(indices(loads, order))}
     left, right = indices(loads, order_of(here, loads)), indices(loads, order_of(there, loads))
-    joined = np.array([[place[tuple(sorted(a + b))] for b in right] for a in left])
+    joined = np.array([[position[tuple(sorted(a + b))] for b in right] for a in left])
     sign = np.tile([(-1.0) ** len(b) for b in right], (here, 1))
     return joined, sign
 
@@ -142,19 +145,19 @@ def matern(q: Floats, order: int = 3, smoothness: int = SLOPES_SMOOTHNESS) -> li
     twice = 2.0 * smoothness + 1
     a = np.sqrt(twice * q)
     decay = np.exp(-a)
-    found = {0: decay, 1: (1 + a) * decay}
+    bessel = {0: decay, 1: (1 + a) * decay}
     for n in range(2, smoothness + 1):
-        found[n] = (2 * n - 1) * found[n - 1] + a**2 * found[n - 2]
+        bessel[n] = (2 * n - 1) * bessel[n - 1] + a**2 * bessel[n - 2]
     if order > smoothness:
         with np.errstate(divide="ignore"):
             over = np.where(a > 0, 1 / a, 0.0)
-        found |= {-1: over * decay, -2: (1 + a) * over**3 * decay}
-    whole = float(prod(range(1, 2 * smoothness, 2)))
-    return [(-twice / 2) ** r / whole * found[smoothness - r] for r in range(order + 1)]
+        bessel |= {-1: over * decay, -2: (1 + a) * over**3 * decay}
+    at_zero = float(prod(range(1, 2 * smoothness, 2)))
+    return [(-twice / 2) ** r / at_zero * bessel[smoothness - r] for r in range(order + 1)]
 
 
 def derivatives_of_term(
-    apart: Floats, rates: Floats, order: int, smoothness: int, first: int = 0
+    delta: Floats, rates: Floats, order: int, smoothness: int, first: int = 0
 ) -> list[Floats]:
     """Return the derivatives of one term by the loads it sees, up to an order.
 
@@ -163,7 +166,7 @@ def derivatives_of_term(
 
     Parameters
     ----------
-    apart : ndarray, shape (l, p)
+    delta : ndarray, shape (l, p)
         Differences of p pairs by the l loads that the term sees, half ranges.
     rates : ndarray, shape (l,), dimensionless
     first : int
@@ -175,59 +178,59 @@ def derivatives_of_term(
         In the order of `indices`, dimensionless.
     """
     loads = len(rates)
-    radial = matern(rates @ apart**2, first + order, smoothness)[first:]
-    twice = 2 * rates[:, None] * apart
-    found: dict[tuple[int, Index], Floats] = {(r, ()): radial[r] for r in range(order + 1)}
+    radial = matern(rates @ delta**2, first + order, smoothness)[first:]
+    twice = 2 * rates[:, None] * delta
+    derived: dict[tuple[int, Index], Floats] = {(r, ()): radial[r] for r in range(order + 1)}
     for index in indices(loads, order)[1:]:
-        *rest, load = index
-        kept = tuple(rest)
+        *others, load = index
+        lower = tuple(others)
         for r in range(order + 1 - len(index)):
-            own = twice[load] * found[r + 1, kept]
-            if load in kept:
-                lower = list(kept)
-                lower.remove(load)
-                own += 2 * rates[load] * kept.count(load) * found[r + 1, tuple(lower)]
-            found[r, index] = own
-    return [found[0, index] for index in indices(loads, order)]
+            value = twice[load] * derived[r + 1, lower]
+            if load in lower:
+                twice_lower = list(lower)
+                twice_lower.remove(load)
+                value += 2 * rates[load] * lower.count(load) * derived[r + 1, tuple(twice_lower)]
+            derived[r, index] = value
+    return [derived[0, index] for index in indices(loads, order)]
 
 
 @cache
-def seen_by(loads: int, chosen: Index, order: int) -> tuple[int, ...]:
-    """Return where the derivatives by chosen loads stand among those by all."""
-    place = {index: number for number, index in enumerate(indices(loads, order))}
+def positions_of(loads: int, chosen: Index, order: int) -> tuple[int, ...]:
+    """Return the positions of the derivatives by chosen loads among those by all."""
+    position = {index: number for number, index in enumerate(indices(loads, order))}
     return tuple(
-        place[tuple(chosen[load] for load in index)] for index in indices(len(chosen), order)
+        position[tuple(chosen[load] for load in index)] for index in indices(len(chosen), order)
     )
 
 
-def derivatives(apart: Floats, hyperparameters: Hyperparameters, order: int) -> Floats:
+def derivatives(delta: Floats, hyperparameters: Hyperparameters, order: int) -> Floats:
     """Return the derivatives of the covariance by the loads up to an order.
 
-    Shape (p, k), dimensionless, in the order of `indices`, of p pairs that are `apart` (p, 6),
-    half ranges.
+    Shape (p, k), dimensionless, in the order of `indices`, of p pairs whose differences are
+    `delta` (p, 6), half ranges.
     """
-    loads = apart.shape[1]
-    out = np.zeros((len(indices(loads, order)), len(apart)))
+    loads = delta.shape[1]
+    out = np.zeros((len(indices(loads, order)), len(delta)))
     for rates, weight in zip(*hyperparameters.terms, strict=True):
         chosen = tuple(np.flatnonzero(rates).tolist())
-        seen = np.ascontiguousarray(apart.T[list(chosen)])
-        own = derivatives_of_term(seen, rates[list(chosen)], order, hyperparameters.smoothness)
-        for place, part in zip(seen_by(loads, chosen, order), own, strict=True):
-            out[place] += weight * part
+        columns = np.ascontiguousarray(delta.T[list(chosen)])
+        term = derivatives_of_term(columns, rates[list(chosen)], order, hyperparameters.smoothness)
+        for position, derivative in zip(positions_of(loads, chosen, order), term, strict=True):
+            out[position] += weight * derivative
     return out.T
 
 
 def block(x: Floats, v: Floats, hyperparameters: Hyperparameters, here: int, there: int) -> Floats:
     """Return the covariance of rows at x (n, 6) and v (m, 6), shape (n, here, m, there).
 
-    `here` and `there` are how many readings each row brings: see `places_of`.
+    `here` and `there` are the numbers of derivatives: see `derivative_count`.
     """
     loads = x.shape[1]
     order = order_of(here, loads) + order_of(there, loads)
-    apart = (x[:, None] - v).reshape(-1, loads)
+    delta = (x[:, None] - v).reshape(-1, loads)
     joined, sign = joins(loads, here, there)
-    found = derivatives(apart, hyperparameters, order)[:, joined] * sign
-    return found.reshape(len(x), len(v), here, there).swapaxes(1, 2)
+    values = derivatives(delta, hyperparameters, order)[:, joined] * sign
+    return values.reshape(len(x), len(v), here, there).swapaxes(1, 2)
 
 
 def covariance(
@@ -239,34 +242,34 @@ def covariance(
     ----------
     x, v : ndarray, shapes (n, 6) and (m, 6), half ranges
     known_x, known_v : ndarray of bool, shapes (n, p) and (m, p)
-        Which of its readings each row brings; equations count row by row.
+        Which derivatives each row brings; equations count row by row.
     """
     out = np.empty((int(known_x.sum()), int(known_v.sum())))
     first_x, first_v = numbers(known_x), numbers(known_v)
-    for there, columns in _by_places(known_v, x.shape[1]):
-        told = known_v[columns, :there]
-        for here, every in _by_places(known_x, x.shape[1]):
-            size = len(every) * len(columns) * here * there
-            for rows in np.array_split(every, 1 + size // NUMBERS):
-                own = known_x[rows, :here]
-                found = block(x[rows], v[columns], hyperparameters, here, there)
-                found = found.reshape(own.size, told.size)
-                to = first_x[rows, :here][own], first_v[columns, :there][told]
-                out[np.ix_(*to)] = found[np.ix_(own.ravel(), told.ravel())]
+    for there, columns in _rows_by_order(known_v, x.shape[1]):
+        wanted_v = known_v[columns, :there]
+        for here, rows_x in _rows_by_order(known_x, x.shape[1]):
+            size = len(rows_x) * len(columns) * here * there
+            for rows in np.array_split(rows_x, 1 + size // NUMBERS):
+                wanted_x = known_x[rows, :here]
+                values = block(x[rows], v[columns], hyperparameters, here, there)
+                values = values.reshape(wanted_x.size, wanted_v.size)
+                target = first_x[rows, :here][wanted_x], first_v[columns, :there][wanted_v]
+                out[np.ix_(*target)] = values[np.ix_(wanted_x.ravel(), wanted_v.ravel())]
     return out
 
 
-def _by_places(known: Mask, loads: int) -> list[tuple[int, NDArray[np.intp]]]:
-    """Return the rows that bring readings of each order, with the number of these."""
+def _rows_by_order(known: Mask, loads: int) -> list[tuple[int, NDArray[np.intp]]]:
+    """Return the number of derivatives and the rows that bring these, for each order."""
     counts = np.full(len(known), 1)
     for order in (1, 2):
-        places = places_of(loads, order)
-        counts[known[:, places_of(loads, order - 1) : places].any(axis=1)] = places
+        count = derivative_count(loads, order)
+        counts[known[:, derivative_count(loads, order - 1) : count].any(axis=1)] = count
     return [(int(count), np.flatnonzero(counts == count)) for count in np.unique(counts)]
 
 
 def numbers(known: Mask) -> NDArray[np.intp]:
-    """Return the index of each place's equation, shape (n, p); no meaning where not known."""
+    """Return the index of each derivative's equation, shape (n, p); no meaning where not known."""
     return (np.cumsum(known.ravel()) - 1).reshape(known.shape)
 
 

@@ -1,4 +1,4 @@
-"""From rows to equations: scaled, in an order of their own."""
+"""From rows to equations: scaled, and sorted by wrench."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.merging import Readings, close_groups
+from ..table.merging import Observations, close_groups
 from ..table.rows import CLEAN, Floats, LoadRange, RowError, Rows
 from ..table.second_derivatives import second_derivatives
 from ..table.space import Space
-from .correlation import SECOND_SMOOTHNESS, SLOPES_SMOOTHNESS, Mask, indices, places_of
+from .correlation import SECOND_SMOOTHNESS, SLOPES_SMOOTHNESS, Mask, derivative_count, indices
 from .settings import DEFAULTS, KrigingSettings
 
 
@@ -20,7 +20,7 @@ class TooFewRowsError(RowError):
 
 
 class TooManyRowsError(RowError):
-    """A table with more equations than one factor holds."""
+    """A table with more equations than a factor holds."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Scaling:
         Loads that can occur and that move something; the others take no part.
     offset, spread : ndarray, shape (6,), m and rad
         Mean and standard deviation of each output over the rows; a spread of none is 1.
-    silent : ndarray of bool, shape (6,)
+    constant : ndarray of bool, shape (6,)
         Outputs that vary by rounding only.
     space : Space
     """
@@ -45,16 +45,16 @@ class Scaling:
     active: Mask
     offset: Floats
     spread: Floats
-    silent: Mask
+    constant: Mask
     space: Space
 
     def loads(self, wrenches: Floats) -> Floats:
         """Return wrenches (n, 6), N and N·m, in half ranges from the centre; inert loads are 0."""
         return np.where(self.active, (wrenches - self.centre) / self.half, 0.0)
 
-    def wrenches(self, places: Floats) -> Floats:
-        """Return wrenches (n, 6), N and N·m, at places in half ranges from the centre."""
-        return self.centre + places * self.half
+    def wrenches(self, points: Floats) -> Floats:
+        """Return wrenches (n, 6), N and N·m, of points in half ranges from the centre."""
+        return self.centre + points * self.half
 
 
 DECIMALS = 12  # of scaled loads: a thousandth of the accuracy of error bars
@@ -62,23 +62,23 @@ DECIMALS = 12  # of scaled loads: a thousandth of the accuracy of error bars
 
 @dataclass(frozen=True)
 class Equations:
-    """What the rows of a table say, in scaled numbers, row by row: all are dimensionless.
+    """Values and derivatives of a table's rows, scaled, row by row: all are dimensionless.
 
     Attributes
     ----------
     x : ndarray, shape (n, 6), half ranges
     known : ndarray of bool, shape (n, p)
-        Which readings a row brings: its value, slopes, and second derivatives if any row has them.
+        Which a row brings: its value, slopes, and second derivatives if any row has them.
     data : ndarray, shape (n, p, 6), spreads
-        Readings of the six outputs; zero where not known.
+        Of the six outputs; zero where not known.
     measured : ndarray of bool, shape (n, 6)
         Which outputs a row brings.
     noise : ndarray, shape (n, 6), spreads squared
         Variance of the values.
-    readings : ndarray, shape (n, 6)
-        Readings of unstated noise whose mean a value is; 0 where noise is stated, or there is none.
+    observations : ndarray, shape (n, 6)
+        Number of observations of unknown noise whose mean a value is; 0 where noise is known.
     scatter : ndarray, shape (n, 6), spreads squared
-        Sum of these readings' squared differences from their mean.
+        Sum of these observations' squared differences from their mean.
     groups : ndarray, shape (g, n)
         Which loads each term of the covariance sees: `Space.kriging_groups`.
     """
@@ -88,7 +88,7 @@ class Equations:
     data: Floats
     measured: Mask
     noise: Floats
-    readings: Floats
+    observations: Floats
     scatter: Floats
     groups: Floats
 
@@ -101,19 +101,19 @@ class Equations:
         return self.x.shape[1]
 
     @property
-    def places(self) -> int:
-        """Readings that a row can bring: its value, its slopes, its second derivatives."""
+    def n_derivatives(self) -> int:
+        """Numbers of an output that a row can bring: value, slopes, second derivatives."""
         return self.known.shape[1]
 
     @property
     def smoothness(self) -> int:
         """The p of the correlation Matern p + 1/2."""
-        return SECOND_SMOOTHNESS if self.places > 1 + self.loads else SLOPES_SMOOTHNESS
+        return SECOND_SMOOTHNESS if self.n_derivatives > 1 + self.loads else SLOPES_SMOOTHNESS
 
     @property
     def weights(self) -> int:
-        """Weights among the hyperparameters: one a term where rows bring second derivatives."""
-        return len(self.groups) if self.places > 1 + self.loads else 1
+        """Weights among the hyperparameters: one per term where rows bring second derivatives."""
+        return len(self.groups) if self.n_derivatives > 1 + self.loads else 1
 
     @property
     def count(self) -> int:
@@ -125,30 +125,30 @@ class Equations:
         names = (field.name for field in fields(self) if field.name != "groups")
         return replace(self, **{name: getattr(self, name)[which] for name in names})
 
-    def with_reading_noise(self, variance: Floats) -> Equations:
-        """Return the equations with the noise of readings, whose variance is (6,), dimensionless.
+    def with_observation_noise(self, variance: Floats) -> Equations:
+        """Return the equations with an observation's noise, variance (6,), dimensionless.
 
-        The mean of so many readings has that part of one's variance.
+        The variance of a mean of k observations is 1/k of theirs.
         """
-        unstated = self.readings > 0
-        added = np.where(unstated, variance / np.where(unstated, self.readings, 1.0), 0.0)
+        averaged = self.observations > 0
+        added = np.where(averaged, variance / np.where(averaged, self.observations, 1.0), 0.0)
         return replace(self, noise=self.noise + added)
 
 
 def within(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Rows:
     """Return the rows inside the load range, sorted by wrench: their order must not matter."""
-    return rows.take(places_within(rows, load_range, settings))
+    return rows.take(indices_within(rows, load_range, settings))
 
 
-def places_within(
+def indices_within(
     rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS
 ) -> NDArray[np.intp]:
     """Return the indices of the rows inside the load range, shape (k,), sorted by wrench."""
-    room = CLEAN * load_range.scale
-    inside = (rows.wrench >= load_range.low - room) & (rows.wrench <= load_range.high + room)
-    kept = np.flatnonzero(inside.all(axis=1))
-    columns = np.concatenate((rows.wrench[kept], rows.displacement[kept]), axis=1)
-    return kept[np.lexsort(columns.T[::-1])]
+    margin = CLEAN * load_range.scale
+    inside = (rows.wrench >= load_range.low - margin) & (rows.wrench <= load_range.high + margin)
+    indices = np.flatnonzero(inside.all(axis=1))
+    columns = np.concatenate((rows.wrench[indices], rows.displacement[indices]), axis=1)
+    return indices[np.lexsort(columns.T[::-1])]
 
 
 def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Scaling:
@@ -157,28 +157,28 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     Raises
     ------
     TooFewRowsError
-        If fewer rows than `least_rows` are left, or an output is measured by fewer.
+        If fewer rows than `min_rows` lie in it, or an output is measured by fewer.
     """
     measured = np.isfinite(rows.displacement)
     fewest = int(measured.sum(axis=0).min()) if len(rows) else 0
-    if fewest < settings.least_rows:
+    if fewest < settings.min_rows:
         raise TooFewRowsError(
-            f"kriging needs {settings.least_rows} rows in the load range that bring each output; "
+            f"kriging needs {settings.min_rows} rows in the load range that bring each output; "
             f"there are {fewest}: solve or import more"
         )
     centre = (load_range.low + load_range.high) / 2
     offset = np.nanmean(rows.displacement, axis=0)
     spread = np.nanstd(rows.displacement, axis=0)
     largest = load_range.space.largest_of_kind(spread)
-    # An output that nothing moves is judged by its own size, where no other of its kind moves.
+    # An output that nothing moves is judged by its size, where no other of its kind moves.
     size = np.maximum(largest, np.abs(offset) * settings.rounding)
-    silent = spread <= settings.rounding * size
-    # Loads that have a range and, where slopes tell, move some output.
+    constant = spread <= settings.rounding * size
+    # Loads that have a range and, where all rows have slopes, move some output.
     active = load_range.high > load_range.low
     tangents = rows.compliance[_with_slopes(rows)]
     if len(tangents) == len(rows):
         moved = np.abs(tangents).max(axis=0) * load_range.scale
-        moved = moved / np.where(silent, np.inf, spread)[:, None]
+        moved = moved / np.where(constant, np.inf, spread)[:, None]
         active = active & (moved > settings.rounding).any(axis=0)
     return Scaling(
         centre=centre,
@@ -186,7 +186,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
         active=active,
         offset=offset,
         spread=np.where(spread > 0, spread, 1.0),
-        silent=silent,
+        constant=constant,
         space=load_range.space,
     )
 
@@ -198,44 +198,48 @@ def _with_slopes(rows: Rows) -> Mask:
 
 
 def equations_of(
-    rows: Rows, scaling: Scaling, readings: Readings, settings: KrigingSettings = DEFAULTS
+    rows: Rows, scaling: Scaling, readings: Observations, settings: KrigingSettings = DEFAULTS
 ) -> Equations:
-    """Return the equations of rows of distinct wrenches, and of the readings behind each."""
-    sloped = _with_slopes(rows)
-    bent = np.isfinite(rows.curvature).all(axis=1) & sloped & (rows.curvature.shape[1] > 0)
+    """Return the equations of rows of distinct wrenches, and of the observations behind each."""
+    with_slopes = _with_slopes(rows)
+    curved = np.isfinite(rows.curvature).all(axis=1) & with_slopes & (rows.curvature.shape[1] > 0)
     measured = np.isfinite(rows.displacement)
     loads, outputs = rows.wrench.shape[1], rows.displacement.shape[1]
-    places = places_of(loads, 2 if bent.any() else 1)
-    known = np.zeros((len(rows), places), dtype=bool)
+    n_derivatives = derivative_count(loads, 2 if curved.any() else 1)
+    known = np.zeros((len(rows), n_derivatives), dtype=bool)
     known[:, 0] = True
-    known[:, 1 : 1 + loads] = sloped[:, None] & scaling.active
-    data = np.zeros((len(rows), places, outputs))
+    known[:, 1 : 1 + loads] = with_slopes[:, None] & scaling.active
+    data = np.zeros((len(rows), n_derivatives, outputs))
     data[:, 0] = np.where(measured, (rows.displacement - scaling.offset) / scaling.spread, 0.0)
     slopes = rows.compliance * scaling.half / scaling.spread[:, None]
     data[:, 1 : 1 + loads] = slopes.transpose(0, 2, 1)
-    if bent.any():
-        one, other = np.array(indices(loads, 2)[1 + loads :]).T
-        known[:, 1 + loads :] = bent[:, None] & scaling.active[one] & scaling.active[other]
-        some = rows.take(np.flatnonzero(bent))
-        second = second_derivatives(
-            some.wrench, some.displacement, some.compliance, some.curvature, scaling.space
+    if curved.any():
+        first, second = np.array(indices(loads, 2)[1 + loads :]).T
+        known[:, 1 + loads :] = curved[:, None] & scaling.active[first] & scaling.active[second]
+        some = rows.take(np.flatnonzero(curved))
+        derivatives = second_derivatives(
+            some.wrench,
+            some.displacement,
+            some.compliance,
+            some.curvature,
+            scaling.space,
         )
-        scaled = second[:, :, one, other] * (scaling.half[one] * scaling.half[other])
-        data[bent, 1 + loads :] = (scaled / scaling.spread[:, None]).transpose(0, 2, 1)
+        scaled = derivatives[:, :, first, second] * (scaling.half[first] * scaling.half[second])
+        data[curved, 1 + loads :] = (scaled / scaling.spread[:, None]).transpose(0, 2, 1)
     data[~known] = 0.0
     half_widths = np.nan_to_num(rows.uncertainty) / scaling.spread
-    whole = Equations(
+    equations = Equations(
         # Rounded, so that another unit's rounding is not blown up by the covariance's condition.
         x=np.round(scaling.loads(rows.wrench), DECIMALS),
         known=known,
         data=data,
         measured=measured,
         noise=np.where(readings.number > 0, 0.0, (half_widths / settings.half_width) ** 2),
-        readings=readings.number,
+        observations=readings.number,
         scatter=readings.scatter / scaling.spread**2,
         groups=scaling.space.kriging_groups,
     )
     if scaling.active.all():
-        return whole
-    # Rows that differ in nothing but loads without effect say the same.
-    return whole.take(np.unique(close_groups(whole.x), return_index=True)[1])
+        return equations
+    # Rows that differ in nothing but loads without effect are equal.
+    return equations.take(np.unique(close_groups(equations.x), return_index=True)[1])

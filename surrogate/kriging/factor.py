@@ -1,18 +1,18 @@
-"""The factors of the covariance, by which every answer, deviation and left-out row is had.
+"""The factors of the covariance: answers, deviations and errors of left-out rows.
 
-Kept is T, the inverse of the lower Cholesky factor: the inverse of the covariance is T'T, a new row
+With T, the inverse of the lower Cholesky factor, the inverse of the covariance is T'T, a new row
 borders it, and answers are products. The mean's coefficients have a wide normal prior, of variance
-P; with A = F' T'T F + 1/P this is the usual universal kriging where rows settle the mean, and still
-defined where they do not.
+P; with A = F' T'T F + 1/P this is the usual universal kriging where rows determine the mean, and
+still defined where they do not.
 
 Rows are left out in groups without factorising anew. With Q = inv(K) - inv(K) F inv(A) F' inv(K)
 and b the equations of a group of rows (their values and slopes), the error of an answer that has
-not seen them, mean refitted and hyperparameters kept, is inv(Q_bb) (Q y)_b (Dubrule 1983); its
+not seen them, mean refitted and hyperparameters unchanged, is inv(Q_bb) (Q y)_b (Dubrule 1983); its
 posterior covariance is inv(Q_bb).
 
-Deviations are those of small factors over the nearest rows. A place's neighbours are taken in turn
+Deviations are those of small factors over the nearest rows. A point's neighbours are taken in turn
 by each of the four terms of the covariance: nearest over all loads, then over those of axis x, y
-and z. By all loads alone a table of clean rows would tell a wrench of six loads by one axis.
+and z. By all loads alone a table of clean rows would answer a wrench of six loads by one axis.
 Neighbourhoods belong to rows, their anchors, so that the factors are made before any query; a
 wrench takes that of its nearest row.
 """
@@ -32,13 +32,13 @@ from .correlation import Hyperparameters, Mask, covariance, mean_terms, numbers
 from .equations import Equations
 from .settings import DEFAULTS, KrigingSettings
 
-Places = NDArray[np.intp]
+Indices = NDArray[np.intp]
 
-ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of values that are one
+ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of equal values
 
 
-class Share(NamedTuple):
-    """Outputs that the same rows tell with the same noise.
+class OutputGroup(NamedTuple):
+    """Outputs of the same rows and the same noise, which one factor answers.
 
     Attributes
     ----------
@@ -47,15 +47,15 @@ class Share(NamedTuple):
         Variance of the rows' values over the process variance.
     """
 
-    outputs: Places
-    rows: Places
+    outputs: Indices
+    rows: Indices
     noise: Floats
 
 
-def shares_of(
+def output_groups(
     equations: Equations, variance: Floats, settings: KrigingSettings = DEFAULTS
-) -> list[Share]:
-    """Return the outputs in groups that one factor answers.
+) -> list[OutputGroup]:
+    """Return the outputs in groups, each with a factor.
 
     Parameters
     ----------
@@ -71,18 +71,18 @@ def shares_of(
         for group in groups:
             rows = equations.measured[:, group[0]]
             same = (rows == equations.measured[:, output]).all()
-            apart = np.abs(size[rows, output] - size[rows, group[0]])
-            if same and (apart <= np.log(settings.like_noise)).all():
+            difference = np.abs(size[rows, output] - size[rows, group[0]])
+            if same and (difference <= np.log(settings.like_noise)).all():
                 group.append(output)
                 break
         else:
             groups.append([output])
-    shares = []
+    divided = []
     for group in groups:
         rows = np.flatnonzero(equations.measured[:, group[0]])
         outputs = np.array(group, dtype=np.intp)
-        shares.append(Share(outputs, rows, noise[np.ix_(rows, outputs)].mean(axis=1)))
-    return shares
+        divided.append(OutputGroup(outputs, rows, noise[np.ix_(rows, outputs)].mean(axis=1)))
+    return divided
 
 
 class SingularCovarianceError(ArithmeticError):
@@ -110,28 +110,31 @@ class Factor:
     TF: Floats
 
     @property
-    def least(self) -> float:
+    def min_variance(self) -> float:
         """The nugget's part of a value's prior variance: below it sigma squared is rounding."""
         return self.nugget * float(self.hyperparameters.prior(1)[0])
 
     def explained(self, across: Floats, terms: Floats) -> tuple[Floats, Floats]:
-        """Return T times the covariance with places, and of the mean's terms what rows leave.
+        """Return T times the covariance with points, and the unexplained part of the mean's terms.
 
-        Shapes (m, e) and (m, 7), of `across` (m, e) and `terms` (m, 7) at the places.
+        Shapes (m, e) and (m, 7), of `across` (m, e) and `terms` (m, 7) at the points.
         """
         reduced = across @ self.T.T
         return reduced, terms - reduced @ self.TF
 
-    def variance_of(self, reduced: Floats, left: Floats, mean_covariance: Floats) -> Floats:
+    def variance_of(self, reduced: Floats, remainder: Floats, mean_covariance: Floats) -> Floats:
         """Return sigma squared (m,), over the process variance, of what `explained` returns."""
-        spent = np.einsum("me,me->m", reduced, reduced)
-        loose = np.einsum("ma,ab,mb->m", left, mean_covariance, left)
-        return np.maximum(float(self.hyperparameters.prior(1)[0]) - spent, self.least) + loose
+        explained = np.einsum("me,me->m", reduced, reduced)
+        trend = np.einsum("ma,ab,mb->m", remainder, mean_covariance, remainder)
+        return (
+            np.maximum(float(self.hyperparameters.prior(1)[0]) - explained, self.min_variance)
+            + trend
+        )
 
 
 @dataclass(frozen=True)
 class KrigingFactor(Factor):
-    """The factor of some rows' equations, for the outputs that these rows tell alike.
+    """The factor of some rows' equations, for the outputs of one group.
 
     All numbers are dimensionless: loads are in half ranges, outputs in spreads.
 
@@ -139,7 +142,7 @@ class KrigingFactor(Factor):
     ----------
     equations : Equations
         Of the rows that take part.
-    share : Share
+    output_group : OutputGroup
         The outputs it answers, the rows and their noise.
     mean_covariance : ndarray, shape (7, 7)
         Posterior covariance of the mean's coefficients, over the process variance.
@@ -152,16 +155,16 @@ class KrigingFactor(Factor):
     """
 
     equations: Equations
-    share: Share
+    output_group: OutputGroup
     mean_covariance: Floats
     coefficients: Floats
     weights: Floats
     variance: Floats
 
     def explained_at(self, x: Floats, known: Mask) -> tuple[Floats, Floats]:
-        """Return what `explained` does, of the readings `known` (m, p) at places (m, 6)."""
-        own = self.equations
-        across = covariance(x, known, own.x, own.known, self.hyperparameters)
+        """Return what `explained` does, of the derivatives `known` (m, p) at points (m, 6)."""
+        v, known_v = self.equations.x, self.equations.known
+        across = covariance(x, known, v, known_v, self.hyperparameters)
         return self.explained(across, mean_terms(x, known))
 
     def of_data(self, data: Floats) -> KrigingFactor:
@@ -193,7 +196,7 @@ def inverse_factor(
     """
     size = np.sqrt(prior)
     scaled = matrix / size[:, None] / size
-    places = np.diag_indices_from(scaled)
+    diagonal = np.diag_indices_from(scaled)
     while True:
         try:
             lower = np.linalg.cholesky(scaled)
@@ -203,7 +206,7 @@ def inverse_factor(
                     f"the covariance of {len(matrix)} equations is singular with a nugget of "
                     f"{nugget:g}: rows contradict each other; invalidate the wrong ones"
                 ) from None
-            scaled[places] += 9 * nugget
+            scaled[diagonal] += 9 * nugget
             nugget *= 10
             continue
         (invert,) = get_lapack_funcs(("trtri",), (lower,))
@@ -223,7 +226,7 @@ def _factored(
 
     `noise`, shape (rows,), is over the process variance; it and the nugget are added.
     """
-    prior = np.tile(hyperparameters.prior(equations.places), (len(equations), 1))
+    prior = np.tile(hyperparameters.prior(equations.n_derivatives), (len(equations), 1))
     added = nugget * prior
     added[:, 0] += noise
     matrix[np.diag_indices_from(matrix)] += added[equations.known]
@@ -234,30 +237,36 @@ def _factored(
 def factorise(
     equations: Equations,
     hyperparameters: Hyperparameters,
-    share: Share,
+    group: OutputGroup,
     settings: KrigingSettings = DEFAULTS,
     table: Floats | None = None,
 ) -> KrigingFactor:
-    """Return the factor of a share of a table's equations.
+    """Return the factor of an output group of a table.
 
     `table` (a, a), dimensionless, is the covariance of all a equations, where it is at hand.
     """
-    own = equations.take(share.rows)
+    subset = equations.take(group.rows)
     if table is None:
-        matrix = covariance(own.x, own.known, own.x, own.known, hyperparameters)
+        matrix = covariance(
+            subset.x,
+            subset.known,
+            subset.x,
+            subset.known,
+            hyperparameters,
+        )
     else:
-        places = numbers(equations.known)[share.rows][own.known]
-        matrix = table[np.ix_(places, places)]
-    made = _factored(own, share.noise, matrix, hyperparameters, settings.nugget, settings)
-    precision = made.TF.T @ made.TF + np.eye(made.TF.shape[1]) / settings.mean_variance
+        indices = numbers(equations.known)[group.rows][subset.known]
+        matrix = table[np.ix_(indices, indices)]
+    inverse = _factored(subset, group.noise, matrix, hyperparameters, settings.nugget, settings)
+    precision = inverse.TF.T @ inverse.TF + np.eye(inverse.TF.shape[1]) / settings.mean_variance
     mean_covariance, none = np.asarray(np.linalg.inv(precision), dtype=float), np.empty(0)
-    inverse = hyperparameters, made.nugget, made.T, made.TF
-    blank = KrigingFactor(*inverse, own, share, mean_covariance, none, none, none)
-    return blank.of_data(own.data[own.known][:, share.outputs])
+    parts = hyperparameters, inverse.nugget, inverse.T, inverse.TF
+    blank = KrigingFactor(*parts, subset, group, mean_covariance, none, none, none)
+    return blank.of_data(subset.data[subset.known][:, group.outputs])
 
 
-# Added to the diagonal of a group's precision, of its mean: rows a hair apart leave it singular to
-# rounding.
+# Added to the diagonal of a group's precision, of its mean: rows at almost the same wrench leave it
+# singular to rounding.
 REGULAR = 1e-14
 
 
@@ -282,7 +291,7 @@ class LeftOutRows(NamedTuple):
     mean_covariances: Floats
 
 
-def left_out(factor: KrigingFactor, labels: Places) -> LeftOutRows:
+def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
     """Return the errors of a factor's rows, each left out with all rows of its label.
 
     Parameters
@@ -290,37 +299,40 @@ def left_out(factor: KrigingFactor, labels: Places) -> LeftOutRows:
     labels : ndarray of int, shape (r,)
         Group of each of the factor's rows.
     """
-    own, outputs = factor.equations, len(factor.variance)
-    sizes = own.known.sum(axis=1)
+    equations, outputs = factor.equations, len(factor.variance)
+    sizes = equations.known.sum(axis=1)
     ends = np.cumsum(sizes)
     precision = np.asarray(np.linalg.inv(factor.mean_covariance), dtype=float)
     out = LeftOutRows(
-        np.full((len(own), outputs), np.nan),
-        np.full((len(own), outputs), np.nan),
-        np.full(len(own), np.nan),
-        np.full((len(own), 1 + own.loads, 1 + own.loads), np.nan),
+        np.full((len(equations), outputs), np.nan),
+        np.full((len(equations), outputs), np.nan),
+        np.full(len(equations), np.nan),
+        np.full((len(equations), 1 + equations.loads, 1 + equations.loads), np.nan),
     )
     for label in np.unique(labels):
         rows = np.flatnonzero(labels == label)
-        if len(rows) == len(own):
+        if len(rows) == len(equations):
             break
-        places = np.concatenate([np.arange(ends[row] - sizes[row], ends[row]) for row in rows])
+        indices = np.concatenate([np.arange(ends[row] - sizes[row], ends[row]) for row in rows])
         # T is triangular: what stands above the group is zero.
-        below = factor.T[places[0] :, places]
-        block, shares = below.T @ below, below.T @ factor.TF[places[0] :]
+        below = factor.T[indices[0] :, indices]
+        block, means = below.T @ below, below.T @ factor.TF[indices[0] :]
         diagonal = np.diag_indices_from(block)
         block[diagonal] += REGULAR * block[diagonal].mean()
-        covariance = np.linalg.inv(block - shares @ factor.mean_covariance @ shares.T)
-        missed = covariance @ factor.weights[places]
+        covariance = np.linalg.inv(block - means @ factor.mean_covariance @ means.T)
+        residuals = covariance @ factor.weights[indices]
         out.mean_covariances[rows] = np.linalg.inv(
-            precision - shares.T @ np.linalg.solve(block, shares)
+            precision - means.T @ np.linalg.solve(block, means)
         )
         start = 0
         for row, size in zip(rows, sizes[rows], strict=True):
-            mine = slice(start, start + size)
-            out.errors[row], out.variances[row] = missed[mine][0], covariance[start, start]
+            part = slice(start, start + size)
+            out.errors[row], out.variances[row] = (
+                residuals[part][0],
+                covariance[start, start],
+            )
             # what the row's errors are by the covariance that they should have
-            squares = missed[mine] * np.linalg.solve(covariance[mine, mine], missed[mine])
+            squares = residuals[part] * np.linalg.solve(covariance[part, part], residuals[part])
             out.sizes[row] = np.sqrt(np.maximum(squares.sum(axis=0) / size / factor.variance, 0.0))
             start += size
     return out
@@ -337,34 +349,34 @@ class LocalFactor(Factor):
 
     Attributes
     ----------
-    places : ndarray of int, shape (e,)
-        Its equations: the readings of all rows before, and which one of the row.
+    columns : ndarray of int, shape (e,)
+        Its equations among the values and derivatives, known or not, of all rows.
     numbers : ndarray of int, shape (e,)
         The same, among the equations of the table.
     """
 
-    places: Places
-    numbers: Places
+    columns: Indices
+    numbers: Indices
 
     def squared_deviation(self, across: Floats, terms: Floats, mean_covariance: Floats) -> Floats:
-        """Return sigma squared (m,), over the process variance, each place by itself.
+        """Return sigma squared (m,), over the process variance, each point by itself.
 
         `across` (m, e) is the covariance with the equations, `terms` (m, 7) are the mean's. A
-        place's digits do not depend on which others there are.
+        point's digits do not depend on the other points.
         """
-        reduced, left = self.explained(across[:, None], terms[:, None])
-        return self.variance_of(reduced[:, 0], left[:, 0], mean_covariance)
+        reduced, unexplained = self.explained(across[:, None], terms[:, None])
+        return self.variance_of(reduced[:, 0], unexplained[:, 0], mean_covariance)
 
 
 class Neighbourhoods:
-    """The nearest rows of any place among those of a factor, and the small factors over them.
+    """The nearest rows of any point among those of a factor, and the small factors over them.
 
-    Rows are places among those of the factor.
+    Rows are indices of the factor's rows.
 
     Attributes
     ----------
     factor : KrigingFactor
-    around : tuple of LocalFactor
+    local_factors : tuple of LocalFactor
         The neighbourhood of each of the factor's rows.
     """
 
@@ -376,97 +388,103 @@ class Neighbourhoods:
         settings: KrigingSettings = DEFAULTS,
     ) -> None:
         """Take the table's equations, and `table` (a, a), the covariance of all a of them."""
-        own = factor.equations
+        x, known = factor.equations.x, factor.equations.known
         self.factor, self.settings = factor, settings
-        self.size = own.known.sum(axis=1)
-        self.plain_size = own.known[:, : 1 + own.loads].sum(axis=1)
+        self.size = known.sum(axis=1)
+        self.plain_size = known[:, : 1 + x.shape[1]].sum(axis=1)
         all_first = np.roll(factor.hyperparameters.groups, 1, axis=0)
         self.roots = np.sqrt(factor.hyperparameters.inverse_squares) * all_first
-        self.trees = [KDTree(own.x * root) for root in self.roots]
-        self._numbers = numbers(equations.known)[factor.share.rows]
-        self.around = tuple(self.local_factor(near, table) for near in self.members(own.x))
+        self.trees = [KDTree(x * root) for root in self.roots]
+        self._numbers = numbers(equations.known)[factor.output_group.rows]
+        self.local_factors = tuple(self.local_factor(near, table) for near in self.members(x))
 
-    def nearest(self, x: Floats) -> Places:
-        """Return the row nearest to each place (m, 6) over all loads, shape (m,).
+    def nearest(self, x: Floats) -> Indices:
+        """Return the row nearest to each point (m, 6) over all loads, shape (m,).
 
         Of rows that are equally near the first.
         """
-        places = x * self.roots[0]
-        radius = np.sqrt(np.asarray(self.trees[0].query(places)[0], dtype=float) ** 2 + TIE)
-        near = self.trees[0].query_ball_point(places, radius, return_sorted=True)
+        scaled = x * self.roots[0]
+        radius = np.sqrt(np.asarray(self.trees[0].query(scaled)[0], dtype=float) ** 2 + TIE)
+        near = self.trees[0].query_ball_point(scaled, radius, return_sorted=True)
         return np.array([rows[0] for rows in near], dtype=np.intp)
 
-    def nearest_others(self, rows: Places, labels: Places) -> Places:
+    def nearest_others(self, rows: Indices, labels: Indices) -> Indices:
         """Return the row nearest to each of some rows (k,) that has another label, shape (k,).
 
         `labels`, shape (r,), are the groups of all rows, of which there are two or more.
         """
-        places = self.factor.equations.x * self.roots[0]
-        apart = ((places[rows][:, None] - places) ** 2).sum(axis=2)
-        apart[labels[rows][:, None] == labels] = np.inf
-        return (apart <= apart.min(axis=1, keepdims=True) + TIE).argmax(axis=1)
+        scaled = self.factor.equations.x * self.roots[0]
+        distance = ((scaled[rows][:, None] - scaled) ** 2).sum(axis=2)
+        distance[labels[rows][:, None] == labels] = np.inf
+        return (distance <= distance.min(axis=1, keepdims=True) + TIE).argmax(axis=1)
 
     def members(
-        self, x: Floats, labels: Places | None = None, without: Places | None = None
-    ) -> list[Places]:
-        """Return the neighbours of each place (m, 6), nearest first, that the settings allow.
+        self, x: Floats, labels: Indices | None = None, without: Indices | None = None
+    ) -> list[Indices]:
+        """Return the neighbours of each point (m, 6), nearest first, that the settings allow.
 
         Parameters
         ----------
         labels : ndarray of int, shape (r,), optional
             Group of each row.
         without : ndarray of int, shape (m,), optional
-            For each place the label of the group that is left out.
+            For each point the label of the group that is left out.
         """
         largest = 0 if labels is None else int(np.bincount(labels).max())
-        most_rows, bent = self.settings.deviation_rows, self.settings.deviation_bent
-        most_equations = self.settings.deviation_solves * (1 + self.factor.equations.loads)
-        count = min(most_rows + largest, len(self.size))
-        found = [
+        max_rows, n_curved = self.settings.deviation_rows, self.settings.deviation_curved
+        max_equations = self.settings.deviation_solves * (1 + self.factor.equations.loads)
+        count = min(max_rows + largest, len(self.size))
+        nearest = [
             np.asarray(tree.query(x * root, k=count)[1]).reshape(len(x), count)
             for tree, root in zip(self.trees, self.roots, strict=True)
         ]
         lists = []
-        for place, row in enumerate(np.stack(found, axis=2).reshape(len(x), -1).tolist()):
+        for index, row in enumerate(np.stack(nearest, axis=2).reshape(len(x), -1).tolist()):
             near = np.array(list(dict.fromkeys(row)), dtype=np.intp)
             if labels is not None and without is not None:
-                near = near[labels[near] != without[place]]
-            near = near[:most_rows]
-            size = np.append(self.size[near[:bent]], self.plain_size[near[bent:]])
-            lists.append(near[np.cumsum(size) <= most_equations])
+                near = near[labels[near] != without[index]]
+            near = near[:max_rows]
+            size = np.append(self.size[near[:n_curved]], self.plain_size[near[n_curved:]])
+            lists.append(near[np.cumsum(size) <= max_equations])
         return lists
 
-    def local_factor(self, near: Places, table: Floats) -> LocalFactor:
+    def local_factor(self, near: Indices, table: Floats) -> LocalFactor:
         """Return the factor over some rows (k,), nearest first.
 
         `table` (a, a), dimensionless, is the covariance of all a equations of the table.
         """
-        whole = self.factor
-        own = whole.equations.take(near)
-        known = own.known
-        known[self.settings.deviation_bent :, 1 + own.loads :] = False
-        places = (whole.share.rows[near][:, None] * own.places + np.arange(own.places))[known]
+        factor = self.factor
+        subset = factor.equations.take(near)
+        known = subset.known
+        known[self.settings.deviation_curved :, 1 + subset.loads :] = False
+        columns = (
+            factor.output_group.rows[near][:, None] * subset.n_derivatives
+            + np.arange(subset.n_derivatives)
+        )[known]
         number = self._numbers[near][known]
-        made = _factored(
-            own,
-            whole.share.noise[near],
+        inverse = _factored(
+            subset,
+            factor.output_group.noise[near],
             table[np.ix_(number, number)],
-            whole.hyperparameters,
-            whole.nugget,
+            factor.hyperparameters,
+            factor.nugget,
             self.settings,
         )
-        return LocalFactor(whole.hyperparameters, made.nugget, made.T, made.TF, places, number)
+        return LocalFactor(
+            factor.hyperparameters, inverse.nugget, inverse.T, inverse.TF, columns, number
+        )
 
     def deviations(self, x: Floats, across: Floats) -> Floats:
-        """Return the posterior deviation (m,), process deviations, at places (m, 6).
+        """Return the posterior deviation (m,), process deviations, at points (m, 6).
 
-        `across` (m, 7 n) is the covariance of their values with all places of all rows.
+        `across` (m, 7 n) is the covariance of their values with the values and derivatives
+        of all rows, known or not.
         """
         terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
         squared, nearest = np.empty(len(x)), self.nearest(x)
         for anchor in np.unique(nearest):
-            queries, local = np.flatnonzero(nearest == anchor), self.around[anchor]
+            queries, local = np.flatnonzero(nearest == anchor), self.local_factors[anchor]
             squared[queries] = local.squared_deviation(
-                across[np.ix_(queries, local.places)], terms[queries], self.factor.mean_covariance
+                across[np.ix_(queries, local.columns)], terms[queries], self.factor.mean_covariance
             )
         return np.sqrt(squared)

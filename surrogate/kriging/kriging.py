@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..table.merging import Readings, merge
+from ..table.merging import Observations, merge
 from ..table.rows import NEAR, Floats, LoadRange, Rows
 from .calibration import Calibration, calibrated
 from .correlation import Hyperparameters, Mask, block, covariance
@@ -18,7 +18,7 @@ from .equations import (
     TooFewRowsError,
     TooManyRowsError,
     equations_of,
-    places_within,
+    indices_within,
     scaling_of,
     within,
 )
@@ -26,7 +26,7 @@ from .factor import (
     Neighbourhoods,
     factorise,
     left_out,
-    shares_of,
+    output_groups,
 )
 from .likelihood import estimated, within_one_factor
 from .settings import DEFAULTS, KrigingSettings
@@ -41,8 +41,8 @@ _BLAS = ThreadpoolController and ThreadpoolController().select(user_api="blas")
 
 # What one covariance times one weight may lose, relative: its squared distance, root, exponential
 # and polynomial some units in the last place each. The errors have either sign: sums of compiled
-# code and of arrays were apart by up to 2.1 eps times the sum of magnitudes.
-LOST = 4 * float(np.finfo(float).eps)
+# code and of arrays differed by up to 2.1 eps times the sum of magnitudes.
+ROUNDING_LOSS = 4 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +55,15 @@ class Kriging:
     scaling : Scaling
     hyperparameters : Hyperparameters
         Common to all outputs.
-    reading_variance : ndarray, shape (6,), spreads squared
-        Of one reading whose uncertainty nobody stated.
+    observation_variance : ndarray, shape (6,), spreads squared
+        Of an observation of unknown uncertainty.
     tangent : ndarray, shape (6, 6), SI
         Mean tangent of the rows: the derivative by loads that take no part.
     equations : Equations
-    shares : tuple of Neighbourhoods
-        One of each factor: outputs with the same rows and noise have one.
+    neighbourhoods : tuple of Neighbourhoods
+        One per factor: outputs with the same rows and noise have one factor.
     calibrations : tuple of Calibration
-        One of each of `shares`.
+        One per item of `neighbourhoods`.
     weights : ndarray, shape (n, p, 6), spreads
     coefficients : ndarray, shape (7, 6), spreads
     deviation : ndarray, shape (6,), spreads
@@ -80,10 +80,10 @@ class Kriging:
     settings: KrigingSettings
     scaling: Scaling
     hyperparameters: Hyperparameters
-    reading_variance: Floats
+    observation_variance: Floats
     tangent: Floats
     equations: Equations
-    shares: tuple[Neighbourhoods, ...]
+    neighbourhoods: tuple[Neighbourhoods, ...]
     calibrations: tuple[Calibration, ...]
     weights: Floats
     coefficients: Floats
@@ -98,13 +98,13 @@ class Kriging:
         rows: Rows,
         load_range: LoadRange,
         settings: KrigingSettings = DEFAULTS,
-        readings: Readings | None = None,
+        observations: Observations | None = None,
     ) -> Kriging:
         """Return the kriging of a table's rows inside the load range.
 
         Parameters
         ----------
-        readings : Readings, optional
+        observations : Observations, optional
             Behind each row, of rows of distinct wrenches; else rows at one wrench are merged.
 
         Raises
@@ -116,16 +116,16 @@ class Kriging:
         SingularCovarianceError
             If rows contradict each other so that no nugget makes the covariance regular.
         """
-        if readings is None:
-            rows, _, readings = merge(rows, load_range).usable()
-        places = places_within(rows, load_range, settings)
-        used = rows.take(places)
+        if observations is None:
+            rows, _, observations = merge(rows, load_range).usable()
+        indices = indices_within(rows, load_range, settings)
+        used = rows.take(indices)
         scaling = scaling_of(used, load_range, settings)
-        equations = equations_of(used, scaling, readings.take(places), settings)
+        equations = equations_of(used, scaling, observations.take(indices), settings)
         equations = within_one_factor(equations, settings)
-        if len(equations) < settings.least_rows:
+        if len(equations) < settings.min_rows:
             raise TooFewRowsError(
-                f"kriging needs {settings.least_rows} rows at different wrenches; there are "
+                f"kriging needs {settings.min_rows} rows at different wrenches; there are "
                 f"{len(equations)}: solve or import more"
             )
         if equations.count > settings.dense_equations:
@@ -136,85 +136,100 @@ class Kriging:
         tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
         tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
         with one_thread():
-            held, noise_scale, reading = estimated(equations, scaling, settings)
-            equations = equations.with_reading_noise(reading)
+            hyperparameters, noise_scale, observation_variance = estimated(
+                equations, scaling, settings
+            )
+            equations = equations.with_observation_noise(observation_variance)
             x, known, span = equations.x, equations.known, span_of(equations, scaling, settings)
-            weights, outputs = np.zeros(equations.data.shape), equations.data.shape[2]
-            coefficients = np.empty((1 + x.shape[1], outputs))
-            deviation, rounding = np.empty((2, outputs))
+            weights, n_outputs = np.zeros(equations.data.shape), equations.data.shape[2]
+            coefficients = np.empty((1 + x.shape[1], n_outputs))
+            deviation, rounding = np.empty((2, n_outputs))
             errors = np.full(equations.measured.shape, np.nan)
-            table = covariance(x, known, x, known, held)
+            table = covariance(x, known, x, known, hyperparameters)
             values = np.zeros_like(known)
             values[:, 0] = True
-            lost = LOST * np.abs(table[values[known]])
-            shares: list[Neighbourhoods] = []
+            rounding_errors = ROUNDING_LOSS * np.abs(table[values[known]])
+            neighbourhoods: list[Neighbourhoods] = []
             calibrations: list[Calibration] = []
-            for share in shares_of(equations, noise_scale, settings):
-                factor, own = factorise(equations, held, share, settings, table), share.outputs
-                # The weights among the readings of all rows.
-                all_rows = np.zeros((*known.shape, len(own)))
-                all_rows[known & np.isin(np.arange(len(x)), share.rows)[:, None]] = factor.weights
-                weights[:, :, own], coefficients[:, own] = all_rows, factor.coefficients
-                deviation[own] = np.sqrt(factor.variance)
-                rounding[own] = (lost @ np.abs(all_rows[known])).max(axis=0)
-                alone = left_out(factor, np.arange(len(share.rows)))
-                errors[np.ix_(share.rows, own)] = alone.errors
-                spread = Neighbourhoods(equations, factor, table, settings)
-                shares.append(spread)
-                calibrations.append(calibrated(equations, spread, table, scaling, span, settings))
-        estimate, parts = (held, reading, tangent), (tuple(shares), tuple(calibrations))
+            for group in output_groups(equations, noise_scale, settings):
+                factor, outputs = (
+                    factorise(equations, hyperparameters, group, settings, table),
+                    group.outputs,
+                )
+                # The weights among the values and derivatives of all rows.
+                all_rows = np.zeros((*known.shape, len(outputs)))
+                all_rows[known & np.isin(np.arange(len(x)), group.rows)[:, None]] = factor.weights
+                weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
+                deviation[outputs] = np.sqrt(factor.variance)
+                rounding[outputs] = (rounding_errors @ np.abs(all_rows[known])).max(axis=0)
+                left_out_rows = left_out(factor, np.arange(len(group.rows)))
+                errors[np.ix_(group.rows, outputs)] = left_out_rows.errors
+                neighbours = Neighbourhoods(equations, factor, table, settings)
+                neighbourhoods.append(neighbours)
+                calibrations.append(
+                    calibrated(equations, neighbours, table, scaling, span, settings)
+                )
+        estimate, parts = (
+            (hyperparameters, observation_variance, tangent),
+            (tuple(neighbourhoods), tuple(calibrations)),
+        )
         arrays = weights, coefficients, deviation, rounding, errors, span
         return cls(settings, scaling, *estimate, equations, *parts, *arrays)
 
     @property
     def detail(self) -> str:
-        """How it answers, in words."""
+        """Its rows and equations as a text."""
         rows, equations = len(self.equations), self.equations.count
         return f"kriging, one factor over {rows} rows ({equations} equations)"
 
     @property
-    def reading(self) -> Floats:
-        """Noise of one reading, 95 %, (6,), m and rad; NaN where all noise is stated or none."""
-        noise = self.settings.half_width * np.sqrt(self.reading_variance) * self.scaling.spread
-        return np.where(self.reading_variance > 0, noise, np.nan)
+    def observation_noise(self) -> Floats:
+        """Noise of an observation, 95 %, (6,), m and rad; NaN where it is known or zero."""
+        noise = self.settings.half_width * np.sqrt(self.observation_variance) * self.scaling.spread
+        return np.where(self.observation_variance > 0, noise, np.nan)
 
     @property
     def knows_errors(self) -> bool:
         """Whether left-out rows show how large errors are, of all outputs."""
-        return all(one.known for one in self.calibrations)
+        return all(calibration.known for calibration in self.calibrations)
 
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
         x, spread, offset = self.scaling.loads(wrenches), self.scaling.spread, self.scaling.offset
-        displacement, bars = np.empty((2, len(x), len(spread)))
+        displacement, error_bars = np.empty((2, len(x), len(spread)))
         with one_thread():
             for part in self._chunks(len(x)):
                 values, errors, known = self._scaled_answers(x[part])
                 size = (np.abs(values) + 1) * spread + np.abs(offset)
                 # Never below what rounding makes of an answer.
-                least = np.maximum(self.settings.error_floor * size, self.rounding * spread)
-                bars[part] = np.where(known, np.maximum(errors * spread, least), np.nan)
+                min_bar = np.maximum(self.settings.error_floor * size, self.rounding * spread)
+                error_bars[part] = np.where(known, np.maximum(errors * spread, min_bar), np.nan)
                 displacement[part] = values * spread + offset
-        return displacement, bars
+        return displacement, error_bars
 
     def _scaled_answers(self, x: Floats) -> tuple[Floats, Floats, Mask]:
-        """Return values, errors, and whether the errors are known, (m, 6) each, at places (m, 6).
+        """Return values, errors, and whether the errors are known, (m, 6) each, at points (m, 6).
 
         Values and errors are in spreads. Errors are 95 % error bars; where they are not known, some
         answers err by more.
         """
-        outputs = self.weights.shape[2]
-        errors, known = np.empty((len(x), outputs)), np.empty((len(x), outputs), dtype=bool)
-        across = block(x, self.equations.x, self.hyperparameters, 1, self.equations.places)
+        n_outputs = self.weights.shape[2]
+        errors, known = np.empty((len(x), n_outputs)), np.empty((len(x), n_outputs), dtype=bool)
+        across = block(x, self.equations.x, self.hyperparameters, 1, self.equations.n_derivatives)
         across = across.reshape(len(x), -1)
-        # Each place by itself: weights are up to 1e8 times their sum, and the order of a sum
+        # Each point by itself: weights are up to 1e8 times their sum, and the order of a sum
         # depends on the shape of the matrices.
-        values = (across[:, None] @ self.weights.reshape(-1, outputs))[:, 0] + self.coefficients[0]
+        values = (across[:, None] @ self.weights.reshape(-1, n_outputs))[:, 0] + self.coefficients[
+            0
+        ]
         values += (x[:, None] @ self.coefficients[1:])[:, 0]
-        for share, found in zip(self.shares, self.calibrations, strict=True):
-            sigma, own = share.deviations(x, across), share.factor.share.outputs
-            errors[:, own] = sigma[:, None] * found.at(sigma) * self.deviation[own]
-            known[:, own] = (sigma <= found.reach)[:, None]
+        for neighbours, calibration in zip(self.neighbourhoods, self.calibrations, strict=True):
+            sigma, outputs = (
+                neighbours.deviations(x, across),
+                neighbours.factor.output_group.outputs,
+            )
+            errors[:, outputs] = sigma[:, None] * calibration.at(sigma) * self.deviation[outputs]
+            known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
         return values, errors, known
 
@@ -227,12 +242,12 @@ class Kriging:
         """Return the error bars (n, 6), m and rad, at wrenches if others were solved too.
 
         As far as they are known or not: a design goes where they are not. Pending solves lower all
-        bars in the ratio of the factor that most rows tell of.
+        bars in the ratio of the factor over the most rows.
 
         Parameters
         ----------
         pending, at : ndarray, shapes (m, 6) and (n, 6), N and N·m
-            What is being solved (with slopes, if rows bring them), and where to tell the bars.
+            What is being solved (with slopes, if rows bring them), and where the bars are wanted.
         """
         others, x = self.scaling.loads(pending), self.scaling.loads(at)
         bars = np.empty((len(x), len(self.scaling.spread)))
@@ -241,26 +256,28 @@ class Kriging:
                 bars[part] = self._scaled_answers(x[part])[1] * self.scaling.spread
             if not len(pending):
                 return bars
-            factors = [share.factor for share in self.shares]
+            factors = [neighbours.factor for neighbours in self.neighbourhoods]
             factor = max(factors, key=lambda factor: len(factor.equations))
-            held, doubt = self.hyperparameters, factor.mean_covariance
-            places = self.equations.places
-            known = np.zeros((len(others), places), dtype=bool)
+            hyperparameters, mean_covariance = self.hyperparameters, factor.mean_covariance
+            n_derivatives = self.equations.n_derivatives
+            known = np.zeros((len(others), n_derivatives), dtype=bool)
             known[:, 0], known[:, 1:] = True, self.equations.known[:, 1:].any(axis=0)
             new, new_left = factor.explained_at(others, known)
-            within = covariance(others, known, others, known, held) - new @ new.T
-            within += new_left @ doubt @ new_left.T
-            prior = np.tile(held.prior(places), (len(others), 1))[known]
+            within = covariance(others, known, others, known, hyperparameters) - new @ new.T
+            within += new_left @ mean_covariance @ new_left.T
+            prior = np.tile(hyperparameters.prior(n_derivatives), (len(others), 1))[known]
             within[np.diag_indices_from(within)] += factor.nugget * prior
             for part in self._chunks(len(x)):
-                value = np.zeros((len(x[part]), places), dtype=bool)
+                value = np.zeros((len(x[part]), n_derivatives), dtype=bool)
                 value[:, 0] = True
-                here, left = factor.explained_at(x[part], value)
-                between = covariance(x[part], value, others, known, held) - here @ new.T
-                between += left @ doubt @ new_left.T
-                won = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
-                before = factor.variance_of(here, left, doubt)
-                bars[part] *= np.sqrt(np.clip(1 - won / before, 0.0, 1.0))[:, None]
+                explained, here_left = factor.explained_at(x[part], value)
+                between = (
+                    covariance(x[part], value, others, known, hyperparameters) - explained @ new.T
+                )
+                between += here_left @ mean_covariance @ new_left.T
+                gain = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
+                before = factor.variance_of(explained, here_left, mean_covariance)
+                bars[part] *= np.sqrt(np.clip(1 - gain / before, 0.0, 1.0))[:, None]
         return bars
 
     def left_out(self) -> Floats:
@@ -278,20 +295,20 @@ def one_thread() -> AbstractContextManager[object]:
 
 def why_too_large(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> str:
     """Return why no factor holds the values and slopes of rows of distinct wrenches, or ""."""
-    sloped, most = np.isfinite(rows.compliance).all(axis=(1, 2)), settings.dense_equations
+    with_slopes, limit = np.isfinite(rows.compliance).all(axis=(1, 2)), settings.dense_equations
     count, loads = len(rows), rows.wrench.shape[1]
-    equations = count + loads * int(sloped.sum())
-    if equations > most and sloped.any():  # loads without effect bring no slopes
+    equations = count + loads * int(with_slopes.sum())
+    if equations > limit and with_slopes.any():  # loads without effect bring no slopes
         inside = within(rows, load_range, settings)
         try:
             loads = int(scaling_of(inside, load_range, settings).active.sum())
         except TooFewRowsError:
             return ""
-        sloped = np.isfinite(inside.compliance).all(axis=(1, 2))
-        equations = len(inside) + loads * int(sloped.sum())
-    if equations <= most:
+        with_slopes = np.isfinite(inside.compliance).all(axis=(1, 2))
+        equations = len(inside) + loads * int(with_slopes.sum())
+    if equations <= limit:
         return ""
-    return f"no kriging: {count} rows bring {equations} equations, one factor holds {most}"
+    return f"no kriging: {count} rows bring {equations} equations, one factor holds {limit}"
 
 
 def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> Floats:
@@ -302,6 +319,6 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     a^(1/n) of their interval with the probability 1 - a. A load that takes no part has no ends.
     """
     low, high = equations.x.min(axis=0), equations.x.max(axis=0)
-    beyond = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
-    ends = np.stack((low - beyond, high + beyond))
+    margin = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
+    ends = np.stack((low - margin, high + margin))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])

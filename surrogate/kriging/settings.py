@@ -15,16 +15,17 @@ class KrigingSettings:
     # Rounding of double precision at thousands of equations needs some 1e-12; 1e-10 leaves room and
     # is a deviation of 1e-5 of the spread, below any tolerance of a surrogate of solves.
     nugget: float = 1e-10
-    # A covariance that is singular even so (rows a hair apart, no slopes) is tried with ten times
-    # the nugget, and again, up to a deviation of 1 % of the spread: beyond that it is a mistake.
+    # A covariance that is singular even so (rows at almost the same wrench, no slopes) is tried
+    # with ten times the nugget, and again, up to a deviation of 1 % of the spread: beyond that it
+    # is a mistake.
     nugget_limit: float = 1e-4
-    # Fewer rows than this leave nothing to calibrate a bar on once one is left out.
-    least_rows: int = 4
+    # With fewer rows nothing calibrates an error bar once a row is left out.
+    min_rows: int = 4
     # The mean's coefficients have this variance: so wide that rows decide, but finite, so that
     # a load that no row varies gives a wide bar in place of a singular matrix.
     mean_variance: float = 1e6
     # An output that varies less than this of the largest of its kind (translations, rotations) is
-    # a solver's rounding: it is answered, but has no say in the likelihood.
+    # a solver's rounding: it is answered, but does not count in the likelihood.
     rounding: float = 1e-9
     # Logarithms of the six inverse squared lengths: lengths of 33 to 0.14 half ranges. Longer is a
     # straight line, shorter than the distance of rows that anyone can pay for.
@@ -34,33 +35,34 @@ class KrigingSettings:
     # The two starts: lengths of 1.4 and of 0.7 half ranges, a full kernel of a third of an axis.
     theta_starts: tuple[float, ...] = (-0.7, 0.8)
     weight_start: float = -1.2
-    # Logarithm of the noise of a reading that nobody stated, over the process variance: from none
+    # Logarithm of the unknown noise of an observation, over the process variance: from none
     # that the nugget would not hide to ten times the deviation of the response. It starts at a
     # tenth of that: from little noise the search ends at short lengths that explain all of it.
     ratio_bounds: tuple[float, float] = (-23.0, 4.6)
     ratio_start: float = -4.6
-    # Between its bounds the noise of readings is tried in steps, and interpolated between them by
-    # cubic splines to this accuracy: a tenth of a variance is the best that rows show.
+    # Between its bounds the noise of observations is tried in steps, and interpolated between them
+    # by cubic splines to this accuracy: a tenth of a variance is the best that rows show.
     ratio_step: float = 1.5
     ratio_accuracy: float = 0.05
     # By how much less likely (logarithm) noise may be for less of it to be taken: half the 95 %
     # quantile of a chi square. With half a unit 66 and 73 % of errors were inside at two of 36
     # noisy tables, at noise of 5 % of the range; with this 74 and 82 %.
     ratio_caution: float = 1.92
-    # Other kernels that are held against the noise of readings: of one length in all loads, 0.5 to
+    # Other kernels that compete with the noise of observations: of one length in all loads, 0.5 to
     # 4 half ranges, with none to nearly all of the term of all loads; and the table's own with so
     # much of a rough one by each load. By the table's own alone 12 to 28 % of errors were inside
     # in one output of `hardening`, and 50 to 70 % of those of `kinked` that were covered.
     noise_thetas: tuple[float, ...] = (1.4, 0.0, -1.4, -2.8)
     noise_weights: tuple[float, ...] = (-6.0, -1.2, 3.0)
     noise_rough: tuple[float, ...] = (0.003, 0.03, 0.3)
-    # Most of `theta_bounds` where noise is to be found: below half a half range a kernel of six
+    # Largest of `theta_bounds` where noise is estimated: below half a half range a kernel of six
     # loads is noise itself, and bars of a straight response were up to 47 times its errors.
-    noise_theta_most: float = 1.4
+    noise_theta_max: float = 1.4
     # The likelihood costs the cube of its equations some fifty times over, and is flat: 420
-    # equations of six outputs (60 solved rows, or as many measured ones) settle seven numbers, in
-    # half a second; with 210 errors were up to twice as large, measured over made-up responses. Of
-    # measured rows 100 are too few: the noise of readings and short lengths look alike in them.
+    # equations of six outputs (60 solved rows, or as many measured ones) determine seven numbers,
+    # in half a second; with 210 errors were up to twice as large, measured over made-up responses.
+    # Of measured rows 100 are too few: the noise of observations and short lengths are alike in
+    # them.
     likelihood_equations: int = 420
     likelihood_steps: int = 60
     # Steps end where the likelihood's relative change is below this: the bars do not see more.
@@ -76,7 +78,7 @@ class KrigingSettings:
     # So many of these bring their second derivatives too: 2 of 12 rows (126 equations) give bars of
     # 60 solves that are 1.1 times as wide as those of 20 rows with all (560 equations); 5 of 5
     # (140) are 1.6 times as wide.
-    deviation_bent: int = 2
+    deviation_curved: int = 2
     # Answers at once, so that their covariances with 400 solved rows stay within 25 MB.
     chunk: int = 1000
     # Decimals of the logarithms that the estimate ends at: a length to 0.05 %, and the same one
@@ -87,34 +89,34 @@ class KrigingSettings:
     # Rows left out at each level of grouping: enough for a 95 % quantile of six outputs, whose tail
     # they share; each costs half a millisecond a level.
     left_out_rows: int = 200
-    # Groups of left-out rows: from one level to the next so many times fewer, down to three, whose
-    # spread still tells something. Twice as few hold as well, with wider bars for twins.
+    # Groups of left-out rows: from level to level so many times fewer, down to three, the fewest
+    # that have a spread. Twice as few hold as well, with wider bars for twins.
     group_growth: float = 1.5
-    least_groups: int = 3
-    # A level resembles queries if the median deviation of its left-out rows is 0.6 of that at
-    # random wrenches: left-out rows are the others' distance apart, wrenches lie between. Where no
-    # level has half of it, errors are not known. Below the first level that resembles it, factors
-    # are at least the normal 1.96: rows along a motion predict each other far better than what lies
-    # beside the motion (with 60 of `plate_thin` 31 to 48 % of the covered were outside). From it on
+    min_groups: int = 3
+    # A level is comparable to queries if the median deviation of its left-out rows is 0.6 of that
+    # at random wrenches: left-out rows lie a row distance from the others, wrenches between. Where
+    # no level has half of it, errors are not known. Below the first comparable level factors are at
+    # least the normal 1.96: rows along a motion predict each other far better than what lies beside
+    # the motion (with 60 of `plate_thin` 31 to 48 % of the covered were outside). From it on
     # left-out rows are like queries, and their errors decide.
-    resembling: float = 0.6
-    barely_resembling: float = 0.5
+    comparable: float = 0.6
+    barely_comparable: float = 0.5
     # The quantile of left-out deviations beyond which errors are not known, and that of the
     # deviations at random wrenches up to which groups grow.
-    far: float = 0.95
-    enough: float = 0.8
-    # How likely rows that are spread evenly leave more beyond the outermost ones than is counted as
+    max_sigma_quantile: float = 0.95
+    query_quantile: float = 0.8
+    # Probability that evenly spread rows leave more beyond the outermost rows than is counted as
     # theirs: of six loads with two ends each one end in nine tables.
     beyond_rows: float = 0.01
-    # With so many rows of more than one axis bars are calibrated on them alone: queries load
+    # With so many multi-axis rows bars are calibrated on them alone: queries load
     # all axes too, and rows at the corners of one axis err more (bars up to 16 x their errors).
-    # Fewer than 15 tell no size: measured with 4 and 8, 52 to 100 % of errors were inside.
+    # Fewer than 15 show no size: measured with 4 and 8, 52 to 100 % of errors were inside.
     full_rows: int = 15
-    # Where errors may be more than three times what rows tell (of all rows some four make the
+    # Where errors may be more than three times what rows show (of all rows some four make the
     # size, or fewer), or where bars miss more than 15 % of the left-out rows themselves, nothing
     # is `covered`. Of 200 made-up tables that cover more than 5 % of answers that takes 8.
-    most_widened: float = 3.0
-    least_inside: float = 0.85
+    max_widening: float = 3.0
+    min_inside: float = 0.85
     # What the sums over the rows lose to rounding, of an output's spread and of the value itself:
     # weights are up to 1e5 times what they sum to.
     error_floor: float = 1e-11

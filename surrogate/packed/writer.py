@@ -31,7 +31,7 @@ from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
-_ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
+_ADDITIVE, _RESIDUAL, _KRIGING = 1, 2, 4
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 
@@ -71,12 +71,12 @@ def pack(
     is_shown = axes or not first.by_kriging
     no_axes = not (first.has_axes and is_shown) or (table.linear and first.fit.complete)
     lacks_axes = not axes and any(group.has_axes and group.by_kriging for group in table.groups)
-    words = {
+    meta = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
-        "space": table.load_range.space.words(),
-        "groups": [_group_words(group) for group in table.groups],
-        "sources": sources.words,
+        "space": table.load_range.space.as_json(),
+        "groups": [_group_meta(group) for group in table.groups],
+        "sources": sources.lists,
         "solver_error": None if table.solver_error is None else table.solver_error.values,
         "summary": table.coverage_summary(axes=is_shown),
         "gaps": None if no_axes else first.axes.gaps(table.load_range),
@@ -91,7 +91,7 @@ def pack(
             "linear": table.linear,
         },
     }
-    return pieces(check(arrays), _plain(words))
+    return pieces(check(arrays), _plain(meta))
 
 
 def with_axes(packed: PackedTable, rows: Rows) -> list[bytes]:
@@ -99,36 +99,36 @@ def with_axes(packed: PackedTable, rows: Rows) -> list[bytes]:
 
     Nothing but the axes is built; `rows` are those of the table.
     """
-    arrays, words = dict(packed.arrays), {**packed.words, "lacks_axes": False}
+    arrays, meta = dict(packed.arrays), {**packed.meta, "lacks_axes": False}
     low, high = arrays["space/range"]
-    load_range = LoadRange(low, high, Space.read(words["space"]))
+    load_range = LoadRange(low, high, Space.read(meta["space"]))
     rows = rows.take(np.argsort(rows.seq, kind="stable"))
-    for number, (_, own) in enumerate(by_output(rows)):
+    for number, (_, measured) in enumerate(by_output(rows)):
         if arrays[f"g{number}/flags"][1] == _KRIGING:
-            used, members, _ = merge(own, load_range).usable()
+            used, members, _ = merge(measured, load_range).usable()
             fit = fit_compliance(used, load_range, linear=False)
             axes = build_axes(used, load_range, fit, "correct")
             named = axes_arrays(axes, members)
             arrays |= {f"g{number}/axes/{name}": array for name, array in named}
             if number == 0:
-                words["summary"] = words["summary"] | {"axes": axes.summary()}
-                words["gaps"] = axes.gaps(load_range)
-    return pieces(check(arrays), _plain(words))
+                meta["summary"] = meta["summary"] | {"axes": axes.summary()}
+                meta["gaps"] = axes.gaps(load_range)
+    return pieces(check(arrays), _plain(meta))
 
 
 def packed_of(table: Table) -> PackedTable:
-    """Return the packed form of a built table, which is made at the first call and kept."""
+    """Return the packed form of a built table; cached."""
     if table.packed is None:
         table.packed = PackedTable.from_bytes(b"".join(pack(table)))
     return table.packed
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold: None in the place of numbers that are not finite."""
+    """Return what JSON can hold: None for numbers that are not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(one) for one in value]
+        return [_plain(entry) for entry in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -156,22 +156,22 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
-    """Yield the solver's share of errors."""
+    """Yield the solver's part of errors."""
     error, shape = table.solver_error, table.groups[0].fit.matrix.shape
-    matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
+    matrix, square, inverse_loads = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
     stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
-    known, linear, linearity_known = table.bars_are_whole, False, True
+    known, linear, linearity_known = table.bars_are_complete, False, True
     if error is not None:
-        matrix, square, one_over, stiffness, asks = error.packed
+        matrix, square, inverse_loads, stiffness, asks = error.packed
         known, linear = error.mesh is not None, "linearity" in error.values
         linearity_known = error.linearity is not None
         if error.zero.any():
             yield "solver/zero", error.zero
-    flags = [int(asks[0]), known, linear, linearity_known, table.bars_are_whole]
+    flags = [int(asks[0]), known, linear, linearity_known, table.bars_are_complete]
     yield "solver/flags", np.array(flags, dtype=np.int32)
     yield "solver/mesh", matrix
     yield "solver/square", square
-    yield "solver/one_over", one_over
+    yield "solver/one_over", inverse_loads
     yield "solver/stiffness", stiffness
 
 
@@ -179,38 +179,38 @@ class _Sources:
     """The sources of the rows at each wrench, as numbers of lists of words."""
 
     def __init__(self, table: Table) -> None:
-        self.words: list[list[str]] = []
+        self.lists: list[list[str]] = []
         self._numbers: dict[tuple[str, ...], int] = {}
         self._at: dict[bytes, list[str]] = {}
         sources = dict.fromkeys(table.rows.source.tolist())
-        self._one = list(sources) if len(sources) == 1 else None
-        if self._one:
+        self._single = list(sources) if len(sources) == 1 else None
+        if self._single:
             return
-        places = np.ascontiguousarray(table.rows.wrench)
-        for wrench, source in zip(places, table.rows.source.tolist(), strict=True):
-            found = self._at.setdefault(wrench.tobytes(), [])
-            if source not in found:
-                found.append(source)
+        wrenches = np.ascontiguousarray(table.rows.wrench)
+        for wrench, source in zip(wrenches, table.rows.source.tolist(), strict=True):
+            names = self._at.setdefault(wrench.tobytes(), [])
+            if source not in names:
+                names.append(source)
 
     def numbers(self, wrenches: Floats) -> NDArray[np.int32]:
         """Return the number of the sources of the rows at each wrench (r, 6), N and N·m, (r,)."""
-        if self._one:
-            self.words = [self._one]
+        if self._single:
+            self.lists = [self._single]
             return np.zeros(len(wrenches), dtype=np.int32)
-        found = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
-        return np.array(found, dtype=np.int32)
+        numbers = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
+        return np.array(numbers, dtype=np.int32)
 
     def _number(self, sources: tuple[str, ...]) -> int:
         if sources not in self._numbers:
-            self._numbers[sources] = len(self.words)
-            self.words.append(list(sources))
+            self._numbers[sources] = len(self.lists)
+            self.lists.append(list(sources))
         return self._numbers[sources]
 
 
 def _group_arrays(group: Group, sources: _Sources, *, axes: bool) -> Iterator[tuple[str, Array]]:
     """Yield what answers one group of outputs."""
     used, exact = group.can_answer, group.is_exact
-    mode, missed = _reference(group, exact) if used else (0, None)
+    mode, residual_kriging = _reference(group, exact) if used else (0, None)
     flags = [
         *(METHODS.index(group.default), mode, group.knows_interaction, group.rest_unknown),
         *(exact, used, group.full_wrenches, group.full_needed, len(group.used) > 0),
@@ -227,14 +227,14 @@ def _group_arrays(group: Group, sources: _Sources, *, axes: bool) -> Iterator[tu
     members = group.members
     if group.fit.origin == "stored":
         sloped = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2)))
-        members = tuple(members[place] for place in sloped.tolist())
+        members = tuple(members[row] for row in sloped.tolist())
     yield "fit/rows", np.array(sorted(chain.from_iterable(members)), dtype=np.int64)
-    # The rows that answer at their own wrenches, in the order of a key.
+    # The rows that answer at their wrenches, in the order of a key.
     index, merged = group.row_index, group.merged.rows
     order = index.order
     owner = group.merged.owner[order]
     tangents = merged.compliance[owner]
-    has_one = np.isfinite(tangents).any(axis=(1, 2))
+    has_tangent = np.isfinite(tangents).any(axis=(1, 2))
     wrenches = np.ascontiguousarray(group.rows.wrench[order])
     bucket, start = buckets_of(index.keys)
     yield "row/key", index.keys
@@ -247,18 +247,18 @@ def _group_arrays(group: Group, sources: _Sources, *, axes: bool) -> Iterator[tu
     yield "row/wrench", wrenches
     yield "row/moved", merged.displacement[owner]
     yield "row/bar", group.row_uncertainty[owner]
-    places = np.where(has_one, np.cumsum(has_one) - 1, -1)
-    yield "row/tangent_of", places.astype(np.int32)
-    yield "row/tangent", tangents[has_one]
+    tangent_rows = np.where(has_tangent, np.cumsum(has_tangent) - 1, -1)
+    yield "row/tangent_of", tangent_rows.astype(np.int32)
+    yield "row/tangent", tangents[has_tangent]
     yield "row/source", sources.numbers(wrenches)
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used and group.has_axes and axes:
         parts.append(("axes", axes_arrays(group.axes, group.members)))
-    for name, kriging in (("kriging", group.kriging), ("missed", missed)):
+    for name, kriging in (("kriging", group.kriging), ("residual", residual_kriging)):
         if kriging is not None:
             parts.append((name, _kriging_arrays(kriging)))
     for name, arrays in parts:
-        yield from ((f"{name}/{own}", array) for own, array in arrays)
+        yield from ((f"{name}/{array_name}", array) for array_name, array in arrays)
 
 
 def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
@@ -267,11 +267,11 @@ def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
         return _ADDITIVE if group.has_axes else 0, None
     if group.by_kriging:
         return _KRIGING, None
-    missed = group.interaction
-    return _ADDITIVE if missed is None else _ADDITIVE | _MISSED, missed
+    residual_kriging = group.interaction
+    return _ADDITIVE if residual_kriging is None else _ADDITIVE | _RESIDUAL, residual_kriging
 
 
-def _group_words(group: Group) -> dict[str, Any]:
+def _group_meta(group: Group) -> dict[str, Any]:
     kriging = group.kriging
     return {
         "outputs": [group.rows.space.output_names[output] for output in group.outputs],
@@ -294,14 +294,14 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     rows = len(kriging.equations)
     stride = -(-rows // LANES) * LANES
     x = np.pad(kriging.equations.x.T, ((0, 0), (0, stride - rows)))
-    weights_by_place = np.zeros((*kriging.weights.shape[:0:-1], stride))
-    weights_by_place[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
+    padded_weights = np.zeros((*kriging.weights.shape[:0:-1], stride))
+    padded_weights[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
     yield "x", x
     rates, weights = kriging.hyperparameters.terms
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", kriging.hyperparameters.inverse_squares
-    yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
-    if kriging.equations.places > 1 + len(x):
+    yield "weights", padded_weights.reshape(len(padded_weights), -1)
+    if kriging.equations.n_derivatives > 1 + len(x):
         yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)
     yield "coefficients", kriging.coefficients
     yield "centre", scaling.centre
@@ -314,51 +314,53 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "span_loads", scaling.wrenches(kriging.span)
-    yield "shares", np.array([len(kriging.shares)], dtype=np.int32)
-    for number, (share, found) in enumerate(zip(kriging.shares, kriging.calibrations, strict=True)):
-        outputs, places = len(kriging.deviation), kriging.equations.places
-        arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
-        for name, array in chain(*arrays):
-            yield f"share{number}/{name}", array
+    yield "factor_count", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
+    factors = zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
+    for number, (neighbourhoods, calibration) in enumerate(factors):
+        sizes = stride, len(kriging.deviation), kriging.equations.n_derivatives
+        for name, array in _factor_arrays(neighbourhoods, calibration, *sizes):
+            yield f"factor{number}/{name}", array
 
 
-def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
-    """Yield the calibration of one factor."""
-    factors = np.zeros((len(found.sigma), outputs))
-    factors[:, share.factor.share.outputs] = found.factors.reshape(len(found.sigma), -1)
-    yield "sigma", found.sigma
-    yield "factors", factors
-    yield "reach", np.array([found.reach])
-
-
-def _share_arrays(
-    share: Neighbourhoods, stride: int, outputs: int, places_of_row: int
+def _factor_arrays(
+    neighbourhoods: Neighbourhoods,
+    calibration: Calibration,
+    stride: int,
+    outputs: int,
+    derivatives: int,
 ) -> Iterator[tuple[str, Array]]:
-    """Yield what gives sigma for the outputs of one factor."""
-    count = len(share.around)
-    most = max(len(local.places) for local in share.around)
+    """Yield what gives sigma and its calibration for the outputs of one factor."""
+    factor, local_factors = neighbourhoods.factor, neighbourhoods.local_factors
+    count = len(local_factors)
+    most = max(len(local.columns) for local in local_factors)
     padded = -(-most // PANEL) * PANEL
     number, least = np.zeros(stride, dtype=np.int32), np.full(stride, np.inf)
-    places = np.zeros((count, padded), dtype=np.int32)
+    columns = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
-    unsettled = np.zeros((count, share.around[0].TF.shape[1], padded))
-    for place, (row, local) in enumerate(zip(share.factor.share.rows, share.around, strict=True)):
-        size = len(local.places)
-        at_row, of_row = np.divmod(local.places, places_of_row)
-        places[place, :size] = of_row * stride + at_row
+    unsettled = np.zeros((count, local_factors[0].TF.shape[1], padded))
+    for k, (row, local) in enumerate(zip(factor.output_group.rows, local_factors, strict=True)):
+        size = len(local.columns)
+        at_row, of_row = np.divmod(local.columns, derivatives)
+        columns[k, :size] = of_row * stride + at_row
         # A lower triangle (e, e), dimensionless, in panels of rows, columns first.
-        whole = np.zeros((padded, padded))
-        whole[: len(local.T), : len(local.T)] = local.T
-        panels[place] = np.concatenate(
-            [whole[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
+        lower = np.zeros((padded, padded))
+        lower[: len(local.T), : len(local.T)] = local.T
+        panels[k] = np.concatenate(
+            [lower[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
         )
-        unsettled[place, :, :size] = local.TF.T
-        number[row], least[row] = place, local.least
-    yield "outputs", np.isin(np.arange(outputs), share.factor.share.outputs).astype(np.int32)
+        unsettled[k, :, :size] = local.TF.T
+        number[row], least[row] = k, local.min_variance
+    is_output = np.isin(np.arange(outputs), factor.output_group.outputs)
+    yield "outputs", is_output.astype(np.int32)
     yield "number", number
-    yield "places", places
+    yield "equations", columns
     yield "panels", panels
-    yield "unsettled", unsettled
-    yield "least", least
+    yield "trend", unsettled
+    yield "min_variance", least
     yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
-    yield "mean_covariance", share.factor.mean_covariance
+    yield "mean_covariance", factor.mean_covariance
+    scale = np.zeros((len(calibration.sigma), outputs))
+    scale[:, factor.output_group.outputs] = calibration.factors.reshape(len(scale), -1)
+    yield "sigma", calibration.sigma
+    yield "scale", scale
+    yield "max_sigma", np.array([calibration.max_sigma])

@@ -41,7 +41,7 @@ CHOSEN = [case for case in cases() if not TABLES or case.name in TABLES.split(",
 # What each setting does, a lower and a higher value of those that bars and errors hang on.
 ABLATION: dict[str, tuple[float, ...]] = {
     "group_growth": (2.0,),
-    "resembling": (0.4, 1.0),
+    "comparable": (0.4, 1.0),
     "beyond_rows": (0.1,),
     "full_rows": (1000,),
     "deviation_rows": (20, 80),

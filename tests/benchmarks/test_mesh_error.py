@@ -106,11 +106,11 @@ def drawn_by_chance(name, folder):
     draw = next(draw for draw in step_parts.DRAW if draw.__name__ == name)
     bundle = step_parts.bundle_of(draw, int(os.environ.get("SEED", "1")), folder)
     unknowns = Solver(bundle).unknowns
-    finest = min(3.0, (MOST_UNKNOWNS / unknowns) ** (1 / 3))
+    finest = min(3.0, (MAX_UNKNOWNS / unknowns) ** (1 / 3))
     return bundle, [Solver(refined(bundle, factor)) for factor in (finest / 2, finest)], 2.0
 
 
-MOST_UNKNOWNS = 200_000
+MAX_UNKNOWNS = 200_000
 """Of the finest mesh of a part by chance, were its cells all of one size: half a minute."""
 
 GROUPS = {

@@ -173,7 +173,7 @@ def test_the_embedded_solver_gives_all_numbers_of_its_solution(folder, monkeypat
 def test_a_surface_that_cannot_be_kept_costs_the_answer_nothing(folder, monkeypatch, capsys):
     flat = np.zeros((1, 3))
     fields = types.SimpleNamespace(
-        linear=False, weight=False, vertices=flat, triangles=flat, whole_vertices=1, places=flat,
+        linear=False, weight=False, vertices=flat, triangles=flat, full_vertices=1, places=flat,
         materials=flat, regions=("all",), displacement=flat * np.nan,
         displacement_slopes=flat, stress=flat, stress_slopes=flat, largest=1.0,
         largest_at=(0.0, 0.0, 0.0), largest_region="all",

@@ -18,7 +18,7 @@ def fields(linear=False, scale=1.0):
         weight=False,
         vertices=np.arange(12.0).reshape(4, 3),
         triangles=np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
-        whole_vertices=4,
+        full_vertices=4,
         displacement=scale * np.arange(12.0).reshape(4, 3),
         displacement_slopes=np.ones((4, 3, 6)),
         stress=np.ones((2, 6)),

@@ -10,7 +10,7 @@ from tests.until import until
 from wrenchbook.service.formats.options import Options, ParsedTable
 from wrenchbook.service.formats.read import FindingsSample
 from wrenchbook.service.tables.mapped import MappedTables
-from wrenchbook.surrogate.findings.find import MOST
+from wrenchbook.surrogate.findings.find import MAX_ROWS
 
 CALL = "/v1/components/rig/table"
 HEADER = (
@@ -68,7 +68,9 @@ def table_of(first, count):
     return replace(rows, note=[""] * count)
 
 
-@pytest.mark.parametrize("sizes", [[1] * 200, [7] * 3000, [40_001, 3, 12_345], [2 * MOST + 1] * 9])
+@pytest.mark.parametrize(
+    "sizes", [[1] * 200, [7] * 3000, [40_001, 3, 12_345], [2 * MAX_ROWS + 1] * 9]
+)
 def test_of_many_pieces_rows_of_one_distance_are_kept(sizes):
     sample, first = FindingsSample(), 1
     for size in sizes:
@@ -77,8 +79,8 @@ def test_of_many_pieces_rows_of_one_distance_are_kept(sizes):
     rows = np.concatenate([part.seq for part in sample.parts])
     assert len(set(np.diff(rows).tolist())) == 1
     assert rows[0] == 1
-    assert len(rows) <= 2 * MOST
-    assert len(rows) > MOST / 2 or len(rows) == sum(sizes)
+    assert len(rows) <= 2 * MAX_ROWS
+    assert len(rows) > MAX_ROWS / 2 or len(rows) == sum(sizes)
     assert sum(sizes) - rows[-1] < rows[1] - rows[0]
 
 

@@ -320,7 +320,7 @@ def test_axes_beside_a_kriging_are_built_once_when_they_are_requested(
         mapped, "with_axes", lambda *how: builds.append(threading.get_ident()) or pack_again(*how)
     )
     (file,) = (tmp_path / "tables").glob("solved-*.wbt")
-    assert PackedTable.open(file).words["lacks_axes"]
+    assert PackedTable.open(file).meta["lacks_axes"]
     wrenches = 0.3 * full_wrenches(5, 3)
     assert solved.displacements("solved", wrenches, on_thin="estimate").method == "kriging"
     one = {"on_thin": "estimate", "detail": True}
@@ -336,7 +336,7 @@ def test_axes_beside_a_kriging_are_built_once_when_they_are_requested(
         np.testing.assert_array_equal(here.displacements, there.displacements)
         np.testing.assert_array_equal(here.errors, there.errors)
         np.testing.assert_array_equal(here.derivatives, there.derivatives)
-    assert not solved.download("solved").packed.words["lacks_axes"]
+    assert not solved.download("solved").packed.meta["lacks_axes"]
     body = solved.component("solved")
     assert [axis["axis"] for axis in body["coverage"]["axes"]] == ["x", "y", "z"]
     assert len(builds) == 1

@@ -56,7 +56,7 @@ def test_a_server_whose_method_is_of_the_axes_packs_them_beside_a_kriging(tmp_pa
             answer = http.post(f"{CALL}/displacement", json=WRENCH).json()
             assert answer["method"] == (method or "kriging")
             (file,) = (tmp_path / "tables").glob("rig-*.wbt")
-            assert PackedTable.open(file).words["lacks_axes"] == (method is None)
+            assert PackedTable.open(file).meta["lacks_axes"] == (method is None)
 
 
 def test_serve_refuses_a_method_that_there_is_not(tmp_path):

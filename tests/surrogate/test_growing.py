@@ -121,7 +121,7 @@ def test_a_table_too_large_for_one_factor_is_built_without_its_kriging() -> None
 def test_a_thinned_axis_is_told_and_its_bars_hold_the_points_left_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(thinning, "MOST_POINTS", 1000)
+    monkeypatch.setattr(thinning, "MAX_POINTS", 1000)
     rows = table(smooth, clean_wrenches(3500, 1))
     surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     assert "triangulated" in surrogate.choice.reason
@@ -136,7 +136,7 @@ def test_a_thinned_axis_is_told_and_its_bars_hold_the_points_left_out(
 def test_a_thinned_table_that_grows_has_the_digits_of_one_built_at_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(thinning, "MOST_POINTS", 12)
+    monkeypatch.setattr(thinning, "MAX_POINTS", 12)
     rows = table(smooth, clean_wrenches(25, 1))
     grown = build(rows, RANGE)
     for step in range(3):
@@ -148,14 +148,14 @@ def test_a_thinned_table_that_grows_has_the_digits_of_one_built_at_once(
 def test_a_new_point_moves_no_other_in_or_out_of_the_choice(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(thinning, "MOST_POINTS", 100)
+    monkeypatch.setattr(thinning, "MAX_POINTS", 100)
     points = np.random.default_rng(1).uniform(-1, 1, (300, 3))
     fewer = evenly_chosen(points[:-1])
     assert (evenly_chosen(points)[:-1] == fewer).mean() > 0.99
 
 
 def test_the_corners_of_a_thinned_axis_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(thinning, "MOST_POINTS", 100)
+    monkeypatch.setattr(thinning, "MAX_POINTS", 100)
     points = np.random.default_rng(1).uniform(-1, 1, (5000, 3))
     points[:8] = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     assert evenly_chosen(points)[:8].all()
@@ -165,5 +165,5 @@ def test_the_first_of_rows_with_one_wrench_is_found_and_zero_has_no_sign() -> No
     wrenches = np.array([[1.0, 0, 0, 0, 0, 0], [0.0] * 6, [1.0, 0, 0, 0, 0, 0], [2.0] * 6])
     index = RowIndex(wrenches, np.ones(6))
     asked = np.array([[1.0, -0.0, 0, 0, 0, 0], [-0.0] * 6, [3.0] * 6, [2.0] * 6])
-    assert index.places(asked).tolist() == [0, 1, -1, 3]
-    assert RowIndex(np.empty((0, 6)), np.ones(6)).places(asked).tolist() == [-1] * 4
+    assert index.indices(asked).tolist() == [0, 1, -1, 3]
+    assert RowIndex(np.empty((0, 6)), np.ones(6)).indices(asked).tolist() == [-1] * 4

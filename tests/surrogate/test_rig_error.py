@@ -62,14 +62,14 @@ def test_a_kink_is_not_taken_for_noise() -> None:
 def test_the_error_bar_of_a_reading_holds_readings() -> None:
     rows, size = noisy("clearance", 400, 0.01)
     table = build(rows, RANGE)
-    np.testing.assert_allclose(table.reading, 1.96 * 0.01 * size, rtol=0.3)
+    np.testing.assert_allclose(table.observation_noise, 1.96 * 0.01 * size, rtol=0.3)
     packed = packed_of(table)
     rng, held = np.random.default_rng(5), []
     for wrench in ASKED[:200]:
         found = packed.answer(wrench * HIGH)
         if found.error is None or None in found.error:
             continue
-        parts = np.array(found.error), np.array(found.interpolation), table.reading
+        parts = np.array(found.error), np.array(found.interpolation), table.observation_noise
         reading = RESPONSES["clearance"](wrench[None])[0] + 0.01 * size * rng.normal(size=6)
         held.append(np.abs(reading - found.outputs) <= error_of_a_reading(*parts))
     assert np.mean(held) > 0.9

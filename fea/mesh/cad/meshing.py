@@ -25,7 +25,7 @@ from wrenchbook.fea.spec.schema import GeometryMeshing
 
 _ATTEMPTS: Final = ((True, 1.0), (False, 1.0), (True, 0.97), (True, 1.03))
 """Optimisation of curved cells, and times the cell size. The optimiser aborts where it cannot turn
-a single cell back; another size places the cells otherwise."""
+a single cell back; another size puts the cells elsewhere."""
 
 
 class _GmshError(BundleError):
@@ -36,7 +36,7 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
     """Mesh the bodies of a geometry file.
 
     The same file and keys give the same nodes, in whatever process, with the same version of gmsh
-    and its geometry kernel; another version may place them differently, within what a mesh of that
+    and its geometry kernel; another version may put them elsewhere, within what a mesh of that
     size leaves open anyway. Where gmsh fails, or leaves cells inside out, `_ATTEMPTS` follow.
 
     Raises BundleError if the file cannot be read or meshed, or a group or region names nothing.
@@ -52,9 +52,9 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
             continue
         points = arrays.pop("points")
         nodes = [arrays[str(i)] for i in range(len(arrays))]
-        blocks = [("tet10" if own.shape[1] == 10 else "tri6", own) for own in nodes]
+        blocks = [("tet10" if rows.shape[1] == 10 else "tri6", rows) for rows in nodes]
         sets = {
-            name: [np.arange(len(own) if i in chosen else 0) for i, own in enumerate(nodes)]
+            name: [np.arange(len(rows) if i in chosen else 0) for i, rows in enumerate(nodes)]
             for name, chosen in fields["sets"].items()
         }
         mesh = to_mesh(RawMesh(points, blocks, sets), METRES)

@@ -39,15 +39,15 @@ _KINDS = {
 }
 
 # An integer array with more values than this numbers things instead of grouping them.
-_MOST_GROUPS = 1000
+_MAX_GROUPS = 1000
 
 
 def read_mesh(path: Path, unit: str) -> Mesh:
     """Read the mesh file of a bundle.
 
     Groups are gmsh's physical groups (by their number where they have no name), the sets and
-    surfaces of a deck, and the integer arrays of a VTK file: one that is only 0 and 1 is a group
-    of its own name, another one makes the group ``<array>_<value>`` for each of its values.
+    surfaces of a deck, and the integer arrays of a VTK file: an array of 0 and 1 is a group
+    of its name, another array makes the group ``<array>_<value>`` for each of its values.
     Groups of surface cells become facet groups, groups of lines and points node groups.
 
     path: the file; its ending says what it is.
@@ -102,7 +102,7 @@ def _read_meshio(path: Path) -> RawMesh:
 
 def _quietly(path: Path) -> meshio.Mesh:
     """Let meshio read, which prints what it dislikes and may end the interpreter."""
-    # It knows this kind in every table but the one of dimensions, and fails on its files.
+    # It knows this kind in every table but that of dimensions, and fails on its files.
     _mesh.topological_dimension.setdefault("wedge15", 3)
     output = io.StringIO()
     try:
@@ -135,7 +135,7 @@ def _group_values(array: str, values: Array) -> list[tuple[str, int]]:
     distinct = np.unique(values).tolist()
     if distinct in ([0, 1], [1]):
         return [(array, 1)]
-    if len(distinct) > _MOST_GROUPS:
+    if len(distinct) > _MAX_GROUPS:
         return []
     return [(f"{array}_{value}", value) for value in distinct]
 

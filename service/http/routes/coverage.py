@@ -41,13 +41,13 @@ Places = NDArray[np.intp]
     responses=answers(dict[str, Any], "hull and gaps"),
 )
 def coverage(name: str, table: Newest) -> Response:
-    words = table.with_axes().words
-    gaps = words["gaps"]
+    meta = table.with_axes().meta
+    gaps = meta["gaps"]
     if not table.load_range.space.is_default:
         gaps = []  # its table has no axes
     elif gaps is None:
         gaps = table.surrogate().groups[0].axes.gaps(table.load_range)
-    return json_reply({"component": name, **words["summary"], "gaps": gaps})
+    return json_reply({"component": name, **meta["summary"], "gaps": gaps})
 
 
 @router.get(
@@ -103,7 +103,7 @@ def glance(name: str, workspace: Opened) -> Response:
         "whole": _shares(table, wrenches),
         "error": _median([reply.error for reply in replies]),
         "interpolation": _median([reply.interpolation for reply in replies]),
-        "bars_are_whole": table.bars_are_whole,
+        "bars_are_whole": table.bars_are_complete,
         # The share of wrenches that are covered and within the tolerance; a covered one that
         # cannot be compared leaves it unknown.
         "within_tolerance": None if None in within else sum(map(bool, within)) / SAMPLE,
@@ -235,7 +235,7 @@ def response(
             "displacement": replies.outputs,
             "error": replies.errors,
             "interpolation": _six_each(each),
-            "bars_are_whole": table.bars_are_whole,
+            "bars_are_whole": table.bars_are_complete,
             "coverage": replies.coverage.tolist(),
         }
     )

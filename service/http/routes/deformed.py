@@ -86,7 +86,7 @@ def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
     geometry, count = shape.geometry, len(shape.geometry.vertices)
     stress: dict[str, Any] | None = shape.stress and shape.stress._asdict()
     interface = interface_of(workspace.library[name]) or {}
-    simplified: dict[Literal["from", "to"], int] = {"from": geometry.whole_vertices, "to": count}
+    simplified: dict[Literal["from", "to"], int] = {"from": geometry.full_vertices, "to": count}
     reply = DeformedShape(
         component=name,
         force=np.array(shape.wrench[:3]),
@@ -98,7 +98,7 @@ def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
         error=shape.error,
         error_parts=None if shape.parts is None else shape.parts.largest(),
         within_tolerance=shape.within_tolerance,
-        simplified=simplified if count < geometry.whole_vertices else None,
+        simplified=simplified if count < geometry.full_vertices else None,
         stress=Stress(**{**stress, "at": np.array(stress["at"])}) if stress else None,
         source=shape.source,
         rows=shape.rows,

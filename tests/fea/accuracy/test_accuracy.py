@@ -180,7 +180,7 @@ def test_single_loads_on_a_bracket_with_small_holes_are_inside_their_bars(small_
 def test_a_coarser_mesh_that_is_no_coarser_where_the_error_is_leaves_it_unknown(
     small_holes, monkeypatch
 ):
-    monkeypatch.setattr(estimate, "LEAST_RATIO", 3.0)
+    monkeypatch.setattr(estimate, "MIN_RATIO", 3.0)
     told = accuracy_or_why(small_holes)
     assert told["mesh"] is None
     assert "no coarser where the error is" in told["mesh_basis"]

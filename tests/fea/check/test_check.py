@@ -42,6 +42,15 @@ def test_the_command_reports_every_mistake_and_ends_with_1(tmp_path, capsys):
     ]
 
 
+def test_an_error_of_this_program_is_no_message_about_the_part(monkeypatch, tmp_path):
+    def report(*_arguments):
+        raise ValueError("a mistake in the code")
+
+    monkeypatch.setattr("wrenchbook.fea.check.commands.report", report)
+    with pytest.raises(ValueError, match="a mistake in the code"):
+        main(["check", str(tmp_path)])
+
+
 def test_a_missing_group_is_found_by_the_check(tmp_path):
     text = (SHIPPED / "bar" / "component.toml").read_text().replace('"start"', '"strat"')
     (tmp_path / "component.toml").write_text(text)

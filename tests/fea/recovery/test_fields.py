@@ -112,7 +112,7 @@ def test_each_cells_material_names_its_points():
 def test_of_too_many_points_only_the_largest_stress_is_kept(monkeypatch, nonlinear):
     built = Solver(short(nonlinear=nonlinear))
     whole = fields_of(built)
-    monkeypatch.setattr(recovery, "MOST_POINTS", 10)
+    monkeypatch.setattr(recovery, "MAX_POINTS", 10)
     found = fields_of(built)
     assert (len(found.stress), len(found.stress_slopes), len(found.places)) == (0, 0, 0)
     assert (found.largest, found.largest_at) == (whole.largest, whole.largest_at)

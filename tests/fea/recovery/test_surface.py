@@ -5,7 +5,7 @@ import pytest
 
 from tests.fea.boxes import box
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_places
+from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.recovery.fields import surface_of
 
 KINDS = ["hex8", "hex20", "hex27", "tet4", "tet10", "wedge6", "wedge15"]
@@ -37,7 +37,7 @@ def test_each_edge_has_one_triangle_on_each_side(kind):
 
 
 def test_midside_nodes_are_vertices():
-    mesh = Mesh(node_places("hex20"), (CellBlock("hex20", np.arange(20)[None]),))
+    mesh = Mesh(node_coordinates("hex20"), (CellBlock("hex20", np.arange(20)[None]),))
     found = surface_of(mesh)
     assert found.nodes.tolist() == list(range(20))
     assert len(found.triangles) == 6 * 6
@@ -46,13 +46,13 @@ def test_midside_nodes_are_vertices():
 def test_a_node_within_is_no_vertex():
     mesh = box("hex8", (3, 3, 3))
     found = surface_of(mesh)
-    assert (len(mesh.points), len(found.nodes), found.whole) == (64, 56, 56)
+    assert (len(mesh.points), len(found.nodes), found.full_count) == (64, 56, 56)
 
 
 def test_a_large_surface_is_simplified_and_says_so():
     mesh = box("hex20", (12, 12, 12), SIDES)
     whole, found = surface_of(mesh), surface_of(mesh, most=500)
-    assert found.whole == len(whole.nodes) > 2000
+    assert found.full_count == len(whole.nodes) > 2000
     assert 200 < len(found.nodes) <= 500
     assert set(found.nodes.tolist()) <= set(whole.nodes.tolist())
     points = mesh.points[found.nodes]

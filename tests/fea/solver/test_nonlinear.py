@@ -130,7 +130,7 @@ def test_corrections_with_an_old_tangent_save_a_factorisation_and_change_no_answ
     monkeypatch.setattr(System, "linearise", lambda *a: made.append(1) or linearise(*a))
     answer = solver.solve(share * PLATE_WRENCH)
     with_chords = len(made)
-    monkeypatch.setattr(newton, "_MOST_CHORDS", 0)
+    monkeypatch.setattr(newton, "_MAX_CHORDS", 0)
     plain = solver.solve(share * PLATE_WRENCH)
     assert with_chords < len(made) - with_chords
     scale = np.abs(plain.displacement).max()

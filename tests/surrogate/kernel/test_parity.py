@@ -184,7 +184,7 @@ def test_whole_errors_are_judged_by_the_tolerance(kind):
     tolerance = Tolerance(translation, rotation)
     errors = by_numpy(table, asked, tolerance)[1]
     expected = within_tolerance_many(errors, tolerance)
-    if not table.bars_are_whole:
+    if not table.bars_are_complete:
         expected = [None] * len(asked)
     found = [packed_of(kind).answer(w, six(tolerance)).within_tolerance for w in asked.tolist()]
     assert found == expected
@@ -208,7 +208,7 @@ def test_the_parts_of_an_error_are_those_of_the_solver():
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - {"empty", "only beyond the range"}))
 def test_the_detail_of_an_answer_is_that_of_the_numpy_law(kind):
     table, packed = table_of(kind), packed_of(kind)
-    defaults = {group["method"] for group in packed.words["groups"]}
+    defaults = {group["method"] for group in packed.meta["groups"]}
     method = "linear" if "linear" in defaults else "griddata"
     for wrench in asked_of(table, 12, span=1.05).tolist():
         expected, found = (

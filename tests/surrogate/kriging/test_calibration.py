@@ -60,7 +60,7 @@ def test_factors_are_those_of_groups_as_far_from_the_rest_as_what_is_asked() -> 
 def test_where_no_groups_are_as_far_as_what_is_asked_errors_are_not_known() -> None:
     found = _calibrated(_single(RNG.normal(size=(60, 6))), asked=2.5)
     assert not found.known
-    assert found.reach == 0
+    assert found.max_sigma == 0
 
 
 def test_factors_never_fall_with_the_deviation() -> None:
@@ -76,4 +76,4 @@ def test_groups_grow_from_single_rows_to_no_fewer_than_three(count: int) -> None
     sizes = [int(one.max()) for one in labels]
     assert sizes == sorted(set(sizes), reverse=True)
     assert not sizes or sizes[0] == count
-    assert all(size >= DEFAULTS.least_groups for size in sizes)
+    assert all(size >= DEFAULTS.min_groups for size in sizes)

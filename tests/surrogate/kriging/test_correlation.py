@@ -7,11 +7,11 @@ from wrenchbook.surrogate.kriging.correlation import (
     Hyperparameters,
     block,
     covariance,
+    derivative_count,
     derivatives,
     indices,
     joins,
     matern,
-    places_of,
 )
 from wrenchbook.surrogate.table.space import DEFAULT
 
@@ -93,7 +93,7 @@ def test_an_axis_without_shared_loads_adds_a_constant() -> None:
 
 
 def test_variances_of_the_prior_are_those_of_the_covariance() -> None:
-    count = places_of(6, 2)
+    count = derivative_count(6, 2)
     joined, sign = joins(6, count, count)
     coincident = np.diag(derivatives(np.zeros((1, 6)), HELD, 4)[0][joined] * sign)
     np.testing.assert_allclose(HELD.prior(count)[:7], coincident[:7], rtol=1e-12)

@@ -9,7 +9,7 @@ from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance
 from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scaling_of, within
 from wrenchbook.surrogate.kriging.factor import (
     KrigingFactor,
-    Share,
+    OutputGroup,
     SingularCovarianceError,
     factorise,
     inverse_factor,
@@ -32,7 +32,7 @@ def _equations(per_axis: int, full: int, measured: bool = False) -> Equations:
 
 def _factor(equations: Equations, rows: np.ndarray) -> KrigingFactor:
     noise = equations.noise[rows, 0]
-    return factorise(equations, HELD, Share(OUTPUTS, rows, noise), SETTINGS)
+    return factorise(equations, HELD, OutputGroup(OUTPUTS, rows, noise), SETTINGS)
 
 
 def _answer(equations: Equations, factor: KrigingFactor, row: int) -> tuple[np.ndarray, float]:
@@ -53,7 +53,7 @@ def test_the_inverse_factor_is_that_of_the_covariance() -> None:
     factor = _factor(equations, np.arange(len(equations)))
     matrix = covariance(equations.x, equations.known, equations.x, equations.known, HELD)
     added = np.tile(1e-8 * HELD.prior(7), (len(equations), 1))
-    added[:, 0] += factor.share.noise
+    added[:, 0] += factor.output_group.noise
     matrix[np.diag_indices_from(matrix)] += added[equations.known]
     unit = factor.T @ matrix @ factor.T.T
     np.testing.assert_allclose(unit, np.eye(len(unit)), atol=1e-7)
@@ -81,11 +81,13 @@ def test_left_out_rows_with_the_mean_kept_equal_refitting_about_it() -> None:
     equations = _equations(3, 8)
     every = np.arange(len(equations))
     settings = KrigingSettings(nugget=1e-8, mean_variance=1e-14)
-    factor = factorise(equations, HELD, Share(OUTPUTS, every, np.zeros(len(every))), settings)
+    factor = factorise(equations, HELD, OutputGroup(OUTPUTS, every, np.zeros(len(every))), settings)
     told = left_out(factor, every)
     for row in every[::4]:
         rest = np.delete(every, row)
-        without = factorise(equations, HELD, Share(OUTPUTS, rest, np.zeros(len(rest))), settings)
+        without = factorise(
+            equations, HELD, OutputGroup(OUTPUTS, rest, np.zeros(len(rest))), settings
+        )
         value, _ = _answer(equations, without, row)
         np.testing.assert_allclose(told.errors[row], equations.data[row, 0] - value, atol=1e-8)
 

@@ -211,7 +211,7 @@ def test_repeated_readings_tell_their_noise() -> None:
     x, response = np.repeat(full_wrenches(30, 4), 4, axis=0), RESPONSES["smooth"]
     kriging = Kriging.build(noisy_rows(response, x, 22, told=False), RANGE)
     assert len(kriging.equations) == 30
-    deviation = np.sqrt(kriging.reading_variance) * kriging.scaling.spread
+    deviation = np.sqrt(kriging.observation_variance) * kriging.scaling.spread
     # ninety differences tell it to 8 %; of what may be response or noise the least is taken
     assert (deviation > 0.75 * NOISE).all()
     assert (deviation < 1.15 * NOISE).all()
@@ -220,7 +220,7 @@ def test_repeated_readings_tell_their_noise() -> None:
 def test_rows_that_do_not_err_are_found_to_have_no_noise() -> None:
     rows = table(RESPONSES["smooth"], spread_wrenches(30, 40, 5))
     kriging = Kriging.build(rows, RANGE)
-    assert np.sqrt(kriging.reading_variance).max() < 1e-4
+    assert np.sqrt(kriging.observation_variance).max() < 1e-4
     told, _ = kriging.answer_many(rows.wrench)
     assert (np.abs(told - rows.displacement) / _size(rows)).max() < 1e-3
 

@@ -8,7 +8,7 @@ from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spr
 from tests.surrogate.responses import RANGE, table
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters
 from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scaling_of, within
-from wrenchbook.surrogate.kriging.factor import Share, shares_of
+from wrenchbook.surrogate.kriging.factor import OutputGroup, output_groups
 from wrenchbook.surrogate.kriging.likelihood import maximise, negative_log_likelihood, spread_rows
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
 from wrenchbook.surrogate.table.merging import merge
@@ -42,16 +42,16 @@ TABLES = {
 @pytest.mark.parametrize("name", TABLES)
 def test_the_gradient_equals_differences(name: str) -> None:
     equations = _equations(TABLES[name])
-    shares = shares_of(equations, np.ones(6))
-    _, gradient = negative_log_likelihood(PLACE, equations, shares, ROUGH)
-    assert gradient == pytest.approx(_differences(PLACE, equations, shares), rel=1e-6, abs=1e-6)
+    groups = output_groups(equations, np.ones(6))
+    _, gradient = negative_log_likelihood(PLACE, equations, groups, ROUGH)
+    assert gradient == pytest.approx(_differences(PLACE, equations, groups), rel=1e-6, abs=1e-6)
 
 
-def _differences(place: np.ndarray, equations: Equations, shares: list[Share]) -> list[float]:
+def _differences(place: np.ndarray, equations: Equations, groups: list[OutputGroup]) -> list[float]:
     step, found = 1e-4, []
     for way in step * np.eye(len(place)):
         ahead, behind, ahead2, behind2 = (
-            negative_log_likelihood(place + far * way, equations, shares, ROUGH)[0]
+            negative_log_likelihood(place + far * way, equations, groups, ROUGH)[0]
             for far in (1, -1, 2, -2)
         )
         found.append((8 * (ahead - behind) - (ahead2 - behind2)) / (12 * step))
@@ -61,10 +61,10 @@ def _differences(place: np.ndarray, equations: Equations, shares: list[Share]) -
 def test_the_gradient_equals_differences_with_noise_that_nobody_stated() -> None:
     repeated = np.concatenate((WRENCHES, WRENCHES[:5]))
     equations = _equations(noisy_rows(SMOOTH, repeated, 1, told=False))
-    assert equations.readings.max() == 2
-    place, shares = np.append(PLACE, -3.0), shares_of(equations, np.ones(6))
-    _, gradient = negative_log_likelihood(place, equations, shares, ROUGH)
-    assert gradient == pytest.approx(_differences(place, equations, shares), rel=1e-6, abs=1e-6)
+    assert equations.observations.max() == 2
+    place, groups = np.append(PLACE, -3.0), output_groups(equations, np.ones(6))
+    _, gradient = negative_log_likelihood(place, equations, groups, ROUGH)
+    assert gradient == pytest.approx(_differences(place, equations, groups), rel=1e-6, abs=1e-6)
 
 
 def test_the_gradient_equals_differences_with_second_derivatives() -> None:
@@ -73,37 +73,37 @@ def test_the_gradient_equals_differences_with_second_derivatives() -> None:
     places = np.random.default_rng(5).uniform(-1, 1, (9, 6))
     equations = _equations(whole.rows(places[:6]) + whole.rows(places[6:], second=False))
     assert equations.count == 6 * 28 + 3 * 7
-    place, shares = np.append(PLACE, [0.3, -0.2, 0.4]), shares_of(equations, np.ones(6))
-    _, gradient = negative_log_likelihood(place, equations, shares, ROUGH)
-    assert gradient == pytest.approx(_differences(place, equations, shares), rel=1e-5, abs=1e-5)
+    place, groups = np.append(PLACE, [0.3, -0.2, 0.4]), output_groups(equations, np.ones(6))
+    _, gradient = negative_log_likelihood(place, equations, groups, ROUGH)
+    assert gradient == pytest.approx(_differences(place, equations, groups), rel=1e-5, abs=1e-5)
 
 
 def test_the_maximum_is_no_worse_than_both_starts_and_in_bounds() -> None:
     equations = _equations(TABLES["solved"])
-    shares = [Share(np.arange(6), np.arange(len(equations)), np.zeros(len(equations)))]
+    groups = [OutputGroup(np.arange(6), np.arange(len(equations)), np.zeros(len(equations)))]
     settings = KrigingSettings()
-    found = maximise(equations, shares, settings=settings).logarithms
-    reached = negative_log_likelihood(found, equations, shares)[0]
+    found = maximise(equations, groups, settings=settings).logarithms
+    reached = negative_log_likelihood(found, equations, groups)[0]
     for theta in settings.theta_starts:
         start = np.array([theta] * 6 + [settings.weight_start])
-        assert reached <= negative_log_likelihood(start, equations, shares)[0]
+        assert reached <= negative_log_likelihood(start, equations, groups)[0]
     assert (found[:6] >= settings.theta_bounds[0] - 1e-12).all()
     assert (found <= np.array([settings.theta_bounds[1]] * 6 + [settings.weight_bounds[1]])).all()
 
 
 def test_a_response_that_is_a_sum_over_axes_needs_no_full_kernel() -> None:
     equations = _equations(solved(SMOOTH, spread_wrenches(4, 12, 2)))
-    shares = shares_of(equations, np.ones(6))
-    assert maximise(equations, shares).weights[0] < 1e-2
+    groups = output_groups(equations, np.ones(6))
+    assert maximise(equations, groups).weights[0] < 1e-2
 
 
 def test_the_estimate_before_is_the_start_of_the_next() -> None:
     equations = _equations(TABLES["solved"])
-    shares = shares_of(equations, np.ones(6))
-    found = maximise(equations, shares)
-    again = maximise(equations, shares, before=found)
+    groups = output_groups(equations, np.ones(6))
+    found = maximise(equations, groups)
+    again = maximise(equations, groups, before=found)
     reached = [
-        negative_log_likelihood(one.logarithms, equations, shares)[0] for one in (found, again)
+        negative_log_likelihood(one.logarithms, equations, groups)[0] for one in (found, again)
     ]
     assert reached[1] <= reached[0] + 1e-9
 

@@ -40,23 +40,23 @@ def test_of_equally_near_rows_the_first_tells_the_bar() -> None:
     x = np.concatenate((np.eye(6), -np.eye(6), np.zeros((1, 6)), full_wrenches(12, 4)))
     kriging = Kriging.build(solved(RESPONSES["strongly_coupled"], x), RANGE)
     own = kriging.equations.x
-    share = kriging.shares[0]
+    neighbours = kriging.neighbourhoods[0]
     rates = kriging.hyperparameters.inverse_squares
     pairs = [(own[i] + own[j]) / 2 for i in range(12) for j in range(i)]
     asked = np.array([*pairs, *own])
     distance = ((asked[:, None] - own) ** 2) @ rates
     tied = distance <= distance.min(axis=1, keepdims=True) + 1e-10
     assert (tied.sum(axis=1) > 1).any()
-    np.testing.assert_array_equal(share.nearest(asked), tied.argmax(axis=1))
+    np.testing.assert_array_equal(neighbours.nearest(asked), tied.argmax(axis=1))
 
 
 def test_a_row_left_out_takes_the_first_of_its_equally_near_others() -> None:
     x = np.concatenate((np.eye(6), -np.eye(6), np.zeros((1, 6))))
     rows: Rows = solved(RESPONSES["smooth"], x)
-    share = Kriging.build(rows, RANGE).shares[0]
+    neighbours = Kriging.build(rows, RANGE).neighbourhoods[0]
     own, places = Kriging.build(rows, RANGE).equations.x, np.arange(13)
-    found = share.nearest_others(places, places)
-    distance = (((own[:, None] - own) * share.roots[0]) ** 2).sum(axis=2)
+    found = neighbours.nearest_others(places, places)
+    distance = (((own[:, None] - own) * neighbours.roots[0]) ** 2).sum(axis=2)
     np.fill_diagonal(distance, np.inf)
     tied = distance <= distance.min(axis=1, keepdims=True) + 1e-10
     np.testing.assert_array_equal(found, tied.argmax(axis=1))

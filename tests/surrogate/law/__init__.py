@@ -25,12 +25,12 @@ from wrenchbook.surrogate.table.rows import (
     Floats,
     Tolerance,
     acting,
-    acting_one,
+    acting_wrench,
 )  # fmt: skip
 from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUTS
 
 from .answer import Answer, Batch, no_answers, over_tolerance, within
-from .doubt import UNKNOWN_AT_REST, DoubtLaw
+from .doubt import UNKNOWN_AT_ZERO_LOAD, DoubtLaw
 from .exact_rows import RowLaw, sources_at
 from .explain import explain_axes, explain_linear
 from .limits import within_limits, within_limits_many
@@ -208,7 +208,7 @@ class GroupLaw:
         method: str | None = None,
     ) -> Answer:
         """Answer one wrench of six finite floats, N and N·m."""
-        wrench = acting_one(wrench, self.locked)
+        wrench = acting_wrench(wrench, self.locked)
         name = method or self.default
         if not len(self.used):
             check(name)
@@ -222,7 +222,7 @@ class GroupLaw:
         if state != COVERED:
             reason = found.reason(np.array(wrench, dtype=float))
         elif not self.doubts.none and (reason := self.doubts.of_one(wrench)):
-            state = OUTSIDE if reason == UNKNOWN_AT_REST else THIN
+            state = OUTSIDE if reason == UNKNOWN_AT_ZERO_LOAD else THIN
         allowed = self.allowed.of(tolerance)
         if state == COVERED and not within(error, allowed):
             unknown = None if isfinite(sum(error)) else self._why_unknown(wrench)
