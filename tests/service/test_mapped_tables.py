@@ -4,10 +4,11 @@ import threading
 from contextlib import contextmanager
 
 import numpy as np
+import orjson
 import pytest
 
 from tests.service.ledger_rows import NewRow, insert, stored
-from tests.service.live import add_table, as_rows, full_wrenches, moved, served, tangents
+from tests.service.live import as_rows, full_wrenches, moved, served, tangents
 from tests.until import until
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
@@ -303,41 +304,40 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
     assert reader.tables.catch_up("new", 20)  # a worker that has ended is not waited for
 
 
-@pytest.fixture
-def solved(tmp_path):
-    """A server on a table of solves with tangents, which a kriging answers."""
-    with served(tmp_path) as client:
-        wrenches = full_wrenches(40)
-        add_table(client, "solved", as_rows(wrenches, moved(wrenches), tangents(wrenches)))
-        yield client
-
-
-def test_axes_beside_a_kriging_are_built_once_when_they_are_requested(
-    solved, tmp_path, monkeypatch
-):
+def test_axes_beside_a_kriging_are_built_once_when_they_are_requested(tmp_path, monkeypatch):
     builds, pack_again = [], mapped.with_axes
     monkeypatch.setattr(
         mapped, "with_axes", lambda *how: builds.append(threading.get_ident()) or pack_again(*how)
     )
-    (file,) = (tmp_path / "tables").glob("solved-*.wbt")
-    assert PackedTable.open(file).meta["lacks_axes"]
-    wrenches = 0.3 * full_wrenches(5, 3)
-    assert solved.displacements("solved", wrenches, on_thin="estimate").method == "kriging"
-    one = {"on_thin": "estimate", "detail": True}
-    assert solved.displacement("solved", wrenches[0][:3], wrenches[0][3:], **one).raw["axes"] == []
-    assert builds == []
-    for method in ("griddata", "additive"):
-        how = {"on_thin": "estimate", "method": method}
-        there = solved.displacements("solved", wrenches, **how, derivatives=True)
-        single = solved.displacement("solved", wrenches[0][:3], wrenches[0][3:], **how, detail=True)
-        assert (there.method, single.method) == (method, method)
-        assert [axis["axis"] for axis in single.raw["axes"]] == ["x", "y", "z"]
-        here = solved.download("solved").batch(wrenches, method=method, derivatives=True)
-        np.testing.assert_array_equal(here.displacements, there.displacements)
-        np.testing.assert_array_equal(here.errors, there.errors)
-        np.testing.assert_array_equal(here.derivatives, there.derivatives)
-    assert not solved.download("solved").packed.meta["lacks_axes"]
-    body = solved.component("solved")
-    assert [axis["axis"] for axis in body["coverage"]["axes"]] == ["x", "y", "z"]
-    assert len(builds) == 1
-    assert builds[0] != threading.main_thread().ident
+    solves = full_wrenches(40)
+    rows = as_rows(solves, moved(solves), tangents(solves))
+    span = {"force": [100.0] * 3, "moment": [10.0] * 3}
+    with served(tmp_path) as solved:
+        solved.add_component({"name": "solved", "title": "solved", "range": span})
+        solved.import_table("solved", orjson.dumps({"rows": rows}), format="json")
+        (file,) = (tmp_path / "tables").glob("solved-*.wbt")
+        assert PackedTable.open(file).meta["lacks_axes"]
+        wrenches = 0.3 * full_wrenches(5, 3)
+        assert solved.displacements("solved", wrenches, on_thin="estimate").method == "kriging"
+        one = {"on_thin": "estimate", "detail": True}
+        assert (
+            solved.displacement("solved", wrenches[0][:3], wrenches[0][3:], **one).raw["axes"] == []
+        )
+        assert builds == []
+        for method in ("griddata", "additive"):
+            how = {"on_thin": "estimate", "method": method}
+            there = solved.displacements("solved", wrenches, **how, derivatives=True)
+            single = solved.displacement(
+                "solved", wrenches[0][:3], wrenches[0][3:], **how, detail=True
+            )
+            assert (there.method, single.method) == (method, method)
+            assert [axis["axis"] for axis in single.raw["axes"]] == ["x", "y", "z"]
+            here = solved.download("solved").batch(wrenches, method=method, derivatives=True)
+            np.testing.assert_array_equal(here.displacements, there.displacements)
+            np.testing.assert_array_equal(here.errors, there.errors)
+            np.testing.assert_array_equal(here.derivatives, there.derivatives)
+        assert not solved.download("solved").packed.meta["lacks_axes"]
+        body = solved.component("solved")
+        assert [axis["axis"] for axis in body["coverage"]["axes"]] == ["x", "y", "z"]
+        assert len(builds) == 1
+        assert builds[0] != threading.main_thread().ident
