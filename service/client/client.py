@@ -88,8 +88,7 @@ class DisplacementCalls(Connection):
     ) -> Displacement:
         """Return the displacement of a component's interface under one wrench, N and N·m.
 
-        Parameters are those of `DisplacementCalls`; `detail`: ``raw["axes"]`` has each axis' rows,
-        none of a kriging's answer.
+        Parameters are those of `DisplacementCalls`; `detail`: ``raw["axes"]`` has each axis' rows.
 
         Returns
         -------

@@ -62,13 +62,11 @@ def build_table(
     )
 
 
-def packed_bytes(
-    table: Table, component: Component, origin: dict[str, str] | None = None, *, axes: bool = True
-) -> bytes:
-    """Return the packed file of a component's table; `origin` is of `TableStore.origin`."""
+def packed_bytes(table: Table, component: Component, **options: Any) -> bytes:
+    """Return the packed file of a component's table; `options` are those of `pack`."""
     name, fingerprint = component.name, component.fingerprint
-    how: dict[str, Any] = {"contract": CONTRACT, "origin": origin, "axes": axes}
-    return b"".join(pack(table, component=name, fingerprint=fingerprint, **how))
+    pieces = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT, **options)
+    return b"".join(pieces)
 
 
 @dataclass
@@ -258,7 +256,7 @@ class TableBuilder:
         before = self._versions.get(name)
         origin, error = self._store.origin(component, number), self._store.solver_error(component)
         table = build_table(component, rows, number, error, before and before.table)
-        content = packed_bytes(table, component, origin, axes=self._store.axes)
+        content = packed_bytes(table, component, origin=origin, axes=self._store.axes)
         save_at = SAVE_AFTER_QUIET_S
         try:
             self._store.write_packed(name, number, content)

@@ -139,12 +139,10 @@ class ServedTable:
 
     def with_axes(self) -> PackedTable:
         """Return the packed table with axes, built on first use: 0.1 s for 30 solves."""
-        rows = None if self._with_axes else self.rows
         with self._lock:
             if self._with_axes is None:
-                assert rows is not None
-                content = b"".join(with_axes(self.packed, rows))
-                self._with_axes = PackedTable.from_bytes(content)
+                pieces = with_axes(self.packed, self.rows)
+                self._with_axes = PackedTable.from_bytes(b"".join(pieces))
             return self._with_axes
 
     def packed_for(self, method: str | None) -> PackedTable:

@@ -59,8 +59,7 @@ class TableStore:
     """The table files in a folder, which the first write makes.
 
     `caveats` has what is not known of a component's table, by its name, and what to do about it.
-    `method` is the server's, where a request names none: packed files have axes beside a kriging
-    if it needs them.
+    With a server's `method` that needs axes, packed files have these beside a kriging too.
     """
 
     def __init__(

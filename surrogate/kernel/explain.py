@@ -26,8 +26,7 @@ def explain(
     -------
     list of dict
         ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
-        numbers of the rows used. They are the compliance's if that answers, the axes' otherwise;
-        none where the kriging does, to which all rows around a wrench contribute together.
+        numbers of the rows used, of the compliance or the axes; empty where the kriging answers.
     """
     stored = table.arrays["space/tolerance"].tolist()
     limit = tolerance or (None if any(map(math.isnan, stored)) else stored)

@@ -26,7 +26,6 @@ from ..methods import ENOUGH_FULL
 from ..table.compliance import fit_compliance
 from ..table.merging import merge
 from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats, LoadRange, Rows
-from ..table.space import Space
 from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
@@ -100,19 +99,17 @@ def with_axes(packed: PackedTable, rows: Rows) -> list[bytes]:
     Nothing but the axes is built; `rows` are those of the table.
     """
     arrays, meta = dict(packed.arrays), {**packed.meta, "lacks_axes": False}
-    low, high = arrays["space/range"]
-    load_range = LoadRange(low, high, Space.read(meta["space"]))
+    span = LoadRange(arrays["space/range"][0], arrays["space/range"][1], packed.space)
     rows = rows.take(np.argsort(rows.seq, kind="stable"))
     for number, (_, measured) in enumerate(by_output(rows)):
         if arrays[f"g{number}/flags"][1] == _KRIGING:
-            used, members, _ = merge(measured, load_range).usable()
-            fit = fit_compliance(used, load_range, linear=False)
-            axes = build_axes(used, load_range, fit, "correct")
-            named = axes_arrays(axes, members)
-            arrays |= {f"g{number}/axes/{name}": array for name, array in named}
+            used, members, _ = merge(measured, span).usable()
+            axes = build_axes(used, span, fit_compliance(used, span, linear=False), "correct")
+            for name, array in axes_arrays(axes, members):
+                arrays[f"g{number}/axes/{name}"] = array
             if number == 0:
                 meta["summary"] = meta["summary"] | {"axes": axes.summary()}
-                meta["gaps"] = axes.gaps(load_range)
+                meta["gaps"] = axes.gaps(span)
     return pieces(check(arrays), _plain(meta))
 
 
