@@ -28,7 +28,7 @@ from .answer import allowed_by
 from .build import Table, build
 from .packed.writer import packed_of
 from .table.axes import AXES
-from .table.rows import CLEAN, LONGEST, Floats, LoadRange, Rows, Tolerance
+from .table.rows import LONGEST, ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
 from .table.spread import sample_of, spread_wrenches, weakest
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
@@ -73,7 +73,7 @@ class Known:
 
     def _key(self, wrench: Floats) -> tuple[int, ...]:
         with np.errstate(over="ignore"):
-            steps = np.round(wrench / self.scale / CLEAN)
+            steps = np.round(wrench / self.scale / ZERO_LOAD)
         return tuple(np.clip(steps, -_FAR, _FAR).astype(np.int64).tolist())
 
     def new(self, wrenches: Floats) -> Floats:

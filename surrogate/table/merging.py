@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from .rows import CLEAN, NEAR, Floats, LoadRange, Rows
+from .rows import NEAR, ZERO_LOAD, Floats, LoadRange, Rows
 
 DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
 ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
@@ -106,7 +106,7 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
         return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, observations)
     # The wrench is that of the row with the fewest loads: a single-axis row stays so, and the
     # row at no load at no load; then of the outermost, so that the hull does not shrink.
-    loaded = (np.abs(scaled) > CLEAN).sum(axis=1)
+    loaded = (np.abs(scaled) > ZERO_LOAD).sum(axis=1)
     order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
     first = order[np.cumsum(sizes) - sizes]
     order, starts = _several(owner)
