@@ -47,9 +47,7 @@ FAR = 10_000  # into the sequence, so that the even ones are none of the sample'
 # Candidates chosen between two checks of the bars that remain: a check costs as much.
 BETWEEN_CHECKS = 3
 MAX_SOLVES = 1e6  # of an estimate; beyond that no number says more than that
-RECOMPUTED = (
-    16  # candidates computed anew at once: the largest is nearly always among the first few
-)
+RECOMPUTED = 16  # candidates computed anew at once: the largest is nearly always among the first
 
 # Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
 # (Box and Hunter 1961): the last three are the products of two of the first three.

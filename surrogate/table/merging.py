@@ -99,9 +99,8 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     present = np.isfinite(rows.displacement)
     solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
     is_known = present & ((rows.uncertainty > 0) | solved[:, None])
-    observations = Observations(
-        np.where(present & ~is_known, 1.0, 0.0), np.zeros_like(rows.displacement)
-    )
+    number = np.where(present & ~is_known, 1.0, 0.0)
+    observations = Observations(number, np.zeros_like(number))
     if not len(several):
         return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, observations)
     # The wrench is that of the row with the fewest loads: a single-axis row stays so, and the
@@ -133,9 +132,8 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     deviations = np.where(present, part.displacement - mean.repeat(sizes[several], axis=0), 0.0)
     unknown = ~np.logical_or.reduceat(is_known[order], starts)
     observations = observations.take(first)
-    observations.number[several] = np.where(
-        unknown, np.add.reduceat(present, starts, dtype=float), 0
-    )
+    number = np.add.reduceat(present, starts, dtype=float)
+    observations.number[several] = np.where(unknown, number, 0)
     observations.scatter[several] = np.where(unknown, np.add.reduceat(deviations**2, starts), 0.0)
     merged_rows = replace(rows.take(first), **merged)
     return Merged(merged_rows, tuple(members), within[first], owner, observations)
