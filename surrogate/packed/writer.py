@@ -25,7 +25,7 @@ from ..kriging.factor import Neighbourhoods
 from ..methods import ENOUGH_FULL
 from ..table.compliance import fit_compliance
 from ..table.merging import merge
-from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats, LoadRange, Rows
+from ..table.rows import LONGEST, TRANSLATION_LIMIT, ZERO_LOAD, Floats, LoadRange, Rows
 from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
@@ -139,7 +139,7 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
     yield "space/range", np.stack((span.low, span.high))
     yield "space/ends", span.ends
     yield "space/scale", span.scale
-    yield "space/small", CLEAN * span.scale
+    yield "space/small", ZERO_LOAD * span.scale
     yield "space/locked", np.isin(np.arange(inputs), table.locked).astype(np.int32)
     none = np.full(outputs, np.nan)
     limits = none if table.tolerance is None else allowed_by(table.tolerance, space)
