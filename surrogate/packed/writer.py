@@ -69,7 +69,6 @@ def pack(
     first = table.groups[0]
     is_shown = axes or not first.by_kriging
     no_axes = not (first.has_axes and is_shown) or (table.linear and first.fit.complete)
-    lacks_axes = not axes and any(group.has_axes and group.by_kriging for group in table.groups)
     meta = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
@@ -79,7 +78,7 @@ def pack(
         "solver_error": None if table.solver_error is None else table.solver_error.values,
         "summary": table.coverage_summary(axes=is_shown),
         "gaps": None if no_axes else first.axes.gaps(table.load_range),
-        "lacks_axes": lacks_axes,
+        "lacks_axes": not axes and any(g.has_axes and g.by_kriging for g in table.groups),
         "provenance": {
             "component": component,
             "fingerprint": fingerprint,
