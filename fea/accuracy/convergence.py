@@ -191,7 +191,7 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
             nodes = len(fine_solver.component.mesh.points)
             message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
             raise ValueError(
-                f"{message}, the one before of {1e3 * coarse:.4g} mm: give one with cells at most "
+                f"{message}, the mesh before of {1e3 * coarse:.4g} mm: give cells of at most "
                 "0.9 times as large"
             )
     compliance = np.array([solver.linear.compliance for solver in solvers])

@@ -202,7 +202,7 @@ def scaled_condition(tangent: Tangent) -> float:
 
 
 def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
-    """Return the strain energy of the softest motion, relative to that of its nodes one by one.
+    """Return the strain energy of the softest motion, relative to that of its single nodes.
 
     The motion comes from the factor by inverse iteration, its energy from its strains: those of a
     mechanism are roundoff, so that their energy is the square of it, many digits below that of a

@@ -118,7 +118,7 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
 class _Reader:
     """A parsed file on its way to a bundle, with the mistakes met so far.
 
-    Tables are read one by one, so that what they lack of each other is noted although others have
+    Tables are read in turn, so that what they lack of each other is noted although others have
     mistakes.
     """
 
@@ -239,7 +239,7 @@ class _Reader:
             self.wrong("interface", message)
         valid = [interface for interface in interfaces if interface is not None]
         if len({interface.name for interface in valid}) < len(valid):
-            self.wrong("interface", "a name is there twice; each interface needs its own")
+            self.wrong("interface", "a name is there twice; give each interface another name")
         if sum(interface.held for interface in valid) > 1:
             message = "only one can be held: it is the reference of all displacements"
             self.wrong("interface", message)
@@ -332,7 +332,7 @@ class _Reader:
                     more = _OR_HELD if key == "supports" and several else ""
                     self.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
             elif key in self.table and not (key == "interface" and several):
-                message = "needs a [mesh] as well; without one a component is a table only"
+                message = "needs a [mesh] as well; without it a component is a table only"
                 self.wrong(key, message)
 
     def check_deck(self, analysis: Analysis | None, interfaces: list[Interface | None]) -> None:

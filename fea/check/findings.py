@@ -110,7 +110,7 @@ def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
     if shared[joined]:
         return (
             f"It hangs on part {joined + 1} by {shared[joined]} nodes on one line or point only: "
-            "a hinge; join them by whole faces"
+            "a hinge; join them by faces"
         )
     mine = np.isin(pairs, mine_nodes)
     twins = int((mine[:, 0] != mine[:, 1]).sum())

@@ -418,7 +418,7 @@ def _estimates(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _by_interface(report: Mapping[str, Any], values: list[float]) -> list[tuple[str, list[float]]]:
-    """Return six values of each interface with its name, empty where there is one."""
+    """Return six values of each interface with its name, empty for a single interface."""
     names = [section["name"] for section in report.get("sections", [])] or [""]
     starts = range(0, len(values), _EACH)
     return [(name, values[i : i + _EACH]) for name, i in zip(names, starts, strict=True)]

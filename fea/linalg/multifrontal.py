@@ -57,7 +57,7 @@ In columns of 256 a flange whose largest is 705 takes 10 % longer, to save 2 MB 
 class Condensed(NamedTuple):
     """Minus the condensed stiffness of one boundary, N/m; above its diagonal nothing is meant."""
 
-    starts: list[int]  # first unknown of each block column, and after the last one
+    starts: list[int]  # first unknown of each block column, and after the last
     # For each block column from a to b of n unknowns, shape (n - a, b - a), in Fortran's order
     blocks: list[Array]
 

@@ -246,7 +246,7 @@ def sweep(section: PlaneMesh, layers: int, to_space: PointMap) -> Sweep:
 
 
 def _stride(section: PlaneMesh) -> int:
-    """Return how many nodes lie between a node and its image one layer on."""
+    """Return how many nodes lie between a node and its image in the next layer."""
     return len(section.points) + section.corners
 
 

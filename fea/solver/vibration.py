@@ -121,7 +121,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     system: the equations, in the interface frame.
     mass: shape (n, n), kg, from `fea.solver.vibration`; without entries the component is massless.
     riding: what stands on the interface.
-    Raises ValueError if nothing has a mass, or what has one cannot move: locked freedoms hold it;
+    Raises ValueError if nothing has a mass, or what has a mass cannot move (locked freedoms);
     or if a mass stands on one of several interfaces. Raises SolveFailed: ``mechanism`` or
     ``ill_conditioned``.
     """

@@ -83,7 +83,7 @@ def _listed(points: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _numbers(values: object) -> object:
-    """Refuse what is no list of different whole numbers from 1 up; return it sorted."""
+    """Refuse what is no list of different integers from 1 up; return it sorted."""
     numbers = values if isinstance(values, list | tuple) else ()
     if not numbers or any(type(value) is not int or value < 1 for value in numbers):
         raise ValueError(
@@ -447,7 +447,7 @@ class Interface(Attached):
     refused = dict.fromkeys(
         ("name", "held", "range"), "is a key of each [[interface]] of several; leave it out"
     )
-    name = ""  # of several interfaces each has its own
+    name = ""  # each of several interfaces has another
     held = False  # whether it does not move: the others' displacements are relative to it
 
     section: Text = key("", '"tip"')
