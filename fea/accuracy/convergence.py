@@ -191,7 +191,7 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
             nodes = len(fine_solver.component.mesh.points)
             message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
             raise ValueError(
-                f"{message}, the mesh before of {1e3 * coarse:.4g} mm: give cells of at most "
+                f"{message}, the mesh before of {1e3 * coarse:.4g} mm: give one with cells at most "
                 "0.9 times as large"
             )
     compliance = np.array([solver.linear.compliance for solver in solvers])
@@ -232,7 +232,7 @@ def _or_null(values: Array) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def stored_error(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
+def stored(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
     """Return the error kept for this setup, shape `shape`, and its basis; None if none was.
 
     Raises ValueError if the file is damaged.

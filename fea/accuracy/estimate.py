@@ -16,13 +16,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.accuracy.advice import FINE
-from wrenchbook.fea.accuracy.convergence import (
-    FINER_UNKNOWNS,
-    MIN_RATIO,
-    coarser,
-    finer,
-    stored_error,
-)
+from wrenchbook.fea.accuracy.convergence import FINER_UNKNOWNS, MIN_RATIO, coarser, finer, stored
 from wrenchbook.fea.accuracy.mesh_error import recovered_error, roundness
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
@@ -221,7 +215,7 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     There are no parts where the error is not known.
     """
     compliance, bundle = solver.linear.compliance, solver.component.bundle
-    study = stored_error(bundle, compliance.shape)
+    study = stored(bundle, compliance.shape)
     if study is not None:
         return [study[0]], study[1]
     recovered = recovered_error(solver)

@@ -272,11 +272,6 @@ def hang(system: System, check: Callable[[Balance], None]) -> Equilibrium:
         message = f"Under self-weight alone, which grows in place of a wrench: {failure.message}"
         raise SolveFailed(failure.kind, message, failure.remedy) from None
     balance = system.balance(equilibrium.balance.state, np.zeros(system.inputs))
-    tangent = Linearisation(
-        system.body,
-        system.coupling,
-        balance,
-        equilibrium.tangent.tangent,
-        system.body_force,
-    )
+    stiffness = equilibrium.tangent.tangent
+    tangent = Linearisation(system.body, system.coupling, balance, stiffness, system.body_force)
     return Equilibrium(balance, tangent, equilibrium.iterations)
