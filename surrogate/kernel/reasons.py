@@ -39,12 +39,12 @@ TOO_FAR = (
 
 
 class Reason(NamedTuple):
-    """A reason as the kernel gives it: `wb_reason` of wrenchbook.h, whose `index` is `place`."""
+    """A reason as the kernel gives it: `wb_reason` of wrenchbook.h, whose `index` is `item`."""
 
     code: int
     group: int
     axis: int
-    place: int
+    item: int
     value: float
     limit: float
 
@@ -73,20 +73,20 @@ def _amount(packed: Packed, index: int, value: float) -> str:
 
 
 def _beyond(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays["space/range"][:, reason.place].tolist()
-    unit = _name(packed, reason.place)[1]
-    amount = _amount(packed, reason.place, reason.value)
+    low, high = packed.arrays["space/range"][:, reason.item].tolist()
+    unit = _name(packed, reason.item)[1]
+    amount = _amount(packed, reason.item, reason.value)
     return f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}"
 
 
 def _not_in_scene(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays["scene/range"][:, reason.place].tolist()
-    amount, unit = _amount(packed, reason.place, reason.value), _name(packed, reason.place)[1]
+    low, high = packed.arrays["scene/range"][:, reason.item].tolist()
+    amount, unit = _amount(packed, reason.item, reason.value), _name(packed, reason.item)[1]
     return f"{amount} cannot occur in the scene: {low:.6g}..{high:.6g} {unit}"
 
 
 def _unknown_load(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    return f"no row tells the influence of {_name(packed, reason.place)[0]}"
+    return f"no row tells the influence of {_name(packed, reason.item)[0]}"
 
 
 def _axis_inputs(axis: int) -> tuple[int, int, int]:
@@ -167,7 +167,7 @@ def _several_at_once(reason: Reason, inputs: Sequence[float], packed: Packed) ->
 
 def _moment_alone(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return (
-        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.place, reason.value)} alone, from "
+        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.item, reason.value)} alone, from "
         "which the composition counts, lies outside the rows"
     )
 
@@ -181,7 +181,7 @@ def _together(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 
 def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    output = packed.words["space"]["outputs"][reason.place]
+    output = packed.words["space"]["outputs"][reason.item]
     unit = output["unit"]
     axis = "" if reason.axis < 0 else f"axis {'xyz'[reason.axis]}: "
     return (
@@ -191,8 +191,8 @@ def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 
 def _beyond_span(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays[f"g{reason.group}/kriging/span_loads"][:, reason.place].tolist()
-    name, unit = _name(packed, reason.place)
+    low, high = packed.arrays[f"g{reason.group}/kriging/span_loads"][:, reason.item].tolist()
+    name, unit = _name(packed, reason.item)
     return (
         f"{name} = {reason.value:.6g} {unit} is further from the rows, which tell errors from "
         f"{low:.6g} to {high:.6g} {unit}"

@@ -17,7 +17,7 @@ Buffer = ctypes.Array[ctypes.c_char]
 
 Floats = NDArray[np.float64]
 
-MAX_VALUES, MAX_REASONS = 64, 32  # WB_MOST and WB_MOST_REASONS of wrenchbook.h
+MAX_VALUES, MAX_REASONS = 64, 32  # WB_MAX and WB_MAX_REASONS of wrenchbook.h
 FIELDS = 7  # of MAX_VALUES doubles each: inputs, outputs, total error and its four parts
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
 REASONS_AT = HEAD.size + FIELDS * MAX_VALUES * 8
@@ -154,7 +154,7 @@ class ReplyReader:
             )
         # Any reply: what is unknown is None, reasons are words.
         coverage, within, method, exact, count, group, unknown = found[:7]
-        row, place, missing = found[8:VALUES]
+        row, index, missing = found[8:VALUES]
         m, values = self.outputs, found[VALUES:]
         fields: list[Any] = [values[start : start + m] for start in range(0, 6 * m, m)]
         if unknown:
@@ -164,7 +164,7 @@ class ReplyReader:
         if missing:
             text = "; ".join(filter(None, (text, unmeasured_text(missing, self._packed))))
             names = tuple(name for bit, name in enumerate(self._names) if missing >> bit & 1)
-        by_row = place >= 0
+        by_row = index >= 0
         return Reply(
             fields[0],
             fields[1],
@@ -178,7 +178,7 @@ class ReplyReader:
             ANSWERED[method],
             row if by_row else None,
             bool(exact) and by_row,
-            self._source_at(group, place) if by_row else None,
+            self._source_at(group, index) if by_row else None,
             names,
         )
 
@@ -194,8 +194,8 @@ class ReplyReader:
             self._texts[content] = text
         return text
 
-    def _source_at(self, group: int, place: int) -> str:
-        number = int(self._packed.arrays[f"g{group}/row/source"][place])
+    def _source_at(self, group: int, index: int) -> str:
+        number = int(self._packed.arrays[f"g{group}/row/source"][index])
         return ", ".join(self._packed.words["sources"][number])
 
 

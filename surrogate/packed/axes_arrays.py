@@ -88,7 +88,7 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tupl
     yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
     yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])
-    yield "rest_point", np.stack((axes.at_rest.displacement, axes.at_rest.error))
+    yield "zero_load", np.stack((axes.at_rest.displacement, axes.at_rest.error))
     yield "error", np.array([_error(table) for table in tables])
     for moment, cuts in enumerate(axes.cuts):
         for cut in cuts:

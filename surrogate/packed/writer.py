@@ -27,7 +27,7 @@ from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
-_ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
+_ADDITIVE, _RESIDUAL, _KRIGING = 1, 2, 4
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 
@@ -124,7 +124,7 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
-    """Yield the solver's share of errors."""
+    """Yield the solver's part of errors."""
     error, shape = table.solver_error, table.groups[0].fit.matrix.shape
     matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
     stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
@@ -222,7 +222,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used and group.has_axes:
         parts.append(("axes", axes_arrays(group.axes, group.members)))
-    for name, kriging in (("kriging", group.kriging), ("missed", missed)):
+    for name, kriging in (("kriging", group.kriging), ("residual", missed)):
         if kriging is not None:
             parts.append((name, _kriging_arrays(kriging)))
     for name, arrays in parts:
@@ -236,7 +236,7 @@ def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
     if group.by_kriging:
         return _KRIGING, None
     missed = group.interaction
-    return _ADDITIVE if missed is None else _ADDITIVE | _MISSED, missed
+    return _ADDITIVE if missed is None else _ADDITIVE | _RESIDUAL, missed
 
 
 def _group_words(group: Group) -> dict[str, Any]:
@@ -282,14 +282,14 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "span_loads", scaling.wrenches(kriging.span)
-    yield "shares", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
+    yield "factor_count", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
     for number, (share, found) in enumerate(
         zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
     ):
         outputs, places = len(kriging.deviation), kriging.equations.n_derivatives
         arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
         for name, array in chain(*arrays):
-            yield f"share{number}/{name}", array
+            yield f"factor{number}/{name}", array
 
 
 def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
@@ -297,8 +297,8 @@ def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator
     factors = np.zeros((len(found.sigma), outputs))
     factors[:, share.factor.output_group.outputs] = found.factors.reshape(len(found.sigma), -1)
     yield "sigma", found.sigma
-    yield "factors", factors
-    yield "reach", np.array([found.max_sigma])
+    yield "scale", factors
+    yield "max_sigma", np.array([found.max_sigma])
 
 
 def _share_arrays(
@@ -328,9 +328,9 @@ def _share_arrays(
         number[row], least[row] = place, local.min_variance
     yield "outputs", np.isin(np.arange(outputs), share.factor.output_group.outputs).astype(np.int32)
     yield "number", number
-    yield "places", places
+    yield "equations", places
     yield "panels", panels
-    yield "unsettled", unsettled
-    yield "least", least
+    yield "trend", unsettled
+    yield "min_variance", least
     yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
     yield "mean_covariance", share.factor.mean_covariance

@@ -21,7 +21,7 @@ Arrays = dict[str, NDArray[Any]]
 
 # Columns of the array ``flags`` of a group: see `packed.writer`.
 _METHOD, _REFERENCE, _EXACT = 0, 1, 4
-_BY_KRIGING, _BY_MISSED = 4, 2  # bits of the reference
+_BY_KRIGING, _BY_RESIDUAL = 4, 2  # bits of the reference
 
 
 def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
@@ -95,8 +95,8 @@ def _cut_group(own: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arr
         kept["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if flags[_REFERENCE] & _BY_KRIGING:
         kept |= _cut_kriging(own, "kriging/", need)
-    if flags[_REFERENCE] & _BY_MISSED:
-        kept |= _cut_kriging(own, "missed/", need)
+    if flags[_REFERENCE] & _BY_RESIDUAL:
+        kept |= _cut_kriging(own, "residual/", need)
     if not alone and "axes/vertex" in own:
         loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | asks_tangent
         kept |= _cut_axes(own, loaded)
@@ -125,17 +125,19 @@ def _cut_rows(own: Arrays, need: Need) -> Arrays:
 def _cut_kriging(own: Arrays, name: str, need: Need) -> Arrays:
     """Return a kriging without the factors of outputs that the scene does not read."""
     found = {
-        key: array for key, array in own.items() if key.startswith(name) and "/share" not in key
+        key: array for key, array in own.items() if key.startswith(name) and "/factor" not in key
     }
     factors = [
-        f"{name}share{number}/"
-        for number in range(int(own[f"{name}shares"][0]))
-        if own[f"{name}share{number}/outputs"][list(need.outputs)].any()
-    ] or [f"{name}share0/"]
-    found[f"{name}shares"] = np.array([len(factors)], dtype=np.int32)
+        f"{name}factor{number}/"
+        for number in range(int(own[f"{name}factor_count"][0]))
+        if own[f"{name}factor{number}/outputs"][list(need.outputs)].any()
+    ] or [f"{name}factor0/"]
+    found[f"{name}factor_count"] = np.array([len(factors)], dtype=np.int32)
     for number, factor in enumerate(factors):
         arrays = {key: array for key, array in own.items() if key.startswith(factor)}
-        found |= {f"{name}share{number}/{key[len(factor) :]}": one for key, one in arrays.items()}
+        found |= {
+            f"{name}factor{number}/{key[len(factor) :]}": array for key, array in arrays.items()
+        }
     return found
 
 
@@ -167,8 +169,8 @@ def _cut_axes(own: Arrays, loaded: Mask) -> Arrays:
     found["members"] = axes["members"][members]
     for axis in np.flatnonzero(~loaded).tolist():
         for gone in (f"cut{(axis + 1) % 3}0/", f"cut{(axis + 2) % 3}1/"):
-            found = {name: one for name, one in found.items() if not name.startswith(gone)}
-    return {f"axes/{name}": np.asarray(one, axes[name].dtype) for name, one in found.items()}
+            found = {name: array for name, array in found.items() if not name.startswith(gone)}
+    return {f"axes/{name}": np.asarray(array, axes[name].dtype) for name, array in found.items()}
 
 
 def _renumbered(

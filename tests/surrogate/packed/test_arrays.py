@@ -10,7 +10,7 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import PackedTableError, pieces
 from wrenchbook.surrogate.packed.arrays import BLOCKS, HEADER, check, header
 
-FIRST = "axes/vertex", "kriging/x", "missed/x", "/state"
+FIRST = "axes/vertex", "kriging/x", "residual/x", "/state"
 TABLES = "solved", "clean and full", "second derivatives", "linear"
 
 

@@ -107,7 +107,11 @@ def test_a_truncated_or_a_longer_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "words"), [(5, "use a newer wrenchbook"), (3, "download it again")]
+    ("number", "words"),
+    [
+        (packed_format.FORMAT + 1, "use a newer wrenchbook"),
+        (packed_format.FORMAT - 1, "download it again"),
+    ],
 )
 def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch):
     monkeypatch.setattr(packed_format, "FORMAT", number)
@@ -126,7 +130,7 @@ def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch)
 
 OPTIONAL = re.compile(  # words are made of these, or there is no such part without them
     r"/(row/source|fit/rows|axes/member_first|axes/members|axes/span|cut\d\d/state|axes/vertex)$"
-    r"|space/range|(kriging|missed)/(x|span_loads)$"
+    r"|space/range|(kriging|residual)/(x|span_loads)$"
 )
 
 
@@ -225,7 +229,7 @@ def test_a_correlation_that_the_kernel_does_not_have_is_refused():
 def test_an_output_that_two_factors_answer_or_none_is_refused(own):
     found = read(bytes(content_of("full")))
     outputs = np.full(6, own, dtype=np.int32)
-    arrays = {**found.arrays, "g0/kriging/share0/outputs": outputs}
+    arrays = {**found.arrays, "g0/kriging/factor0/outputs": outputs}
     with pytest.raises(PackedTableError, match="outputs"):
         PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
 
@@ -233,10 +237,10 @@ def test_an_output_that_two_factors_answer_or_none_is_refused(own):
 def test_a_calibration_that_is_no_number_leads_no_answer_out_of_it():
     found = read(bytes(content_of("solved")))
     arrays = {name: np.array(array) for name, array in found.arrays.items()}
-    factors = arrays["g0/kriging/share0/factors"]
+    factors = arrays["g0/kriging/factor0/scale"]
     for levels in {1, len(factors)}:
-        arrays["g0/kriging/share0/sigma"] = np.full(levels, np.nan)
-        arrays["g0/kriging/share0/factors"] = factors[:levels]
+        arrays["g0/kriging/factor0/sigma"] = np.full(levels, np.nan)
+        arrays["g0/kriging/factor0/scale"] = factors[:levels]
         packed = PackedTable.from_bytes(b"".join(pieces(arrays, found.words)))
         assert len(packed.batch(asked_of(table_of("solved"), 50)).coverage) == 50
 
