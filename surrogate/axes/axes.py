@@ -38,8 +38,8 @@ from ..table.axes import (
     LoadAxis,
     OffAxis,
     axis_rows,
-    clean_rows,
     evenly_chosen,
+    single_axis_rows,
 )
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats, LoadRange, Rows
@@ -92,14 +92,14 @@ def _axis_table(
 ) -> AxisTable | None:
     clean = axis_rows(rows, load_range, axis, fit, "exclude")
     table = _thinned(clean, load_range, before) if len(clean.points) else None
-    if off_axis == "exclude" or clean_rows(rows, load_range).any(axis=1).all():
+    if off_axis == "exclude" or single_axis_rows(rows, load_range).any(axis=1).all():
         return table
     chosen = axis_rows(rows, load_range, axis, fit, off_axis)
     if off_axis == "correct" and table is not None:
         chosen = _worth_joining(chosen, table)
     if not len(chosen.points):
         return None
-    if table is not None and chosen.clean.all():
+    if table is not None and chosen.single_axis.all():
         return table
     return _thinned(chosen, load_range, before)
 
@@ -123,7 +123,7 @@ def _worth_joining(joined: AxisRows, table: AxisTable) -> AxisRows:
         return joined
     found = table.triangulation.locate(joined.points)
     between = (found >= 0) & (table.shape_state[found] == SOUND)
-    return joined.take(joined.clean | ~between)
+    return joined.take(joined.single_axis | ~between)
 
 
 def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> AtRest:
@@ -479,7 +479,7 @@ def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
         "axis": axis.name,
         "inputs": inputs,
         "rows": len(points),
-        "corrected": int((~table.rows.clean).sum()),
+        "corrected": int((~table.rows.single_axis).sum()),
         "dimensions": shape.dimension,
         "spans": {
             load: [float(points[:, column].min()), float(points[:, column].max())]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.merging import Readings, close_groups
+from ..table.merging import Observations, close_groups
 from ..table.rows import CLEAN, Floats, LoadRange, RowError, Rows
 from ..table.second_derivatives import second_derivatives
 from ..table.space import Space
@@ -198,7 +198,7 @@ def _with_slopes(rows: Rows) -> Mask:
 
 
 def equations_of(
-    rows: Rows, scaling: Scaling, readings: Readings, settings: KrigingSettings = DEFAULTS
+    rows: Rows, scaling: Scaling, readings: Observations, settings: KrigingSettings = DEFAULTS
 ) -> Equations:
     """Return the equations of rows of distinct wrenches, and of the observations behind each."""
     with_slopes = _with_slopes(rows)

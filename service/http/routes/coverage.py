@@ -41,7 +41,7 @@ Places = NDArray[np.intp]
     responses=answers(dict[str, Any], "hull and gaps"),
 )
 def coverage(name: str, table: Newest) -> Response:
-    gaps = table.packed.words["gaps"]
+    gaps = table.packed.meta["gaps"]
     if not table.load_range.space.is_default:
         gaps = []  # its table has no axes
     elif gaps is None:
@@ -102,7 +102,7 @@ def glance(name: str, workspace: Opened) -> Response:
         "whole": _shares(table, wrenches),
         "error": _median([reply.error for reply in replies]),
         "interpolation": _median([reply.interpolation for reply in replies]),
-        "bars_are_whole": table.bars_are_whole,
+        "bars_are_whole": table.bars_are_complete,
         # The share of wrenches that are covered and within the tolerance; a covered one that
         # cannot be compared leaves it unknown.
         "within_tolerance": None if None in within else sum(map(bool, within)) / SAMPLE,
@@ -234,7 +234,7 @@ def response(
             "displacement": replies.outputs,
             "error": replies.errors,
             "interpolation": _six_each(each),
-            "bars_are_whole": table.bars_are_whole,
+            "bars_are_whole": table.bars_are_complete,
             "coverage": replies.coverage.tolist(),
         }
     )
