@@ -57,8 +57,8 @@ FINER_UNKNOWNS = 30_000
 """Of a finer mesh that an estimate may solve unasked: about a second."""
 
 
-def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solver | None:
-    """Return the component with smaller cells; None if that has over `most` unknowns.
+def finer(solver: Solver, max_unknowns: int | None = None, factor: float = 2.0) -> Solver | None:
+    """Return the component with smaller cells; None if that has over `max_unknowns`.
 
     Generators and geometries make the mesh anew with cells `factor` times as small; a mesh file's
     cells are halved, its edges kept as they are.
@@ -66,7 +66,7 @@ def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solve
     Raises BundleError if the mesh fails.
     """
     component = solver.component
-    bundle, limit = component.bundle, float("inf") if most is None else most
+    bundle, limit = component.bundle, float("inf") if max_unknowns is None else max_unknowns
     if bundle is None or bundle.mesh is None:
         return None
     again = refined(bundle, factor)

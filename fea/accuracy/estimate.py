@@ -75,8 +75,8 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     size = np.linalg.norm(moved[:, :, 3:], axis=2).max(axis=1)
     if not size.max() > 0:
         size = np.linalg.norm(moved[:, :, :3], axis=2).max(axis=1)
-    most = int(size.argmax())
-    corners, zero = [corners[most], corners[len(corners) - 1 - most]], solver.component.at_rest
+    index = int(size.argmax())
+    corners, zero = [corners[index], corners[len(corners) - 1 - index]], solver.component.at_rest
     factors = list(solver.buckling(corners[0] + zero))
     if not np.allclose(corners[1], -corners[0]):
         factors[1] = solver.buckling(corners[1] + zero)[0]
@@ -100,10 +100,10 @@ class _Corner:
         self.deviation = np.full(len(linear.compliance), np.nan)
         self.factors: list[float] = []
         self.why = ""
-        most = 1.0
+        limit = 1.0
         if buckling < _STEEP:
-            most, self.why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
-        for part in (most * part for part in _PARTS):
+            limit, self.why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
+        for part in (limit * part for part in _PARTS):
             try:
                 solution = solver.solve(part * wrench + solver.component.at_rest)
             except SolveFailed as failure:

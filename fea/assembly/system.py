@@ -25,7 +25,7 @@ class System:
     """The equations of one component.
 
     body: the cells; its free nodes are those neither fixed nor constrained by the coupling.
-    coupling: how the wrench gets in.
+    coupling: the interfaces and bushings.
     points: shape (n, 3), m: the nodes' coordinates in the mesh's axes, for messages.
     weight: shape (n, 3), N: the nodal forces of self-weight; None for none.
     body_force: shape (n, 3, p), N: nodal forces per unit of each input acceleration; None for

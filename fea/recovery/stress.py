@@ -62,7 +62,7 @@ def cauchy_stress(
     displacement: shape (n, 3), m.
     tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
     temperature: K from the reference.
-    loads: how many inputs there are before the temperature, where that is an input.
+    loads: the number of inputs before the temperature, where that is an input.
     Returns stresses: shape (p, 6), Pa: xx, yy, zz, xy, xz, yz. changes: shape (p, 6, k), Pa per
     unit of each.
     """

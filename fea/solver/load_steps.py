@@ -170,9 +170,9 @@ class LoadPath:
             target = 1.0
         try:
             start = self._system.reload(self._balance, target * self._wrench)
-            most = MAX_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
+            max_iterations = MAX_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
             equilibrium = find_equilibrium(
-                self._system, start, self._tangent, self._reporter(target), most
+                self._system, start, self._tangent, self._reporter(target), max_iterations
             )
         except Stuck as stuck:
             if stuck.at_roundoff:

@@ -410,7 +410,7 @@ _BUCKLING_SEED = 20170726  # of the start vectors: the same bundle gives the sam
 def buckling_factors(
     system: System, fields: Array, temperature: float = 0.0
 ) -> tuple[float, float]:
-    """Return how many times a load, and the opposite load, the part carries before it buckles.
+    """Return the multiples of a load, and of its opposite, at which the part buckles.
 
     system: the equations, in the interface frame.
     fields: shape (n, 3), m: the small displacements under the load.

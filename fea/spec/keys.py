@@ -361,9 +361,8 @@ def unknown(name: str, cls: type) -> str:
     """Return the refusal of a key that a table does not have."""
     refused: Mapping[str, str] = getattr(cls, "refused", {})
     known = list(keys_of(cls))
-    return (
-        refused.get(name) or f"unknown key{suggest(name, known)} (known here: {', '.join(known)})"
-    )
+    listed = f"(known here: {', '.join(known)})"
+    return refused.get(name) or f"unknown key{suggest(name, known)} {listed}"
 
 
 _KINDS = {
