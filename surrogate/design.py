@@ -28,7 +28,7 @@ from .answer import allowed_by
 from .build import Table, build
 from .packed.writer import packed_of
 from .table.axes import AXES
-from .table.rows import CLEAN, LONGEST, Floats, LoadRange, Rows, Tolerance
+from .table.rows import LONGEST, ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
 from .table.spread import sample_of, spread_wrenches, weakest
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
@@ -47,9 +47,7 @@ FAR = 10_000  # into the sequence, so that the even ones are none of the sample'
 # Candidates chosen between two checks of the bars that remain: a check costs as much.
 BETWEEN_CHECKS = 3
 MAX_SOLVES = 1e6  # of an estimate; beyond that no number says more than that
-RECOMPUTED = (
-    16  # candidates computed anew at once: the largest is nearly always among the first few
-)
+RECOMPUTED = 16  # candidates computed anew at once: the largest is nearly always among the first
 
 # Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
 # (Box and Hunter 1961): the last three are the products of two of the first three.
@@ -73,7 +71,7 @@ class Known:
 
     def _key(self, wrench: Floats) -> tuple[int, ...]:
         with np.errstate(over="ignore"):
-            steps = np.round(wrench / self.scale / CLEAN)
+            steps = np.round(wrench / self.scale / ZERO_LOAD)
         return tuple(np.clip(steps, -_FAR, _FAR).astype(np.int64).tolist())
 
     def new(self, wrenches: Floats) -> Floats:

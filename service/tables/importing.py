@@ -69,7 +69,8 @@ def import_files(
             some = piece.take(np.isin(piece.seq, rows_of_findings))
             key_of |= zip(some.seq.tolist(), (key.hex() for key in keys(some)), strict=True)
         stored = [
-            {**one, "rows": [], "keys": [key_of[row] for row in one["rows"]]} for one in findings
+            {**finding, "rows": [], "keys": [key_of[row] for row in finding["rows"]]}
+            for finding in findings
         ]
         about = replace(about, format=report["format"], rig=options.rig)
         about = replace(about, findings=json.dumps(stored))

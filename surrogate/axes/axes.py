@@ -33,7 +33,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ..table.axes import (
     AXES,
-    CLEAN,
+    ZERO_LOAD,
     AxisRows,
     LoadAxis,
     OffAxis,
@@ -132,7 +132,7 @@ def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
     Of several axes that is the mean, with half their spread in the bar (measured tables
     have offsets). Without any the answer is zero and not known: its bar is the rows' size.
     """
-    unloaded = (np.abs(rows.wrench) <= CLEAN * load_range.scale).all(axis=1)
+    unloaded = (np.abs(rows.wrench) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if unloaded.any():
         found = rows.displacement[unloaded]
         stored = np.nan_to_num(rows.uncertainty[unloaded]).max(axis=0)
@@ -236,7 +236,7 @@ class Axes:
     def evaluate(self, wrenches: Floats) -> Composed:
         """Compose the answers to wrenches, shape (n, 6), N and N·m."""
         count = len(wrenches)
-        loaded = np.abs(wrenches) > CLEAN * self.scale
+        loaded = np.abs(wrenches) > ZERO_LOAD * self.scale
         total = _Total(self.at_rest, count)
         acting = [np.flatnonzero(loaded[:, moment + 3]) for moment in range(3)]
         alone = [self._alone(m, wrenches[rows, m + 3]) for m, rows in enumerate(acting)]
@@ -274,7 +274,7 @@ class Axes:
         reading = table.read(x)
         state = np.where(reading.inside, table.state[reading.simplices], OFF_HULL)
         if not table.shows_together:
-            several = (np.abs(x) > CLEAN).sum(axis=1) > 1
+            several = (np.abs(x) > ZERO_LOAD).sum(axis=1) > 1
             state = np.where(several, np.maximum(state, WEAK), state)
         part = _Part(reading.outputs, reading.rest + np.abs(reading.stepped), state)
         outside = np.flatnonzero(~reading.inside)
@@ -287,7 +287,7 @@ class Axes:
             basis = table.triangulation.basis
             off = step - step @ basis.T @ basis
             # Of each wrench by itself: batches change nothing.
-            leaves = np.abs(off).max(axis=1) > CLEAN
+            leaves = np.abs(off).max(axis=1) > ZERO_LOAD
             if leaves.any():
                 rows, off = rows[leaves], off[leaves]
                 loads = off * table.scale
@@ -295,7 +295,7 @@ class Axes:
                 part.rest[rows] += (
                     np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.error
                 )
-                unknown = (np.abs(off) > CLEAN) & ~self.fit.known[inputs]
+                unknown = (np.abs(off) > ZERO_LOAD) & ~self.fit.known[inputs]
                 part.rest[rows[unknown.any(axis=1)]] = np.nan
         return part
 
@@ -553,7 +553,7 @@ class PureMomentCut:
         y = (along - self.stations[found])[:, None]
         outputs, stated, unit = self.outputs[found], self.stated[found], self.unit_errors[found]
         unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
-        beyond = (along < self.stations[0] - CLEAN) | (along > self.stations[-1] + CLEAN)
+        beyond = (along < self.stations[0] - ZERO_LOAD) | (along > self.stations[-1] + ZERO_LOAD)
         return _Part(
             outputs[:, 0] + y * outputs[:, 1],
             self.table.law.bars(unit) + stated[:, 0] + y * stated[:, 1],

@@ -108,9 +108,8 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     y = _on_grid(grid, logs.when[order], logs.displacement[order])
     size = 2 * len(grid)
     shape = np.fft.rfft(x, size, axis=0), np.conj(np.fft.rfft(y, size, axis=0))
-    cross = np.stack(
-        [np.fft.irfft(shape[0] * spectrum[:, None], size, axis=0) for spectrum in shape[1].T]
-    )
+    products = (shape[0] * spectrum[:, None] for spectrum in shape[1].T)
+    cross = np.stack([np.fft.irfft(product, size, axis=0) for product in products])
     shifts = np.arange(-int(longest / step), int(longest / step) + 1)
     inverse = np.linalg.pinv(x.T @ x, rcond=1e-6)
     explained = np.einsum("ksi,ij,ksj->s", cross[:, shifts], inverse, cross[:, shifts])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.rows import CLEAN, Floats, LoadRange, Rows
+from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
 from .response import RigFinding, RobustFit
 
@@ -55,7 +55,7 @@ class Fit(NamedTuple):
 def linear_fit(rows: Rows, load_range: LoadRange, response: RobustFit) -> Fit:
     """Return the linear part of the rows' response, with constant, cubic and other terms beside."""
     scaled = rows.wrench / load_range.scale
-    used = np.abs(scaled).max(axis=0) > CLEAN
+    used = np.abs(scaled).max(axis=0) > ZERO_LOAD
     terms = response.terms
     matrix, sure = np.zeros((6, 6)), np.zeros((6, 6), dtype=bool)
     first = terms[:, : 1 + used.sum()]
@@ -145,7 +145,7 @@ def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
     for name, part in (("forces", slice(0, 3)), ("moments", slice(3, 6))):
         ends = np.abs(load_range.ends[:, part]).max(axis=0)
         largest = np.abs(rows.wrench[:, part]).max(axis=0)
-        loaded = (largest > 0) & (ends > CLEAN * np.abs(load_range.ends).max())
+        loaded = (largest > 0) & (ends > ZERO_LOAD * np.abs(load_range.ends).max())
         if not loaded.any():
             continue
         ratio = float((largest[loaded] / ends[loaded]).max())

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..table.rows import CLEAN, Floats, LoadRange, Rows
+from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
 ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
@@ -98,7 +98,7 @@ class RobustFit(NamedTuple):
 
 def terms_of(scaled: Floats) -> Floats:
     """Return the polynomial's terms (n, t) at scaled loads (n, 6), as many as the rows allow."""
-    used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > CLEAN)
+    used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > ZERO_LOAD)
     loads, count = scaled[:, used], len(scaled)
     parts = [np.ones((count, 1)), loads]
     for more in (

@@ -117,9 +117,8 @@ def effects_of(
             continue
         slope = float(independent @ target) / square
         remainder = target - slope * independent
-        explained = 1.0 - float(remainder @ remainder) / max(
-            float(target @ target), np.finfo(float).tiny
-        )
+        size = max(float(target @ target), np.finfo(float).tiny)
+        explained = 1.0 - float(remainder @ remainder) / size
         free = max(len(residual) - others.shape[1] - 1, 1)
         error = np.sqrt(float(remainder @ remainder) / free / square)
         if explained > fraction and abs(slope) > deviations * error:

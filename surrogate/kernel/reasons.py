@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from ..table.rows import CLEAN
+from ..table.rows import ZERO_LOAD
 from .format import Packed
 
 EMPTY = "the table has no rows"
@@ -110,7 +110,7 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     floats = packed.arrays[axes + "floats"][reason.axis]
     for column, load in enumerate(_axis_inputs(reason.axis)):
         low, high = span[column].tolist()
-        slack = CLEAN * float(floats[column])  # of the scale: a load as near counts as on the hull
+        slack = ZERO_LOAD * float(floats[column])  # as near counts as on the hull
         if low - slack <= inputs[load] <= high + slack:
             continue
         load_name, unit = _name(packed, load)

@@ -164,7 +164,10 @@ class ReplyReader:
         if missing:
             text = "; ".join(filter(None, (text, unmeasured_text(missing, self._packed))))
             names = tuple(name for bit, name in enumerate(self._names) if missing >> bit & 1)
-        by_row = index >= 0
+        by_row, source = index >= 0, None
+        if by_row:
+            number = int(self._packed.arrays[f"g{group}/row/source"][index])
+            source = ", ".join(self._packed.meta["sources"][number])
         return Reply(
             fields[0],
             fields[1],
@@ -178,7 +181,7 @@ class ReplyReader:
             ANSWERED[method],
             row if by_row else None,
             bool(exact) and by_row,
-            self._source_at(group, index) if by_row else None,
+            source,
             names,
         )
 
@@ -188,20 +191,11 @@ class ReplyReader:
         cached = self._texts.get(content)
         if cached is not None:
             return cached
-        reasons = reasons_in(content, count)
+        reasons = [Reason(*REASON.unpack_from(content, REASON.size * k)) for k in range(count)]
         text = text_of(reasons, self._loads(reply, HEAD.size), self._packed)
         if all(reason.code in FIXED for reason in reasons):
             self._texts[content] = text
         return text
-
-    def _source_at(self, group: int, index: int) -> str:
-        number = int(self._packed.arrays[f"g{group}/row/source"][index])
-        return ", ".join(self._packed.meta["sources"][number])
-
-
-def reasons_in(content: bytes, count: int) -> list[Reason]:
-    """Return the reasons in some bytes of a reply."""
-    return [Reason(*REASON.unpack_from(content, REASON.size * number)) for number in range(count)]
 
 
 def known(values: tuple[float, ...]) -> tuple[float | None, ...] | None:

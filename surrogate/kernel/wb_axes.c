@@ -75,7 +75,7 @@ static void add_off_span(const wb_composition *c, int axis, wb_part *part) {
         for (int j = 0; j < 3; j++) {
             double off = i == j ? 1.0 : 0.0;
             for (int k = 0; k < dimension; k++) off -= f->basis[3 * k + i] * f->basis[3 * k + j];
-            if (!(fabs(off) > WB_CLEAN)) continue;
+            if (!(fabs(off) > WB_ZERO_LOAD)) continue;
             for (int q = 0; q < 6; q++) {
                 double slope = f->scale[j] * c->fit->matrix[6 * q + inputs[j]];
                 part->slopes[q][i] += c->fit->known[inputs[j]] ? off * slope : NAN;
@@ -112,9 +112,9 @@ static void step_off_plane(const wb_composition *c, int axis, const double step[
         for (int j = 0; j < dimension; j++) in += along[j] * f->basis[3 * j + i];
         off[i] = step[i] - in;
         largest = fmax(largest, fabs(off[i]));
-        unknown |= fabs(off[i]) > WB_CLEAN && !c->fit->known[inputs[i]];
+        unknown |= fabs(off[i]) > WB_ZERO_LOAD && !c->fit->known[inputs[i]];
     }
-    if (!(largest > WB_CLEAN)) return;
+    if (!(largest > WB_ZERO_LOAD)) return;
     for (int q = 0; q < 6; q++) {
         const double *row = c->fit->matrix + 6 * q;
         double more = 0.0, size = 0.0;
@@ -174,7 +174,7 @@ void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], w
 
 /* Whether several loads act where no rows show what several do at once. */
 static int is_unknown_together(const wb_composition *c, int axis, const double x[3]) {
-    int loads = (fabs(x[0]) > WB_CLEAN) + (fabs(x[1]) > WB_CLEAN) + (fabs(x[2]) > WB_CLEAN);
+    int loads = (fabs(x[0]) > WB_ZERO_LOAD) + (fabs(x[1]) > WB_ZERO_LOAD) + (fabs(x[2]) > WB_ZERO_LOAD);
     return loads > 1 && c->together[axis] < c->left_out[3];
 }
 

@@ -28,8 +28,8 @@ static int stretch_of(const wb_cut *cut, double along) {
 }
 
 static int state_at(const wb_cut *cut, double along, int stretch) {
-    if (along < cut->stations[0] - WB_CLEAN) return WB_OFF_HULL;
-    if (along > cut->stations[cut->stretches] + WB_CLEAN) return WB_OFF_HULL;
+    if (along < cut->stations[0] - WB_ZERO_LOAD) return WB_OFF_HULL;
+    if (along > cut->stations[cut->stretches] + WB_ZERO_LOAD) return WB_OFF_HULL;
     return cut->state[stretch];
 }
 

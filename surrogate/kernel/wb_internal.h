@@ -14,7 +14,7 @@
 /* Of the range, in each load: a smaller load is none, a load so little beyond an end is on it, and
  * closer wrenches are the same. Of an answer's size: what its computation loses. And how much
  * more than in proportion a response may move. As in Python (tests/surrogate/kernel). */
-#define WB_CLEAN 1e-9
+#define WB_ZERO_LOAD 1e-9
 #define WB_NEAR 1e-6
 #define WB_ROUNDING 1e-12
 #define WB_STEEPER 2.0

@@ -22,7 +22,7 @@ from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.factor import Neighbourhoods
 from ..methods import ENOUGH_FULL
-from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats
+from ..table.rows import LONGEST, TRANSLATION_LIMIT, ZERO_LOAD, Floats
 from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
@@ -110,7 +110,7 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
     yield "space/range", np.stack((span.low, span.high))
     yield "space/ends", span.ends
     yield "space/scale", span.scale
-    yield "space/small", CLEAN * span.scale
+    yield "space/small", ZERO_LOAD * span.scale
     yield "space/locked", np.isin(np.arange(inputs), table.locked).astype(np.int32)
     none = np.full(outputs, np.nan)
     limits = none if table.tolerance is None else allowed_by(table.tolerance, space)

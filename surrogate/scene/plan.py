@@ -19,7 +19,7 @@ from ..design import Design, Known, first_count, first_design, next_wrenches
 from ..kernel.reasons import UNKNOWN_ERROR
 from ..packed.writer import packed_of
 from ..table.axes import AXES
-from ..table.rows import CLEAN, Floats, LoadRange, Tolerance
+from ..table.rows import ZERO_LOAD, Floats, LoadRange, Tolerance
 from ..table.space import LOADS
 from ..table.spread import spread_wrenches
 
@@ -142,7 +142,7 @@ def need_of(
         If an end lies outside the component's load range, or the ends are the wrong way round.
     """
     ends = np.column_stack((limits.low, limits.high)) if bounds is None else np.array(bounds, float)
-    slack = CLEAN * limits.scale
+    slack = ZERO_LOAD * limits.scale
     mistakes = []
     for load, (low, high) in enumerate(ends.tolist()):
         entry = limits.space.inputs[load]

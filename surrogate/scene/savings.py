@@ -53,7 +53,8 @@ def measured(table: Table, plan: ScenePlan) -> Savings:
     low, high = plan.need.span.low, plan.need.span.high
     wrenches = low + np.random.default_rng(0).uniform(size=(ANSWERS, len(low))) * (high - low)
     packed = packed_of(table)
-    before = built_s(table), packed.size, _us(packed, wrenches)
+    built_s = sum(surrogate.build_s for surrogate in table.groups)
+    before = built_s, packed.size, _us(packed, wrenches)
     after = 0.0, 0, 0.0
     if plan.decision != "rigid":
         started = thread_time()
@@ -67,17 +68,7 @@ def measured(table: Table, plan: ScenePlan) -> Savings:
         "us_per_answer": f"measured now, best of {RUNS} runs of {ANSWERS} wrenches of the scene: "
         f"{before[2]:.3g} µs by the whole table, {after[2]:.3g} µs by the scene's",
     }
-    return Savings(
-        before[0] - after[0],
-        before[1] - after[1],
-        before[2] - after[2],
-        origin,
-    )
-
-
-def built_s(table: Table) -> float:
-    """Return the processor time, s, that building a table took."""
-    return sum(surrogate.build_s for surrogate in table.groups)
+    return Savings(before[0] - after[0], before[1] - after[1], before[2] - after[2], origin)
 
 
 def _us(table: PackedTable, wrenches: Floats) -> float:

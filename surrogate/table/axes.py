@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .compliance import ComplianceFit
 from .merging import close_groups, merge
-from .rows import CLEAN, Floats, LoadRange, Rows
+from .rows import ZERO_LOAD, Floats, LoadRange, Rows
 
 OffAxis = Literal["correct", "ignore", "exclude"]
 
@@ -111,7 +111,7 @@ _FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)
 
 
 def single_axis_wrenches(
-    wrenches: Floats, load_range: LoadRange, least: float = CLEAN
+    wrenches: Floats, load_range: LoadRange, least: float = ZERO_LOAD
 ) -> NDArray[np.bool_]:
     """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load no axis but which one.
 
@@ -153,7 +153,7 @@ def axis_rows(
     displacement = rows.displacement.copy() if joining.any() else rows.displacement
     if off_axis == "correct" and joining.any():
         loads = np.where(np.isin(np.arange(6), axis.others), rows.wrench, 0.0)
-        joining &= ~((np.abs(loads) > CLEAN * load_range.scale) & ~fit.known).any(axis=1)
+        joining &= ~((np.abs(loads) > ZERO_LOAD * load_range.scale) & ~fit.known).any(axis=1)
         displacement[joining] -= loads[joining] @ fit.matrix.T
     # At the points of single-axis rows these alone count.
     inputs, indices = list(axis.inputs), np.flatnonzero(mine | joining)

@@ -11,9 +11,7 @@ from ..calibration import conformal_factor
 from .rows import SMALLEST, Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not determine a load
-LONE = (
-    1e-6  # of a row's weight in its prediction: with less to spare the others do not determine it
-)
+LONE = 1e-6  # of a row's weight in its prediction: below it the other rows do not determine it
 ROUNDING = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
 SAME_LINE = 1e-5  # a linear deck's gap to its compliance: fea/deck/solving.py refuses more
 

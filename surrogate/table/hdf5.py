@@ -313,13 +313,10 @@ def _check_contained(file: h5py.File) -> None:
                     f"holds {folder}/{name} outside of itself or not as a dataset; send a file "
                     "that wrenchbook has written"
                 )
-            if dataset.chunks and np.prod(dataset.chunks, dtype=float) * dataset.dtype.itemsize > (
-                MAX_CHUNK_BYTES
-            ):
+            size = dataset.dtype.itemsize
+            if dataset.chunks and np.prod(dataset.chunks, dtype=float) * size > MAX_CHUNK_BYTES:
                 raise TableFileError(f"has chunks of more than {MAX_CHUNK_BYTES >> 20} MiB")
-            if name != "note" and (
-                dataset.dtype.hasobject or dataset.dtype.itemsize > MAX_STRING_BYTES
-            ):
+            if name != "note" and (dataset.dtype.hasobject or size > MAX_STRING_BYTES):
                 raise TableFileError(
                     f"holds texts in {folder}/{name} that a wrenchbook table does not have; send "
                     "a file that wrenchbook wrote"
@@ -382,16 +379,14 @@ NamedColumn = tuple[str, Any, Callable[[np.ndarray], np.ndarray]]
 class _Vector:
     """A dataset of shape (1, n), as MATLAB writes a column, or (n, 1)."""
 
-    def __init__(self, one: h5py.Dataset) -> None:
-        self._dataset = one
+    def __init__(self, dataset: h5py.Dataset) -> None:
+        self._data = dataset
 
     def __len__(self) -> int:
-        return int(self._dataset.size or 0)
+        return int(self._data.size or 0)
 
     def __getitem__(self, some: slice) -> np.ndarray:
-        return np.asarray(
-            self._dataset[0, some] if self._dataset.shape[0] == 1 else self._dataset[some, 0]
-        )
+        return np.asarray(self._data[0, some] if self._data.shape[0] == 1 else self._data[some, 0])
 
 
 def _named_columns(file: h5py.File) -> list[NamedColumn]:

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from .rows import CLEAN, NEAR, Floats, LoadRange, Rows
+from .rows import NEAR, ZERO_LOAD, Floats, LoadRange, Rows
 
 DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
 ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
@@ -99,14 +99,13 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     present = np.isfinite(rows.displacement)
     solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
     is_known = present & ((rows.uncertainty > 0) | solved[:, None])
-    observations = Observations(
-        np.where(present & ~is_known, 1.0, 0.0), np.zeros_like(rows.displacement)
-    )
+    number = np.where(present & ~is_known, 1.0, 0.0)
+    observations = Observations(number, np.zeros_like(number))
     if not len(several):
         return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, observations)
     # The wrench is that of the row with the fewest loads: a single-axis row stays so, and the
     # row at no load at no load; then of the outermost, so that the hull does not shrink.
-    loaded = (np.abs(scaled) > CLEAN).sum(axis=1)
+    loaded = (np.abs(scaled) > ZERO_LOAD).sum(axis=1)
     order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
     first = order[np.cumsum(sizes) - sizes]
     order, starts = _several(owner)
@@ -133,9 +132,8 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     deviations = np.where(present, part.displacement - mean.repeat(sizes[several], axis=0), 0.0)
     unknown = ~np.logical_or.reduceat(is_known[order], starts)
     observations = observations.take(first)
-    observations.number[several] = np.where(
-        unknown, np.add.reduceat(present, starts, dtype=float), 0
-    )
+    number = np.add.reduceat(present, starts, dtype=float)
+    observations.number[several] = np.where(unknown, number, 0)
     observations.scatter[several] = np.where(unknown, np.add.reduceat(deviations**2, starts), 0.0)
     merged_rows = replace(rows.take(first), **merged)
     return Merged(merged_rows, tuple(members), within[first], owner, observations)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from .compliance import ComplianceFit
-from .rows import CLEAN, Floats, LoadRange, Rows, Tolerance
+from .rows import ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
 from .second_derivatives import symmetric_tangents
 from .space import Space
 
@@ -75,7 +75,7 @@ def _named(rows: Rows, wrong: np.ndarray) -> list[int]:
 
 def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     space = load_range.space
-    unloaded = (np.abs(rows.wrench - space.zero) <= CLEAN * load_range.scale).all(axis=1)
+    unloaded = (np.abs(rows.wrench - space.zero) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if not unloaded.any():
         return {"ok": None, "reason": "no row at zero load", "rows": []}
     over = (np.abs(rows.displacement) > ZERO * _sizes(rows, space) + stored).any(axis=1)
@@ -248,6 +248,6 @@ def _neighbours(rows: Rows, load_range: LoadRange) -> np.ndarray:
     count = min(4, len(rows))
     far, near = KDTree(scaled).query(scaled, k=count)
     first = np.repeat(np.arange(len(rows)), count)
-    distinct = np.asarray(far).reshape(-1) > CLEAN
+    distinct = np.asarray(far).reshape(-1) > ZERO_LOAD
     pairs = np.sort(np.stack((first, np.asarray(near).reshape(-1)), axis=1)[distinct], axis=1)
     return np.unique(pairs, axis=0)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from .space import DEFAULT, Floats, Space
 
 # Of the range, in each load. The C kernel has the same numbers in wb_internal.h.
-CLEAN = 1e-9  # a smaller load counts as none, and one as little beyond an end as on it (rounding)
+ZERO_LOAD = 1e-9  # a smaller load counts as none, and as little beyond an end as on it (rounding)
 NEAR = 1e-6  # wrenches closer than this are one
 ROUNDING = 1e-12  # of a number's size: what its computation loses; no error bar is smaller
 SMALLEST = 1e-30  # m and rad: an error bar where nothing moves at all; its square is a number
@@ -94,7 +94,7 @@ class LoadRange:
     @cached_property
     def ends(self) -> Floats:
         """The range stretched to hold no load, and by what rounding may add, (2, n)."""
-        slack, zero = CLEAN * self.scale, self.space.zero
+        slack, zero = ZERO_LOAD * self.scale, self.space.zero
         return np.stack((np.minimum(self.low, zero) - slack, np.maximum(self.high, zero) + slack))
 
     def exceeded(self, wrenches: ArrayLike) -> NDArray[np.bool_]:

@@ -12,7 +12,6 @@ from math import factorial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .space import PER_INTERFACE, Floats, Space
 
@@ -165,19 +164,15 @@ def second_derivatives(
     """
     inputs, outputs = len(space.inputs), len(space.outputs)
     change = load_change(wrench, displacement, compliance, space)
-    third = curvature[:, _positions(inputs)][:, :outputs]
+    # Where T[a, b, c] stands among the numbers of a row.
+    positions = np.zeros((inputs,) * 3, dtype=np.intp)
+    for position, index in enumerate(combinations_with_replacement(range(inputs), 3)):
+        for order in permutations(index):
+            positions[order] = position
+    third = curvature[:, positions][:, :outputs]
     by_loads = symmetric_tangents(wrench, displacement, compliance, space)
     second = np.einsum("noab,nav,nbw->novw", third, change.along, change.along, optimize=True)
     second += np.einsum("noa,navw->novw", by_loads, change.bend)
     # Solved for d2y/dw2, which S gives a part of.
     matrix = np.eye(outputs) - by_loads @ change.by_motion
     return np.linalg.solve(matrix, second.reshape(len(second), outputs, -1)).reshape(second.shape)
-
-
-def _positions(inputs: int) -> NDArray[np.intp]:
-    """Return where T[a, b, c] stands among the numbers of a row, shape (I, I, I)."""
-    positions = np.zeros((inputs,) * 3, dtype=np.intp)
-    for position, index in enumerate(combinations_with_replacement(range(inputs), 3)):
-        for order in permutations(index):
-            positions[order] = position
-    return positions

@@ -21,7 +21,7 @@ from wrenchbook.service.messages import Compliance
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.physics_checks import check_physics
-from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
+from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats, LoadRange
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 MAX_ROWS = 5_000  # what a browser turns in 3-D without delay; the reply is then some 1 MB
@@ -167,7 +167,7 @@ def drawing(
 ) -> Response:
     require_one_wrench(name, table.load_range.space)
     rows, drawn = table.rows, next((every for every in AXES if every.name == axis), None)
-    loaded = np.abs(rows.wrench) > CLEAN * table.load_range.scale
+    loaded = np.abs(rows.wrench) > ZERO_LOAD * table.load_range.scale
     chosen = np.arange(len(rows))
     clean: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
     if along is not None:

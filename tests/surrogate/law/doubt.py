@@ -11,7 +11,7 @@ from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.kernel.reasons import UNKNOWN_AT_ZERO_LOAD, UNKNOWN_TOGETHER
 from wrenchbook.surrogate.methods import ENOUGH_FULL
 from wrenchbook.surrogate.table.axes import AXES, single_axis_wrenches
-from wrenchbook.surrogate.table.rows import CLEAN, Floats
+from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats
 
 Mask = np.ndarray
 
@@ -58,4 +58,4 @@ class DoubtLaw:
     @cached_property
     def _least(self) -> list[float]:
         """Loads up to which there is none, six of them, N and N·m."""
-        return (CLEAN * self._range.scale).tolist()
+        return (ZERO_LOAD * self._range.scale).tolist()
